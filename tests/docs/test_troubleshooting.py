@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from sdpid.experiment.inspection.accept import REFUSED
+from sdpid.experiment.inspection.delays.find import LEAST
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
@@ -68,7 +69,8 @@ def test_every_kind_of_finding_is_named() -> None:
         if re.fullmatch(r"[a-z]+(_[a-z]+)*", made):
             kinds.add(made)
         elif made.startswith("\0"):
-            kinds |= {made.replace("\0", quantity) for quantity in ("velocity", "effort")}
+            quantities = LEAST if made.endswith("_late") else ("velocity", "effort")
+            kinds |= {made.replace("\0", quantity) for quantity in quantities}
     assert len(kinds) > 30
     named = set(first_cells("kind"))
     assert kinds - named == set()

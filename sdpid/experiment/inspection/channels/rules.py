@@ -205,54 +205,62 @@ def _position_coarse(joint: Joint) -> Iterator[Seen]:
 
 
 _STAYS = " of {name} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
-_LEAVE, _ROUNDED = "leave those rows out", "position_coarse"
+_LEAVE = "leave those rows out"
 # In this order: what is far off hides the rest, and what is rounded stays and jumps.
 RULES = (
     Rule(
-        "position_lone",
-        "refuse",
-        _position_lone,
-        "position of {name} is {off:.3g} rad off those before and after it at row {row}, limit "
-        "{limit:.2g} rad: a wrong sample",
-        "remove that sample: a gap of a few samples is interpolated",
+        kind="position_lone",
+        severity="refuse",
+        seen=_position_lone,
+        message=(
+            "position of {name} is {off:.3g} rad off those before and after it at row {row}, limit "
+            "{limit:.2g} rad: a wrong sample"
+        ),
+        remedy="remove that sample: a gap of a few samples is interpolated",
     ),
     Rule(
-        _ROUNDED,
-        "warning",
-        _position_coarse,
-        "position of {name} has {values} different values (limit {limit}), {step:.2g} rad apart "
-        "(limit {step_limit:g} rad): it is rounded",
-        "log positions with all their digits",
+        kind="position_coarse",
+        severity="warning",
+        seen=_position_coarse,
+        message=(
+            "position of {name} has {values} different values (limit {limit}), {step:.2g} rad "
+            "apart (limit {step_limit:g} rad): it is rounded"
+        ),
+        remedy="log positions with all their digits",
     ),
     Rule(
-        "position_frozen",
-        "refuse",
-        _position_frozen,
-        "position" + _STAYS + ", while {name} moves by {moved:.2g} rad (limit {limit:.2g} rad)",
-        _LEAVE,
+        kind="position_frozen",
+        severity="refuse",
+        seen=_position_frozen,
+        message=f"position{_STAYS}, while {{name}} moves by {{moved:.2g}} rad, limit {{limit:.2g}}",
+        remedy=_LEAVE,
     ),
     Rule(
-        "velocity_frozen",
-        None,
-        _velocity_frozen,
-        "velocity" + _STAYS + ", while {name} leaves that speed by {moved:.2g} rad (limit "
-        "{limit:.2g} rad)",
-        f"{_LEAVE}, or the velocity (velocity=none)",
+        kind="velocity_frozen",
+        severity=None,
+        seen=_velocity_frozen,
+        message=(
+            "velocity" + _STAYS + ", while {name} leaves that speed by {moved:.2g} rad (limit "
+            "{limit:.2g} rad)"
+        ),
+        remedy=f"{_LEAVE}, or the velocity (velocity=none)",
     ),
     Rule(
-        "effort_frozen",
-        "warning",
-        _effort_frozen,
-        "effort" + _STAYS + ", while {name} moves by {way:.2g} rad",
-        f"{_LEAVE}, or the efforts of that joint (without_effort)",
+        kind="effort_frozen",
+        severity="warning",
+        seen=_effort_frozen,
+        message="effort" + _STAYS + ", while {name} moves by {way:.2g} rad",
+        remedy=f"{_LEAVE}, or the efforts of that joint (without_effort)",
     ),
     Rule(
-        "effort_spike",
-        "warning",
-        _effort_spike,
-        "effort of {name} is {off:.3g} off those before and after it at row {row}, limit "
-        "{limit:.2g}: an outlier",
-        "remove that sample",
+        kind="effort_spike",
+        severity="warning",
+        seen=_effort_spike,
+        message=(
+            "effort of {name} is {off:.3g} off those before and after it at row {row}, limit "
+            "{limit:.2g}: an outlier"
+        ),
+        remedy="remove that sample",
     ),
 )
 
@@ -263,7 +271,9 @@ def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
     left_out: list[slice] = []
     for rule in RULES:
         of_position = rule.kind.startswith("position")
-        rounded = {each.joint for each in findings if of_position and each.kind == _ROUNDED}
+        rounded = {
+            each.joint for each in findings if of_position and each.kind == "position_coarse"
+        }
         unused = subject.without if rule.kind.startswith("effort") else frozenset()
         for j, name in enumerate(subject.log.names):
             if name in rounded or name in unused:
@@ -289,7 +299,7 @@ def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
                     numbers=numbers,
                 )
             )
-            left_out += [each for _, each in seen if rule.kind != _ROUNDED]
+            left_out += [each for _, each in seen if rule.kind != "position_coarse"]
         if left_out and rule.kind == "position_lone":
             subject = replace(subject, left_out=tuple(left_out))
     return findings, replace(subject, left_out=tuple(left_out)) if left_out else subject
