@@ -55,10 +55,6 @@ class Branches:
             found.append(reached[i].copy())
         return cls(of_row, tuple(np.flatnonzero(own) for own in found))
 
-    def triangles(self) -> tuple[Triangle, ...]:
-        """Return a triangle for each branch, without rows."""
-        return tuple(Triangle(len(own)) for own in self.columns)
-
     def split(self, rows: Array) -> tuple[Array, list[Array]]:
         """Return the rows (k, n, c) of no branch, (r, c), and those of each with its columns."""
         parts = []

@@ -11,7 +11,7 @@ has one factor, found likewise.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,42 +49,18 @@ _NO_SHARE = 1e-12
 _INNER = 4
 
 
-@dataclass(frozen=True, eq=False)
-class ContactNoise:
-    """Errors of rows in contact, as the residuals of a fit show them.
-
-    Attributes
-    ----------
-    variance : ndarray, shape (n,)
-        Of every effort, of the size of the residuals (see
-        `sdpid.estimation.compression.covariance.residual_noise`).
-    time : float
-        Their correlation time in samples: so many are worth one independent one.
-    force : float
-        Factor of the covariance of measured forces that suits the residuals; 1 without forces.
-    """
-
-    variance: Array
-    time: float
-    force: float
-
-    @property
-    def sigma(self) -> Array:
-        """Covariance of efforts (n, n) with which a sample counts as an independent one."""
-        return np.diag(self.variance * self.time)
-
-    @property
-    def force_scale(self) -> float:
-        """What the covariance of forces is then multiplied by.
-
-        Residuals only raise it: a fit follows forces that are wrong alike, as by a gain, and hardly
-        shows it.
-        """
-        return self.time * max(self.force, 1.0)
-
-
-def contact_noise(rows: Rows) -> ContactNoise:
+def contact_noise(rows: Rows) -> tuple[Array, float, float]:
     """Return the errors of rows in contact that the residuals make most likely.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Variance of every effort, of the size of the residuals (see
+        `sdpid.estimation.compression.covariance.residual_noise`).
+    float
+        Correlation time in samples: so many are worth one independent one.
+    float
+        Factor of the covariance of measured forces that suits the residuals; 1 without forces.
 
     Raises
     ------
@@ -104,8 +80,7 @@ def contact_noise(rows: Rows) -> ContactNoise:
         residual = _missed(kept, base)
         freedom = count / max(count - rank, 1.0)
         before = sizes
-        for _ in range(_INNER):
-            sizes = np.maximum(_updated(left, sizes, residual, groups, freedom), least)
+        sizes = _settled(left, sizes, residual, groups, freedom, least, _INNER)
         if np.allclose(sizes, before, rtol=_SETTLED):
             break
     base, rank, count = _fitted(left, kept, sizes)
@@ -114,16 +89,14 @@ def contact_noise(rows: Rows) -> ContactNoise:
     alike = np.append(np.zeros(rows.robot.n, dtype=np.intp), 1)
     least = np.append(LEAST_NOISE * sizes[:-1], 1.0)
     sizes = _settled(left, sizes, residual, alike, freedom, least)
-    shown = 1.0
-    if left.measured:
-        shown = float(_settled(left, sizes, residual, alike, freedom, 0.0 * least)[-1])
+    shown = float(_settled(left, sizes, residual, alike, freedom, 0.0 * least)[-1])
     variance, scaled = sizes[:-1], rows.with_force_scale(float(sizes[-1]))
     sums = LaggedSums.merged(scaled.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
     if not said.any():
-        return ContactNoise(variance, 1.0, shown)
+        return variance, 1.0, shown
     times = np.array([integrated_time(each) for each in sums.correlation])
-    return ContactNoise(variance, float(np.average(times, weights=said)), shown)
+    return variance, float(np.average(times, weights=said)), shown
 
 
 def prediction_noise(rows: RowSource, predicted: Array) -> Array:
@@ -221,11 +194,6 @@ class _Left:
         alike = (zip(*each, strict=True) for each in pieces.values())
         self.pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
 
-    @property
-    def measured(self) -> bool:
-        """Whether there are measured forces."""
-        return any(spread.size for _, _, spread in self.pieces)
-
     def roots(self, sizes: Array) -> Iterator[Array]:
         """Yield G (s, r, r) of ``Omega = N·G^T·G·N^T``, the weight of what is left."""
         for _, N, spread in self.pieces:
@@ -303,8 +271,8 @@ def _updated(
     said: Array = np.asarray(np.bincount(groups, sizes * scores)[groups])
     known: Array = np.asarray(np.bincount(groups, sizes * information)[groups])
     # What contacts hide altogether keeps its size.
-    ratio = np.where(known > 0.0, said / np.where(known > 0.0, known, 1.0), 1.0)
-    return np.asarray(sizes * ratio * freedom)
+    ratio = np.where(known > 0.0, freedom * said / np.where(known > 0.0, known, 1.0), 1.0)
+    return np.asarray(sizes * ratio)
 
 
 def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:

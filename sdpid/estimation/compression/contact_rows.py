@@ -248,10 +248,11 @@ def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
     if not m:
         yield np.arange(len(A)), np.broadcast_to(np.eye(n), (len(A), n, n)), 0
         return
-    A, close = _scaled(A)
+    length = np.sqrt(np.einsum("snm,snm->sm", A, A))
+    A = A / np.where(length > 0.0, length, 1.0)[:, None, :]
     doubtful = np.arange(len(A))
-    if close is not None:
-        Q, R = close
+    if m <= n:
+        Q, R = np.linalg.qr(A, mode="complete")
         doubtful = _doubtful(R)
         sure = np.delete(np.arange(len(A)), doubtful)
         if len(sure):
@@ -263,15 +264,6 @@ def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
     for rank in np.unique(ranks).tolist():
         some = np.flatnonzero(ranks == rank)
         yield doubtful[some], U[some][:, :, rank:n], rank
-
-
-def _scaled(A: Array) -> tuple[Array, tuple[Array, Array] | None]:
-    """Return A with columns of unit length, and its QR; None where it is wider than high."""
-    length = np.sqrt(np.einsum("snm,snm->sm", A, A))
-    A = A / np.where(length > 0.0, length, 1.0)[:, None, :]
-    if A.shape[2] > A.shape[1]:
-        return A, None
-    return A, np.linalg.qr(A, mode="complete")
 
 
 def _doubtful(R: Array) -> Indices:

@@ -227,7 +227,7 @@ def least_variance(own: Array, effort: float) -> Array:
     return np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
 
 
-def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
+def residual_covariance(rows: Rows) -> Array:
     """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
 
     Each joint has one variance, found by iteration: fit, take the residuals' variance with the
@@ -242,24 +242,20 @@ def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
     ----------
     rows : RowSource
         Regressor and efforts.
-    joints : JointRows, optional
-        The same rows, compressed before.
 
     Raises
     ------
     DataError
         When every effort is zero, or no row counts.
     """
-    if joints is None:
-        joints = JointRows.merged(rows.map(JointRows.of))
-    variance, time = residual_noise(rows, joints)
+    variance, time = residual_noise(rows, JointRows.merged(rows.map(JointRows.of)))
     return np.diag(variance * time)
 
 
 def residual_noise(rows: Rows, joints: JointRows) -> tuple[Array, float]:
     """Return every joint's variance (n,) of residuals and their correlation time, in samples.
 
-    They are the factors of `residual_covariance`, with its arguments and errors.
+    They are the factors of `residual_covariance`, with its errors, of rows compressed before.
     """
     if not joints.squares.sum() > 0.0:
         raise DataError(

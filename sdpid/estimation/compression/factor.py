@@ -68,9 +68,12 @@ class Factor:
     @classmethod
     def of_contacts(cls, rows: Rows) -> Factor:
         """Weight rows with contacts by one variance a joint and two of the base, from residuals."""
-        noise = contact_noise(rows)
-        triangle, used = compressed(rows.with_force_scale(noise.force_scale), noise.sigma)
-        return cls(noise.sigma, *triangle.split(), used, noise.force_scale, noise.time)
+        variance, time, force = contact_noise(rows)
+        # Residuals only raise errors of forces: a fit follows forces that are all wrong alike, as
+        # by their scale, and hardly shows it.
+        sigma, scale = np.diag(variance * time), time * max(force, 1.0)
+        triangle, used = compressed(rows.with_force_scale(scale), sigma)
+        return cls(sigma, *triangle.split(), used, scale, time)
 
     @classmethod
     def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
@@ -95,7 +98,8 @@ def covariance(rows: Rows, weighting: Weighting) -> Array:
     """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
     if weighting == "residual":
         if rows.samples.contacts is not None:
-            return contact_noise(rows).sigma
+            variance, time, _ = contact_noise(rows)
+            return np.diag(variance * time)
         return residual_covariance(rows)
     given = rows.samples.covariance
     if given is None:

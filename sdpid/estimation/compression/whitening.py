@@ -204,7 +204,7 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     columns, n = rows.base.count + 1, rows.robot.n
     triangle, used = Triangle(columns), 0
     branches = rows.branches
-    apart = branches.triangles()
+    apart = [Triangle(len(own)) for own in branches.columns]
     count = len(rows.samples.effort)
     step = max(1, count * n // (_FIRST * columns))
     memory = [_memory(rows)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -28,9 +27,6 @@ _AXES = {"roll": 4, "pitch": 6, "yaw": 9}
 
 # Errors of forces above this many stated deviations are more than a guess of these is off by.
 _STATED = 2.0
-
-# By how much residuals would scale the covariance of forces, of problems that are still in use.
-_FACTORS: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
 
 
 def floating_findings(result: Judged) -> Iterator[Finding]:
@@ -73,9 +69,7 @@ def _forces(problem: Problem) -> Iterator[Finding]:
     if not known.any():
         return
     stated = float(np.sqrt(known.mean()))
-    if problem not in _FACTORS:
-        _FACTORS[problem] = contact_noise(rows.with_force_scale(1.0)).force
-    found = float(np.sqrt(_FACTORS[problem]))
+    found = float(np.sqrt(contact_noise(rows.with_force_scale(1.0))[2]))
     counts = "The residuals' number counts."
     if found <= 1.0:
         counts = (

@@ -8,8 +8,6 @@ which is what an accelerometer measures) and the angular velocity, both in body 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sdpid._common.arrays import Array
@@ -21,35 +19,13 @@ from sdpid.experiment.processing.floating.rotations import body_rate, into_body,
 from sdpid.experiment.processing.settings import BaseSource
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["BaseStates", "base_states"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BaseStates:
-    """Filtered states of a base at the kept samples, in body axes.
-
-    Attributes
-    ----------
-    position : (K, 7) ndarray
-        Position in m, zero where it was not recorded; quaternion x, y, z, w, base to world.
-    velocity : (K, 6) ndarray
-        Linear, which is zero, and angular in rad/s.
-    acceleration : (K, 6) ndarray
-        Linear in m/s², angular in rad/s².
-    note : str
-        What they are from.
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    note: str
+__all__ = ["base_states"]
 
 
 def base_states(
     base: BaseMotion, on_grid: OnGrid, gravity: Array, wanted: BaseSource = "auto"
-) -> BaseStates:
-    """Filter the motion of a base.
+) -> tuple[Array, Array, Array, str]:
+    """Return the filtered states of a base at the kept samples, in body axes.
 
     Parameters
     ----------
@@ -62,6 +38,17 @@ def base_states(
     wanted : {"auto", "imu", "twist", "pose"}
         What accelerations are from. ``"auto"`` takes the IMU where there is one, else what has the
         less noise of velocities and pose; the angular and the linear part each by itself.
+
+    Returns
+    -------
+    (K, 7) ndarray
+        Position in m, zero where it was not recorded; quaternion x, y, z, w, base to world.
+    (K, 6) ndarray
+        Velocity: linear, which is zero, and angular in rad/s.
+    (K, 6) ndarray
+        Acceleration: linear in m/s², angular in rad/s².
+    str
+        What they are from.
 
     Raises
     ------
@@ -84,7 +71,7 @@ def base_states(
     )
     position, velocity, both = (on_grid.kept(each) for each in states)
     note = f"accelerations of the base: linear from {linear_source}, angular from {source}"
-    return BaseStates(position=position, velocity=velocity, acceleration=both, note=note)
+    return position, velocity, both, note
 
 
 def _angular(

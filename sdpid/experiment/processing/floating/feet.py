@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,29 +14,12 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["Feet", "carried", "feet_of", "landing_share", "near"]
+__all__ = ["carried", "feet_of", "landing_share", "near"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Feet:
-    """Contacts at the kept samples, with what was found out on the way.
-
-    Attributes
-    ----------
-    samples : ContactSamples
-        For the rows.
-    clear : (K,) ndarray of bool
-        Samples away from landings.
-    notes : tuple of str
-        What was done, in words.
-    """
-
-    samples: ContactSamples
-    clear: Mask
-    notes: tuple[str, ...]
-
-
-def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet:
+def feet_of(
+    contacts: Contacts, on_grid: OnGrid, processing: Processing
+) -> tuple[ContactSamples, Mask, list[str]]:
     """Return the contacts at the kept samples.
 
     A filtered effort holds the contact forces of all samples that the filter sees. A foot that was
@@ -50,6 +34,15 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
     processing : Processing
         By how much flags may be late or early, whether samples around landings are clear, and
         whether recorded forces are measurements.
+
+    Returns
+    -------
+    ContactSamples
+        For the rows.
+    (K,) ndarray of bool
+        Samples away from landings.
+    list of str
+        What was done, in words.
 
     Raises
     ------
@@ -95,19 +88,16 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
         if filtered is None:
             said = "not used: those of closed contacts are eliminated (contact_force_std)"
         notes.append(f"recorded contact forces are {said}")
-    return Feet(
-        samples=ContactSamples(
-            frames=contacts.frames,
-            kind=contacts.kind,
-            offset=contacts.offset,
-            down=kept_down,
-            forces=filtered,
-            force_covariance=covariance,
-            widened_s=reach * step + margin_s,
-        ),
-        clear=clear,
-        notes=tuple(notes),
+    samples = ContactSamples(
+        frames=contacts.frames,
+        kind=contacts.kind,
+        offset=contacts.offset,
+        down=kept_down,
+        forces=filtered,
+        force_covariance=covariance,
+        widened_s=reach * step + margin_s,
     )
+    return samples, clear, notes
 
 
 def carried(contacts: Contacts, reach: int) -> Contacts:
@@ -116,7 +106,7 @@ def carried(contacts: Contacts, reach: int) -> Contacts:
     The sensor of a foot in the air shows its offset, which a filter would take to the ground.
     """
     acting = near(contacts.closed, reach)[:, :, None]
-    felt = {"forces": contacts.forces, "wrenches": contacts.wrenches}
+    felt: dict[str, Any] = {"forces": contacts.forces, "wrenches": contacts.wrenches}
     return replace(contacts, **{k: v * acting for k, v in felt.items() if v is not None})
 
 

@@ -81,26 +81,27 @@ def with_base(
     """
     assert log.base is not None
     on_grid = OnGrid(chain=chain)
-    base = base_states(log.base, on_grid, np.array(gravity), processing.base_motion)
+    position, velocity, acceleration, note = base_states(
+        log.base, on_grid, np.array(gravity), processing.base_motion
+    )
     K = joints.n_samples
     nothing = np.zeros((K, len(BASE_NAMES)))
     mask = None
     if joints.mask is not None:
         mask = np.hstack([np.ones(nothing.shape, dtype=np.bool_), joints.mask])
-    notes = [*joints.notes, base.note]
+    notes = [*joints.notes, note]
     contacts = None
     if log.contacts is not None:
-        feet = feet_of(log.contacts, on_grid, processing)
-        contacts = feet.samples
-        notes += feet.notes
-        if not feet.clear.all():
-            if not feet.clear.any():
+        contacts, clear, told = feet_of(log.contacts, on_grid, processing)
+        notes += told
+        if not clear.all():
+            if not clear.any():
                 raise DataError(
                     f"impact_s: {processing.impact_s:g} s around landings leave no sample; make "
                     "it shorter, or leave it out (None)."
                 )
             every = np.ones((K, len(BASE_NAMES) + joints.n), dtype=np.bool_)
-            mask = (every if mask is None else mask) & feet.clear[:, None]
+            mask = (every if mask is None else mask) & clear[:, None]
     wide = None
     if joints.wide is not None:
         wide = tuple(
@@ -113,9 +114,9 @@ def with_base(
     names = None if joints.joint_names is None else (*BASE_NAMES, *joints.joint_names)
     return replace(
         joints,
-        position=np.hstack([base.position, joints.position]),
-        velocity=np.hstack([base.velocity, joints.velocity]),
-        acceleration=np.hstack([base.acceleration, joints.acceleration]),
+        position=np.hstack([position, joints.position]),
+        velocity=np.hstack([velocity, joints.velocity]),
+        acceleration=np.hstack([acceleration, joints.acceleration]),
         effort=np.hstack([nothing, joints.effort]),
         mask=mask,
         joint_names=names,
