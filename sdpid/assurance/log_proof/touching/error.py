@@ -82,7 +82,7 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
     contacts, tree = source.samples.contacts, source.robot.tree
     assert contacts is not None
     R = contacts.force_covariance
-    correlated = R is not None and np.any(R - _diagonal(R))
+    correlated = R is not None and np.any(R[:, ~np.eye(6, dtype=bool)])
     count = source.base.count
     if correlated:
         return ContactError(
@@ -162,11 +162,6 @@ def _left_open(each: ContactWhiteners, W: Array, factor: Array) -> Array:
     norms = root(np.einsum("gnc,gn->gc", W**2, factor**2))
     found = each.grown[:, None] * root(np.sum(size**2, axis=1)) + each.lean[:, None] * norms
     return np.asarray(found * UP)
-
-
-def _diagonal(matrices: Array) -> Array:
-    """Return matrices without what stands beside their diagonals."""
-    return np.asarray(np.eye(matrices.shape[-1]) * np.diagonal(matrices, axis1=1, axis2=2)[:, None])
 
 
 def _grown(J: Array, R: Array | None, scale: float, sigma: Array, w: Array) -> float:
