@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -172,7 +172,8 @@ def verify(
         problems=result.problems,
         unchecked=result.unchecked,
         sha256=checked.sha256,
-        log=log,
+        # The problem served to check files; JSON has no words for a model.
+        log=None if log is None else replace(log, problem=None),
         **checked.claims,
     )
 
