@@ -335,7 +335,9 @@ def validate(
         inspected and processed as by `identify`.
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong: it is predicted and not compared.
-    processing, accept
+    processing : Processing or mapping, optional
+        As of `identify`, for recordings and files.
+    accept : iterable of str, optional
         As of `identify`, for recordings and files.
 
     Returns

@@ -27,8 +27,7 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import flat_links, make_samples, random_covariance, random_theta
-from tests.helpers.robots import planar_arm, small_arm
-from tests.helpers.small_robots import MODELS
+from tests.helpers.robots import pendulum, planar_arm, small_arm
 from tests.helpers.strategies import SEEDS
 from tests.helpers.tolerances import LOCAL_COST, SAME_OPTIMUM
 
@@ -36,7 +35,7 @@ BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 # What a solve that gives up may leave of the gap.
 UNPROVEN = 1e-2
 
-ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2), **MODELS}
+ROBOTS = {"pendulum": pendulum(), "planar": planar_arm(), "arm2": small_arm(2)}
 ARM3 = small_arm(3)
 
 
