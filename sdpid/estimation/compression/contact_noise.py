@@ -244,9 +244,14 @@ def _missed(kept: list[Array], base: Array) -> list[Array]:
 
 
 def _settled(
-    left: _Left, sizes: Array, residual: list[Array], groups: Indices, freedom: float, least: Array,
+    left: _Left,
+    sizes: Array,
+    residual: list[Array],
+    groups: Indices,
+    freedom: float,
+    least: Array,
     rounds: int = ROUNDS,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return the most likely sizes under residuals that stay as they are."""
     for _ in range(rounds):
         before = sizes

@@ -24,9 +24,11 @@ from sdpid.estimation.sdp.repair import repair
 # Choosing among the optimal points may cost this share of the cost.
 _FACE = 1e-7
 
-# Statuses that come without a point, and those of them that say that there is none.
+# Statuses that come without a point, and those of them that say that there is none. A numerical
+# error leaves the last point: it is judged by what is recomputed, and the next attempt begins
+# there.
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
-_NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible", "NumericalError")
+_NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible")
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ def gap(problem: Problem, cost: float, multipliers: Multipliers) -> float:
 
 
 @pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+# No constraint holds the slider back: its cost is the floor, a bound whatever multipliers say.
+@pytest.mark.parametrize("name", sorted(ROBOTS.keys() - {"slider"}))
 def test_disturbed_multipliers_are_corrected(name: str, consistency: Consistency) -> None:
     problem = noisy(ROBOTS[name], 1, consistency=consistency)
     estimate = solve_sdp(problem)

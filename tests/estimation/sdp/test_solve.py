@@ -28,6 +28,7 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import flat_links, make_samples, random_covariance, random_theta
 from tests.helpers.robots import pendulum, planar_arm, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS
 from tests.helpers.tolerances import LOCAL_COST, SAME_OPTIMUM
 
@@ -35,7 +36,7 @@ BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 # What a solve that gives up may leave of the gap.
 UNPROVEN = 1e-2
 
-ROBOTS = {"pendulum": pendulum(), "planar": planar_arm(), "arm2": small_arm(2)}
+ROBOTS = {"pendulum": pendulum(), "planar": planar_arm(), "arm2": small_arm(2), **MODELS}
 ARM3 = small_arm(3)
 
 
@@ -79,6 +80,12 @@ def solved(problem: Problem) -> tuple[Estimate, float]:
 
 def random_feasible(problem: Problem, rng: np.random.Generator) -> Array:
     return repair(problem, random_start(problem, rng))
+
+
+def test_the_point_of_a_numerical_error_is_judged_like_any_other() -> None:
+    # Every attempt ends so, the first at a point far off and the next ones from there on near.
+    problem = noisy(MODELS["without_effort"], 320, weighting="eq9")
+    assert certify(solve_sdp(problem)).passed
 
 
 robots = st.sampled_from(sorted(ROBOTS))
