@@ -77,7 +77,8 @@ def arm_problem(
     theta = random_theta(ARM, rng)
     theta[:20] = flat_links(rng, 2).ravel()
     samples = make_samples(ARM, theta, rng, noise=1.0)
-    limits: dict[str, Any] = {"margin": 1e-3, "mass_max": 10.0, "theta_max": 20.0, **numbers}
+    limits: dict[str, Any] = {"margin": 1e-3, "mass_max": 10.0, "theta_max": 20.0}
+    limits = {**limits, "friction_max": 20.0, **numbers}
     constraints = Constraints(others=others, **limits)
     return build_problem(
         ARM, samples, consistency=consistency, constraints=constraints, prior=prior
