@@ -48,6 +48,9 @@ CLAIMS = {
     "They are optimal up to a gap of at most ": "gap",
 }
 
+# Of links with other bounds of their mass so many are named.
+LISTED = 60
+
 # Each process judges so many forgeries at a time.
 CHUNK = 50
 
@@ -156,9 +159,15 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
         f"{len(origin['joints'])} joints": "joints",
     }
     if links:
-        least = min(float(problem["lower"][k]) for k in masses)
-        most = max(float(problem["upper"][k]) for k in masses)
-        counts[f"masses from {least!r} to {most!r} kg"] = "masses"
+        # Most links have the bounds that are said first; others are named with theirs.
+        pairs = [(float(problem["lower"][k]), float(problem["upper"][k])) for k in masses]
+        usual = max(pairs, key=pairs.count)
+        counts["masses from {!r} to {!r} kg".format(*usual)] = "masses"
+        others = [pair for pair in pairs if pair != usual]
+        for least, most in others[:LISTED]:
+            counts[f" from {least!r} to {most!r}"] = "bounds of one mass"
+        if len(others) > LISTED:
+            counts[f" and {len(others) - LISTED} more"] = "further bounds of masses"
     if problem["rows"] or problem["cones"]:
         counts[f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"] = "conditions"
     fixed = sum(a == b for a, b in zip(problem["lower"], problem["upper"], strict=True))

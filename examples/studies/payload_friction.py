@@ -24,9 +24,8 @@ from simulated_logs import Truth, drawn, log_of, other_log
 
 import sdpid
 from sdpid._common.tables import Table
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.for_robot import default_friction, prepare
 from sdpid.robot.inertia import theta_from_physical
-from sdpid.workflow.formulate import default_friction
 
 ROBOTS = ("ur10", "panda", "denso")
 LOADS = (0.5, 3.0)  # kg
