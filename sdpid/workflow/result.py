@@ -11,23 +11,16 @@ from typing import TYPE_CHECKING, Any, cast
 from numpy.typing import ArrayLike
 
 from sdpid._common.tables import Table, facts_html, plain
-from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.assurance.diagnostics.held_out import HeldOut
-from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
-from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.estimation.effects.tried import Tried
-from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.bias import BiasTest
-from sdpid.estimation.problem import Problem, describe
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.processing.samples import Samples
+from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
-from sdpid.output.report.judged import grades_of
+from sdpid.output.report.judged import Judged, grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
-from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
+from sdpid.output.tables.intervals_shown import ends_of, in_words
 from sdpid.robot.friction.curve import JointCurve
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.results_folder import save as save_results
@@ -39,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
+class Identification(Judged):
     """The result of `identify`.
 
     Attributes
@@ -100,26 +93,9 @@ class Identification:
     ['base_parameters.csv', 'certificate.json', 'identified.urdf']
     """
 
-    problem: Problem
-    wls: Estimate
-    estimate: Estimate
-    certificate: Certificate
-    training: Validation
-    training_wls: Validation
-    validation: Validation | None = None
-    validation_samples: Samples | None = None
-    held_out: HeldOut | None = None
-    intervals: Intervals | None = None
     cross_validation: CrossValidation | None = None
     rollouts: tuple[Rollout, ...] = ()
-    intervals_note: str | None = None
     bias: BiasTest | None = None
-    bias_note: str | None = None
-    notes: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    inputs: tuple[dict[str, Any], ...] = ()
-    recipe: Recipe | None = None
-    recipe_note: str | None = None
 
     def __repr__(self) -> str:
         """Return the robot, the residual and the proof in a line."""
@@ -297,7 +273,7 @@ class Identification:
         report: Callable[[str], None] | None = None,
         command: str | None = None,
         config: str | None = None,
-        intervals: GivenIntervals | None = None,
+        intervals: Intervals | None = None,
         exported: Callable[[ExportReport], None] | None = None,
     ) -> tuple[Path, ...]:
         """Write tables, robots, certificate, plots and a report into a folder: all, or none.

@@ -7,17 +7,16 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 from sdpid import __version__
 from sdpid._common.extras import installation
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import json_text
-from sdpid.assurance.log_proof.recipe import Recipe
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
-from sdpid.output.tables.intervals_shown import GivenIntervals
 from sdpid.verifier.results.friction_code import NAMES as FRICTION_FILES
 from sdpid.verifier.results.manifest import contents, sealed
 
@@ -54,39 +53,20 @@ NAMES = (
 )
 
 
-class Result(Judged, Protocol):
-    """The part of an `Identification` that is written."""
-
-    @property
-    def inputs(self) -> Sequence[dict[str, Any]]:
-        """What the run was given."""
-
-    @property
-    def recipe(self) -> Recipe | None:
-        """How the rows are made of the recordings."""
-
-    @property
-    def recipe_note(self) -> str | None:
-        """Why there is no recipe."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-
-
 _FOLDER = RunFolder(NAMES, MANIFEST, _CONFIG, seal=sealed)
 
 require_writable = _FOLDER.require_writable
 
 
 def save(
-    result: Result,
+    result: Judged,
     folder: str | os.PathLike[str],
     *,
     figures: bool = True,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
-    intervals: GivenIntervals | None = None,
+    intervals: Intervals | None = None,
     exported: Callable[[ExportReport], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write an identification into a folder; arguments and errors are those of its `save`."""
@@ -112,9 +92,9 @@ def save(
 class _Writer:
     """Writes the files of a result into an empty folder."""
 
-    result: Result
+    result: Judged
     folder: Path
-    intervals: GivenIntervals | None
+    intervals: Intervals | None
     note: Callable[[str], None]
     exports: list[ExportReport] = field(default_factory=list)
 

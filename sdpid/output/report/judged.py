@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
@@ -13,9 +15,11 @@ from sdpid.assurance.diagnostics.causes import Cause, find_causes
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut
 from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.inspection import finding as inspection
+from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, Level, grades
 from sdpid.output.robots.export_report import Errors
@@ -102,68 +106,34 @@ class Rolled(Protocol):
         """Draw the errors over time."""
 
 
-class Judged(Protocol):
-    """What the verdict needs of an `Identification`."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged(ABC):
+    """What an `Identification` holds, where each field is told."""
 
-    @property
-    def problem(self) -> Problem:
-        """The problem."""
+    problem: Problem
+    wls: Estimate
+    estimate: Estimate
+    certificate: Certificate
+    training: Validation
+    training_wls: Validation
+    validation: Validation | None = None
+    validation_samples: Samples | None = None
+    held_out: HeldOut | None = None
+    intervals: Intervals | None = None
+    cross_validation: Crossed | None = None
+    rollouts: Sequence[Rolled] = ()
+    intervals_note: str | None = None
+    bias: Bias | None = None
+    bias_note: str | None = None
+    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    inputs: tuple[dict[str, Any], ...] = ()
+    recipe: Recipe | None = None
+    recipe_note: str | None = None
 
-    @property
-    def wls(self) -> Estimate:
-        """The unconstrained fit."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """The constrained estimate."""
-
-    @property
-    def certificate(self) -> Certificate:
-        """The certificate of `estimate`."""
-
-    @property
-    def training(self) -> Validation:
-        """Errors of `estimate` on the training rows."""
-
-    @property
-    def training_wls(self) -> Validation:
-        """Errors of `wls` on the training rows."""
-
-    @property
-    def validation(self) -> Validation | None:
-        """Errors of `estimate` on the validation recording."""
-
-    @property
-    def validation_samples(self) -> Samples | None:
-        """The processed validation recording."""
-
-    @property
-    def held_out(self) -> HeldOut | None:
-        """Errors on what was not trained on, beside baselines."""
-
-    @property
-    def cross_validation(self) -> Crossed | None:
-        """Cross-validation on the training recordings."""
-
-    @property
-    def bias(self) -> Bias | None:
-        """Whether noise in the measured motion biases least squares."""
-
-    @property
-    def bias_note(self) -> str | None:
-        """Why that is not known."""
-
-    @property
-    def rollouts(self) -> Sequence[Rolled]:
-        """Simulations of the validation recording in open loop, if any."""
-
-    @property
-    def findings(self) -> tuple[inspection.Finding, ...]:
-        """What is wrong with the recordings."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The choices that were made, in words."""
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
 
 
 # Of identifications that are still in use: a report and its verdict look at the same errors.

@@ -15,6 +15,7 @@ from typing import Any
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.report.judged import Judged, errors_of
 from sdpid.output.report.page import page
 from sdpid.output.report.sections import (
@@ -30,7 +31,6 @@ from sdpid.output.report.sections import (
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
 from sdpid.output.scene.scene import Scene
-from sdpid.output.tables.intervals_shown import GivenIntervals
 
 
 def write_report(
@@ -38,7 +38,7 @@ def write_report(
     target: str | os.PathLike[str],
     *,
     command: str | None = None,
-    intervals: GivenIntervals | None = None,
+    intervals: Intervals | None = None,
     figures: bool | None = None,
     sha256: str | None = None,
     exports: Sequence[ExportReport] = (),
@@ -98,7 +98,7 @@ def report_html(
     identification: Judged,
     *,
     command: str | None = None,
-    intervals: GivenIntervals | None = None,
+    intervals: Intervals | None = None,
     figures: bool | None = None,
     sha256: str | None = None,
     exports: Sequence[ExportReport] = (),
@@ -129,7 +129,7 @@ def _scene(result: Judged) -> Scene:
     return identified_scene(result.problem.robot, result.problem.samples, result.estimate.theta)
 
 
-def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:
+def _context(result: Judged, draw: bool, intervals: Intervals | None) -> dict[str, Any]:
     """Return the variables of the templates."""
     problem, certificate = result.problem, result.certificate
     errors = errors_of(result)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from sdpid.assurance.intervals.intervals import Intervals
 
 _ABOUT = {
     "profile": "the values of physically possible parameters that the data do not rule out",
@@ -13,26 +14,6 @@ _ABOUT = {
     "alone do not determine have none",
     "bootstrap": "how the constrained estimate scatters when blocks of the data are drawn again",
 }
-
-
-class GivenIntervals(Protocol):
-    """What output needs of `Intervals`."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The parameters."""
-
-    @property
-    def lower(self) -> Any:
-        """Lower ends."""
-
-    @property
-    def upper(self) -> Any:
-        """Upper ends."""
-
-    @property
-    def label(self) -> Sequence[str]:
-        """What bounds each parameter: data, physics or the prior."""
 
 
 class Ends(NamedTuple):
@@ -43,7 +24,7 @@ class Ends(NamedTuple):
     label: str
 
 
-def ends_of(intervals: GivenIntervals | None) -> dict[str, Ends]:
+def ends_of(intervals: Intervals | None) -> dict[str, Ends]:
     """Return the intervals by parameter."""
     if intervals is None:
         return {}
@@ -54,7 +35,7 @@ def ends_of(intervals: GivenIntervals | None) -> dict[str, Ends]:
     }
 
 
-def in_words(intervals: GivenIntervals | None) -> str | None:
+def in_words(intervals: Intervals | None) -> str | None:
     """Return level and meaning of intervals in words; None for an unknown method."""
     method = getattr(intervals, "method", None)
     level = getattr(intervals, "level", None)

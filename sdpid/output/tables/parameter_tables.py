@@ -6,16 +6,17 @@ from collections.abc import Sequence
 
 from sdpid._common.tables import Table, plain
 from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of
+from sdpid.output.tables.intervals_shown import Ends, ends_of
 
 # Columns of an interval.
 _ENDS = ("lower", "upper", "label")
 
 
 def base_table(
-    estimate: Estimate, wls: Estimate | None = None, intervals: GivenIntervals | None = None
+    estimate: Estimate, wls: Estimate | None = None, intervals: Intervals | None = None
 ) -> Table:
     """Return the table of base parameters, with errors, the unconstrained fit and intervals."""
     base = estimate.problem.base
@@ -42,7 +43,7 @@ def known_errors(estimate: Estimate) -> list[float | None]:
         return [None] * estimate.problem.base.count
 
 
-def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> Table:
+def theta_table(estimate: Estimate, intervals: Intervals | None = None) -> Table:
     """Return the table of standard parameters, with intervals and shares of their sources."""
     base = estimate.problem.base
     none: list[None] = [None] * len(base.theta_names)
@@ -59,7 +60,7 @@ def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> 
     return Table(tuple(header), tuple(zip(*columns, strict=True)))
 
 
-def _end_columns(names: Sequence[str], intervals: GivenIntervals) -> list[Sequence[object]]:
+def _end_columns(names: Sequence[str], intervals: Intervals) -> list[Sequence[object]]:
     """Return lower ends, upper ends and labels of the intervals of the named parameters."""
     ends, none = ends_of(intervals), Ends(None, None, "")
     rows = [ends.get(name, none) for name in names]

@@ -16,9 +16,9 @@ from sdpid._common.files import atomic_write_text, read_regular
 from sdpid._common.tables import plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.tables.intervals_shown import GivenIntervals
 from sdpid.output.tables.parameter_tables import known_errors
 
 FORMAT = "sdpid parameters"
@@ -29,7 +29,7 @@ def write_parameters(
     estimate: Estimate,
     path: str | os.PathLike[str],
     *,
-    intervals: GivenIntervals | None = None,
+    intervals: Intervals | None = None,
     certificate: Certificate | None = None,
 ) -> Path:
     """Write all parameters of an estimate as JSON or YAML, by the file's suffix.
@@ -92,7 +92,7 @@ def write_parameters(
 def parameters_dict(
     estimate: Estimate,
     *,
-    intervals: GivenIntervals | None = None,
+    intervals: Intervals | None = None,
     certificate: Certificate | None = None,
 ) -> dict[str, Any]:
     """Return the content that `write_parameters` writes, as plain values."""
@@ -152,7 +152,7 @@ def parameters_dict(
     }
 
 
-def _ends(intervals: GivenIntervals | None) -> dict[tuple[str, str | None], list[float | None]]:
+def _ends(intervals: Intervals | None) -> dict[tuple[str, str | None], list[float | None]]:
     """Return both ends of each interval by name and kind; kind None stands for both kinds."""
     if intervals is None:
         return {}

@@ -6,16 +6,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.report.judged import Judged
 from sdpid.output.report.sections.forest import pictures
-from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
+from sdpid.output.tables.intervals_shown import Ends, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
 
 # Values below this share of their standard error are what a solver leaves of zero, at a bound.
 _NOTHING = 1e-6
 
 
-def values(result: Judged, intervals: GivenIntervals | None, draw: bool) -> dict[str, Any]:
+def values(result: Judged, intervals: Intervals | None, draw: bool) -> dict[str, Any]:
     """Return the values of the template."""
     ends = ends_of(intervals)
     base, theta = list(base_rows(result, ends)), list(_theta(result, ends))
