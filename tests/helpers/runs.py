@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,17 @@ from tests.helpers.arm_files import ARM_URDF
 RATE = 50.0
 
 
+@cache
 def arm() -> sdpid.RobotModel:
     """Return the arm of `ARM_URDF`."""
     return sdpid.load_robot(ARM_URDF)
 
 
+@cache
 def recorded(
     seed: int, *, seconds: float = 20.0, speed: float = 1.0, damping: float = 0.4, **fields: Any
 ) -> sdpid.Recording:
-    """Return a recording of a motion that excites the arm; the motion depends on the seed."""
+    """Return a recording of a motion that excites the arm; the seed decides on the motion."""
     robot, rng = arm(), np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE)) / RATE
     w, c = speed * rng.uniform(0.5, 4.0, (3, 2)), rng.uniform(0.0, 6.0, (3, 2))

@@ -1,13 +1,28 @@
-"""The files that the pages of the documentation speak of: a six-axis arm and its logs."""
+"""Robots, logs, problems and results that many tests share, made once a process.
+
+First those of random arms and of the arm of `runs`, then the files that the pages of the
+documentation speak of: a six-axis arm and its logs.
+"""
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.workflow.result import Identification
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.data import FRICTION, flat_links, make_samples, random_theta
+from tests.helpers.runs import arm, recorded
 
 RATE = 100.0
 SECONDS = 20.0
@@ -40,6 +55,62 @@ _SHAPES = {1: (0.05, 0.36, -0.21), 2: (0.045, 0.3, -0.19)}
 _FRICTION = ((6.0, 9.0, 0.3), (7.0, 10.0, -0.2), (5.0, 7.0, 0.2), (1.5, 2.0, 0.1), (1.3, 1.8, 0.0),
              (1.0, 1.5, -0.1))  # fmt: skip
 _NOISE = (0.5, 0.6, 0.4, 0.1, 0.1, 0.08)
+
+
+def samples(
+    robot: sdpid.RobotModel,
+    seed: int = 0,
+    *,
+    flat: bool = False,
+    friction: Iterable[str | FrictionTerm] = FRICTION,
+    **fields: Any,
+) -> tuple[sdpid.Samples, Array]:
+    """Return samples at random states, and the parameters that made them.
+
+    Flat links are single point masses: noise makes bodies of them that cannot exist.
+    """
+    rng = np.random.default_rng(seed)
+    theta = random_theta(robot, rng, friction)
+    if flat:
+        theta[: 10 * robot.n_links] = flat_links(rng, robot.n_links).ravel()
+    return make_samples(robot, theta, rng, friction=friction, **fields), theta
+
+
+def problem(
+    robot: sdpid.RobotModel,
+    seed: int = 0,
+    *,
+    flat: bool = False,
+    noise: float | Array = 0.0,
+    count: int = 60,
+    **options: Any,
+) -> sdpid.Problem:
+    """Return the problem of samples at random states."""
+    made, _ = samples(robot, seed, flat=flat, noise=noise, count=count)
+    return sdpid.build_problem(robot, made, **options)
+
+
+@cache
+def result(seed: int = 1, validation: int | None = None, **options: Any) -> Identification:
+    """Return what `identify` finds of the arm of `runs` by a log, without intervals."""
+    others = {} if validation is None else {"validation": recorded(validation)}
+    return sdpid.identify(arm(), recorded(seed), intervals=False, **others, **options)
+
+
+@cache
+def _written(seed: int, **options: Any) -> Path:
+    made = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    (made / "arm.urdf").write_text(ARM_URDF, encoding="utf-8")
+    recorded(seed).to_csv(made / "run.csv")
+    found = sdpid.identify(made / "arm.urdf", made / "run.csv", intervals=False, **options)
+    found.save(made / "results", figures=False)
+    return made
+
+
+def folder(target: Path, seed: int = 1, **options: Any) -> Path:
+    """Return a folder that gets arm.urdf, run.csv and the results of `identify`, to be changed."""
+    return Path(shutil.copytree(_written(seed, **options), target, dirs_exist_ok=True))
 
 
 def arm_urdf(factors: Array) -> str:
