@@ -10,29 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
+from sdpid.experiment.simulation.law import keep_per_joint
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots
-
-
-def _freeze(instance: Any, what: str, *, signed: tuple[str, ...] = ()) -> None:
-    """Check that all array fields are finite, of one length, and positive unless `signed`."""
-    sizes = {}
-    for field in fields(instance):
-        values = getattr(instance, field.name)
-        if values is None or isinstance(values, Unmodeled):
-            continue
-        array = real_array(values, f"{what}.{field.name}", ndim=1)
-        least = 0.0 if field.name in ("current_noise", "stribeck_torque") else None
-        if field.name not in signed and (
-            np.any(array < 0.0) or (least is None and np.any(array == 0.0))
-        ):
-            raise DataError(f"{what}: {field.name} is {array.tolist()}; give positive numbers.")
-        object.__setattr__(instance, field.name, frozen(array))
-        sizes[field.name] = len(array)
-    if len(set(sizes.values())) > 1:
-        raise DataError(f"{what}: lengths differ: {sizes}; give one number a joint in each.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,16 +49,11 @@ class Unmodeled:
     viscous_curvature: Array
 
     def __post_init__(self) -> None:
-        _freeze(
-            self,
-            "unmodeled effects",
-            signed=(
-                "ripple_amplitude",
-                "eccentricity_amplitude",
-                "coulomb_asymmetry",
-                "viscous_curvature",
-            ),
-        )
+        ripples = ("ripple_amplitude", "eccentricity_amplitude")
+        signed = (*ripples, "coulomb_asymmetry", "viscous_curvature")
+        names = [each.name for each in fields(self)]
+        what, zero = "unmodeled effects", ("stribeck_torque",)
+        keep_per_joint(self, what, names, signed=signed, not_negative=zero)
 
     def torque(self, position: Array, velocity: Array) -> Array:
         """Return what the motors supply for them, shape (K, n), in N·m."""
@@ -135,7 +112,8 @@ class Drives:
     unmodeled: Unmodeled | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "drives")
+        names = [each.name for each in fields(self) if each.name != "unmodeled"]
+        keep_per_joint(self, "drives", names, not_negative=("current_noise",))
         if self.unmodeled is not None and len(self.unmodeled.ripple_cycles) != self.n:
             raise DataError(
                 f"drives: {self.n} joints, but unmodeled effects of "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -53,14 +54,14 @@ class P(Law):
     feedforward: bool = False
     effort_limit: Array | None = None
 
-    def __post_init__(self) -> None:
-        self._freeze("proportional_gain", "velocity_gain")
+    _positive: ClassVar[tuple[str, ...]] = ("proportional_gain", "velocity_gain")
+    _not_negative: ClassVar[tuple[str, ...]] = ()
 
     @property
     def gains(self) -> Gains:
         """Gains of the position error and of the velocity, and limits."""
-        kp = np.asarray(self.velocity_gain * self.proportional_gain)
-        return self._gains(kp, self.velocity_gain, None, self.feedforward)
+        stiffness = self.velocity_gain * self.proportional_gain
+        return PD(stiffness, self.velocity_gain, self.feedforward, self.effort_limit).gains
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,14 +98,6 @@ class PD(Law):
     kd: Array
     feedforward: bool = True
     effort_limit: Array | None = None
-
-    def __post_init__(self) -> None:
-        self._freeze("kp", zero=("kd",))
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the errors, and limits."""
-        return self._gains(self.kp, self.kd, None, self.feedforward)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,13 +137,7 @@ class PID(Law):
     feedforward: bool = True
     effort_limit: Array | None = None
 
-    def __post_init__(self) -> None:
-        self._freeze("kp", zero=("ki", "kd"))
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the errors, and limits."""
-        return self._gains(self.kp, self.kd, self.ki, self.feedforward)
+    _not_negative: ClassVar[tuple[str, ...]] = ("ki", "kd")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,18 +183,13 @@ class ComputedTorque(Law):
     effort_limit: Array | None = None
 
     def __post_init__(self) -> None:
-        self._freeze("kp", zero=("kd",))
+        super().__post_init__()
         if self.model.robot.n != self.n:
             raise DataError(
                 f"ComputedTorque: gains of {self.n} joints, the model '{self.model.robot.name}' "
                 f"has {self.model.robot.n}; give one number a joint."
             )
         object.__setattr__(self, "_arm", SimulatedArm.of(self.model))
-
-    @property
-    def gains(self) -> Gains:
-        """Gains of the errors, and limits."""
-        return self._gains(self.kp, self.kd, None, True)
 
     @property
     def arm(self) -> SimulatedArm:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,34 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
+
+
+def keep_per_joint(
+    owner: Any,
+    what: str,
+    names: Collection[str],
+    *,
+    signed: Collection[str] = (),
+    not_negative: Collection[str] = (),
+) -> None:
+    """Check fields of a frozen dataclass, one number a joint, positive unless said, and keep them.
+
+    Those that are None are left alone.
+    """
+    sizes = {}
+    for name in names:
+        if (values := getattr(owner, name)) is None:
+            continue
+        array = real_array(values, f"{what}.{name}", ndim=1)
+        zero = name not in not_negative and (array == 0.0).any()
+        if name not in signed and (zero or (array < 0.0).any()):
+            raise DataError(
+                f"{what}: {name} is {array.tolist()}; give positive numbers, one a joint."
+            )
+        object.__setattr__(owner, name, frozen(array))
+        sizes[name] = len(array)
+    if len(set(sizes.values())) > 1:
+        raise DataError(f"{what}: lengths differ: {sizes}; give one number a joint in each.")
 
 
 class Controller(ABC):
@@ -71,10 +100,26 @@ class Gains(NamedTuple):
 class Law(Controller):
     """What the controllers of `sdpid.controllers` share: they are linear in the tracking error."""
 
+    # Names of gains that are positive, and of those that may be zero.
+    _positive: ClassVar[tuple[str, ...]] = ("kp",)
+    _not_negative: ClassVar[tuple[str, ...]] = ("kd",)
+
+    def __post_init__(self) -> None:
+        names = (*self._positive, *self._not_negative, "effort_limit")
+        keep_per_joint(self, type(self).__name__, names, not_negative=self._not_negative)
+
     @property
-    @abstractmethod
     def gains(self) -> Gains:
         """Gains of the law, before a model turns accelerations into efforts."""
+        own = self._settings()
+        limit, n = own.get("effort_limit"), len(own["kp"])
+        return Gains(
+            proportional=own["kp"],
+            derivative=own["kd"],
+            integral=own.get("ki", np.zeros(n)),
+            feedforward=np.full(n, float(own.get("feedforward", True))),
+            limit=np.full(n, np.inf) if limit is None else limit,
+        )
 
     @property
     def n(self) -> int:
@@ -108,18 +153,10 @@ class Law(Controller):
         integral : array_like, shape (K, n), optional
             Integral of the position error, rad·s; needed where there is an integral gain.
         """
-        return self._limited(
-            self._law(
-                *self._checked(
-                    position,
-                    velocity,
-                    reference,
-                    reference_velocity,
-                    reference_acceleration,
-                    integral,
-                )
-            )
+        given = self._checked(
+            position, velocity, reference, reference_velocity, reference_acceleration, integral
         )
+        return np.clip(self._law(*given), -self.gains.limit, self.gains.limit)
 
     def slopes(
         self,
@@ -184,40 +221,6 @@ class Law(Controller):
         return (
             np.broadcast_to(np.diag(-g.proportional), shape),
             np.broadcast_to(np.diag(-g.derivative), shape),
-        )
-
-    def _limited(self, effort: Array) -> Array:
-        return np.clip(effort, -self.gains.limit, self.gains.limit)
-
-    def _freeze(self, *positive: str, zero: tuple[str, ...] = ()) -> None:
-        """Check gains and limits, and make them arrays (n,)."""
-        sizes = {}
-        for name in (*positive, *zero, "effort_limit"):
-            values = getattr(self, name)
-            if values is None:
-                continue
-            array = real_array(values, f"{type(self).__name__}.{name}", ndim=1)
-            if (array < 0.0).any() or (name not in zero and (array == 0.0).any()):
-                raise DataError(
-                    f"{type(self).__name__}: {name} is {array.tolist()}; give positive numbers, "
-                    "one a joint."
-                )
-            object.__setattr__(self, name, frozen(array))
-            sizes[name] = len(array)
-        if len(set(sizes.values())) > 1:
-            raise DataError(
-                f"{type(self).__name__}: lengths differ: {sizes}; give one number a joint in each."
-            )
-
-    def _gains(self, kp: Array, kd: Array, ki: Array | None, feedforward: bool) -> Gains:
-        limit: Array | None = getattr(self, "effort_limit", None)
-        n = len(kp)
-        return Gains(
-            kp,
-            kd,
-            np.zeros(n) if ki is None else ki,
-            np.full(n, float(feedforward)),
-            np.full(n, np.inf) if limit is None else limit,
         )
 
     def _settings(self) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -93,17 +94,10 @@ class Sensors:
     @classmethod
     def exact(cls) -> Sensors:
         """Return sensors without noise, with forces."""
-        return cls(
-            joint_noise=0.0,
-            joint_resolution=0.0,
-            effort_noise=0.0,
-            position_noise=0.0,
-            orientation_noise=0.0,
-            gyroscope_noise=0.0,
-            accelerometer_noise=0.0,
-            force_noise=0.0,
-            forces=True,
-        )
+        without = ("_noise", "_resolution")
+        names = [each.name for each in fields(cls) if each.name.endswith(without)]
+        nothing: dict[str, Any] = dict.fromkeys(names, 0.0)
+        return cls(**nothing, forces=True)
 
     @property
     def longest_delay(self) -> float:
