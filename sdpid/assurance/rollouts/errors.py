@@ -9,7 +9,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.assurance.rollouts.result import MotionErrors
-from sdpid.experiment.simulation.open_loop import Arm, Track, simulate_stretches
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
 from sdpid.experiment.simulation.tip import tip_positions
 from sdpid.robot.model.model import RobotModel
 
@@ -42,7 +43,7 @@ class Runs:
         """Return the measured positions (S, L, n)."""
         return np.asarray(track.position[self.first[:, None] + self.after])
 
-    def simulated(self, arm: Arm, track: Track) -> Array:
+    def simulated(self, arm: SimulatedArm, track: Track) -> Array:
         """Return simulated positions (G, S, L, n), not numbers from where one ran away."""
         S, G, n = len(self.first), len(self.groups), self.robot.n
         free = np.zeros((G, S, n), dtype=np.bool_)
@@ -50,7 +51,7 @@ class Runs:
             free[g, :, list(group)] = True
         first = np.tile(self.first, G)
         found = simulate_stretches(arm, track, first, free.reshape(G * S, n), self.after)
-        return found.position.reshape(G, S, len(self.after), n)
+        return found.reshape(G, S, len(self.after), n)
 
     def errors(self, simulated: Array, reference: Array) -> MotionErrors:
         """Return the errors of positions (G, S, L, n) against a reference that may be fewer."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -189,19 +189,9 @@ def simulate_closed_loop(
             raise DataError(f"start: shapes {states.shape}, expected two of ({n},).")
     instants = np.arange(0.0, steps, every) if every else 0.5 + np.arange(0.0, steps)
     out = np.zeros((5, len(times), n))
-    plan = _Run(
-        arm,
-        desired.at(np.asarray(dt * instants)),
-        noise,
-        times,
-        steps,
-        every,
-        dt,
-        differenced,
-        states,
-        out,
-    )
-    count = plan.compiled(controller) if isinstance(controller, Law) else plan.python(controller)
+    run = _Run(desired.at(np.asarray(dt * instants)), noise, times, steps, every, dt, differenced)
+    move = _compiled if isinstance(controller, Law) else _python
+    count = move(arm, controller, run, states, out)
     q, v, held, measured, integral = (x[:count] for x in out)
     effort = held
     if not every:
@@ -218,11 +208,9 @@ def simulate_closed_loop(
     )
 
 
-@dataclass(frozen=True)
-class _Run:
-    """All that a loop takes."""
+class _Run(NamedTuple):
+    """What a loop takes beside the robot and the controller, in the order of the compiled one."""
 
-    arm: SimulatedArm
     desired: Array
     noise: Array
     times: Array
@@ -230,72 +218,60 @@ class _Run:
     every: int
     dt: float
     differenced: bool
-    start: Array
-    out: Array
 
-    def compiled(self, controller: Law) -> int:
-        """Run the compiled loop; return how many samples there are before the motion diverged."""
-        inverse = isinstance(controller, ComputedTorque)
-        gains = controller.gains
-        law = (
-            INVERSE_DYNAMICS if inverse else JOINT_GAINS,
-            np.array([gains.proportional, gains.derivative, gains.integral, gains.feedforward]),
-            np.array(gains.limit),
-        )
-        own = controller.arm if isinstance(controller, ComputedTorque) else self.arm
-        count: int = entries().closed_loop(
-            self.arm.arrays,
-            law,
-            own.arrays,
-            memory_for(self.arm.arrays, own.arrays),
-            self.desired,
-            self.noise,
-            self.times,
-            self.steps,
-            self.every,
-            self.dt,
-            self.differenced,
-            np.zeros(self.arm.n, dtype=np.bool_),
-            np.ascontiguousarray(self.start),
-            self.out,
-        )
-        return count
 
-    def python(self, controller: Controller) -> int:
-        """Run a controller of the user's, whose effort is held from step to step."""
-        arm, every = self.arm, max(self.every, 1)
-        q, v = self.start[0][None].copy(), self.start[1][None].copy()
-        integral, effort, before = np.zeros_like(q), np.zeros_like(q), q
-        seen, error = np.zeros_like(q), np.zeros_like(q)
-        sample = 0
-        for step in range(self.steps):
-            if step % every == 0:
-                row = step // every
-                told = self.desired[row][None]
-                seen = self.noise[row % len(self.noise)][None]
-                measured = q + seen
-                speed = v
-                if self.differenced and row:
-                    speed = (measured - before) / (every * self.dt)
-                before = measured
-                effort = controller.effort(
-                    measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
-                )
-                error = told[:, 0] - measured
-            q1, v1 = arm.step(q, v, effort, self.dt)
-            if not np.isfinite(v1).all():
-                return sample
-            while sample < len(self.times) and self.times[sample] < (step + 1 - 1e-6) * self.dt:
-                x = self.times[sample] / self.dt - step
-                rise = q1 - q
-                curve = 3.0 * rise - self.dt * (2.0 * v + v1)
-                cubic = self.dt * (v + v1) - 2.0 * rise
-                now = q + x * (self.dt * v + x * curve + x * x * cubic)
-                states = (now, v + x * (v1 - v), effort, now + seen, integral + x * self.dt * error)
-                self.out[:, sample] = np.concatenate(states)
-                sample += 1
-            q, v, integral = q1, v1, integral + self.dt * error
-        return sample
+def _compiled(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
+    """Run the compiled loop; return how many samples there are before the motion diverged."""
+    inverse = isinstance(controller, ComputedTorque)
+    gains = controller.gains
+    law = (
+        INVERSE_DYNAMICS if inverse else JOINT_GAINS,
+        np.array([gains.proportional, gains.derivative, gains.integral, gains.feedforward]),
+        np.array(gains.limit),
+    )
+    own = controller.arm if inverse else arm
+    memory, fixed = memory_for(arm.arrays, own.arrays), np.zeros(arm.n, dtype=np.bool_)
+    count: int = entries().closed_loop(
+        arm.arrays, law, own.arrays, memory, *run, fixed, np.ascontiguousarray(start), out
+    )
+    return count
+
+
+def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
+    """Run a controller of the user's, whose effort is held from step to step."""
+    every = max(run.every, 1)
+    q, v = start[0][None].copy(), start[1][None].copy()
+    integral, effort, before = np.zeros_like(q), np.zeros_like(q), q
+    seen, error = np.zeros_like(q), np.zeros_like(q)
+    sample = 0
+    for step in range(run.steps):
+        if step % every == 0:
+            row = step // every
+            told = run.desired[row][None]
+            seen = run.noise[row % len(run.noise)][None]
+            measured = q + seen
+            speed = v
+            if run.differenced and row:
+                speed = (measured - before) / (every * run.dt)
+            before = measured
+            effort = controller.effort(
+                measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
+            )
+            error = told[:, 0] - measured
+        q1, v1 = arm.step(q, v, effort, run.dt)
+        if not np.isfinite(v1).all():
+            return sample
+        while sample < len(run.times) and run.times[sample] < (step + 1 - 1e-6) * run.dt:
+            x = run.times[sample] / run.dt - step
+            rise = q1 - q
+            curve = 3.0 * rise - run.dt * (2.0 * v + v1)
+            cubic = run.dt * (v + v1) - 2.0 * rise
+            now = q + x * (run.dt * v + x * curve + x * x * cubic)
+            states = (now, v + x * (v1 - v), effort, now + seen, integral + x * run.dt * error)
+            out[:, sample] = np.concatenate(states)
+            sample += 1
+        q, v, integral = q1, v1, integral + run.dt * error
+    return sample
 
 
 def _steps(times: Array, control_hz: Any, step: Any) -> tuple[float, int, int]:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.simulation.arm import SimulatedArm
 
 # Longest step, s. Linearly implicit in friction, halving it moves no median by more than
 # docs/evidence/rollouts.md says.
@@ -27,25 +28,6 @@ _BYTES = 1 << 26
 # A joint this many times faster than any joint of the recording has run away: on the way there it
 # has left the recorded motion by turns.
 _RUNAWAY = 20.0
-
-
-class Arm(Protocol):
-    """What is simulated, such as a `SimulatedArm`."""
-
-    def run(
-        self,
-        q: Array,
-        v: Array,
-        effort: Array,
-        dt: float,
-        *,
-        free: Mask | None = None,
-        record: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array, Any]:
-        """Return positions and velocities (S, T + 1, n), and how many there are of each.
-
-        Efforts are (S, T, n), and the joints that are not free follow a record of T + 1 states.
-        """
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,38 +98,14 @@ class Track:
         return max(1, round(seconds / self.step))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stretches:
-    """Simulated stretches of a track.
-
-    Attributes
-    ----------
-    position : ndarray, shape (S, L, n)
-        Simulated positions at L instants; not finite from where a stretch ran away.
-    first : ndarray of int, shape (S,)
-        Instant of the track that each starts at.
-    after : ndarray of int, shape (L,)
-        Steps after the start.
-    """
-
-    position: Array
-    first: Indices
-    after: Indices
-
-    @property
-    def ran_away(self) -> Mask:
-        """Whether a stretch has run away, (S, L)."""
-        return np.asarray(~np.isfinite(self.position).all(axis=2))
-
-
 def simulate_stretches(
-    arm: Arm, track: Track, first: Indices, free: Mask, after: Sequence[int] | Indices
-) -> Stretches:
+    arm: SimulatedArm, track: Track, first: Indices, free: Mask, after: Sequence[int] | Indices
+) -> Array:
     """Simulate stretches of a track under its efforts.
 
     Parameters
     ----------
-    arm : Arm
+    arm : SimulatedArm
         What moves.
     track : Track
         Efforts, states to start from, and the motion of joints that are not free.
@@ -160,8 +118,8 @@ def simulate_stretches(
 
     Returns
     -------
-    Stretches
-        Divergence is no error: what ran away is NaN from then on.
+    ndarray, shape (S, L, n)
+        Simulated positions. Divergence is no error: what ran away is NaN from then on.
     """
     wanted = np.asarray(after, dtype=np.intp)
     steps, n = int(wanted[-1]), track.position.shape[1]
@@ -182,4 +140,4 @@ def simulate_stretches(
             lost = ~(np.abs(velocity).max(axis=2) < limit)
         lost = np.logical_or.accumulate(lost, axis=1)
         out[own] = np.where(lost[:, :, None], np.nan, position)[:, wanted]
-    return Stretches(position=out, first=first, after=wanted)
+    return out
