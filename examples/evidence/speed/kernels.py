@@ -1,18 +1,16 @@
 """The regressor, whitening and compression, against what they cannot be faster than.
 
-    python -m tests.benchmarks.kernels [--repeat 5]
-
 Of a regressor in new memory every page is cleared by the system before it is written; `out` is
 memory used before. The bandwidth is that of filling memory used before with a number.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from harness import Bench, Row
 
 from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
@@ -25,12 +23,12 @@ from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.benchmarks.timing import Row, print_table, side_by_side
 
 ARM, HUMANOID = "denso_vp6242", "talos_reduced"
 
 # Samples; a hundred thousand of a humanoid would be 8 GB.
 COUNTS = ((ARM, 1_000), (ARM, 100_000), (HUMANOID, 1_000), (HUMANOID, 10_000))
+FEW = ((ARM, 100), (HUMANOID, 100))
 
 # Bytes of the memory whose filling measures the bandwidth: no second-level cache holds it.
 FILLED = 1 << 27
@@ -41,12 +39,12 @@ COMPRESSED = 50_000
 FRICTION = ("coulomb", "viscous")
 
 
-def regressor(repeats: int) -> Iterator[Row]:
+def regressor(bench: Bench) -> Iterator[Row]:
     """Measure a sample of the regressor against Pinocchio's warm loop and against its bytes."""
     import pinocchio as pin
 
     target = np.ones(FILLED // 8)
-    for name, count in COUNTS:
+    for name, count in bench.size(COUNTS, FEW):
         robot = load_robot(name)
         rng = np.random.default_rng(0)
         states = list(rng.uniform(-1.0, 1.0, (3, count, robot.n)))
@@ -71,21 +69,21 @@ def regressor(repeats: int) -> Iterator[Row]:
             finally:
                 kernels.threads = before
 
-        fresh, again, alone, loop, fill = (
-            side_by_side((new, used, single, bare, lambda: target.fill(0.5)), repeats) / count
+        found = bench.seconds(
+            new=new, used=used, single=single, bare=bare, fill=lambda: target.fill(0.5)
         )
-        written = fill * count * out[0].nbytes / FILLED
-        what, loops = f"regressor, {robot.n} axes, {count} samples", "Pinocchio's warm loop"
-        yield Row.of(what, fresh, loops, loop)
-        yield Row.of(f"{what}, out=", again, loops, loop)
-        yield Row.of(f"{what}, out=, one thread", alone, loops, loop)
-        yield Row.of(f"{what}, out=, one thread", alone, "its bytes / bandwidth", written)
+        each = {name: seconds / count for name, seconds in found.items()}
+        what = f"regressor, {robot.n} axes, {count} samples"
+        for how, action in (("", "new"), (", out=", "used"), (", out=, one thread", "single")):
+            yield Row.of(what + how, each[action], "Pinocchio's warm loop", each["bare"])
+        written = found["fill"] * out[0].nbytes / FILLED
+        yield Row.of(what + how, each["single"], "its bytes / bandwidth", written)
 
 
-def problem_rows(count: int = COMPRESSED, seed: int = 0) -> tuple[RowSource, Array]:
+def problem_rows(count: int) -> tuple[RowSource, Array]:
     """Return rows of a motion of many harmonics of the arm, and a covariance."""
     robot = load_robot(ARM)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     time = np.linspace(0.0, 60.0, count)[:, None]
     q, v, a = (np.zeros((count, robot.n)) for _ in range(3))
     for _ in range(8):
@@ -105,10 +103,11 @@ def problem_rows(count: int = COMPRESSED, seed: int = 0) -> tuple[RowSource, Arr
     return RowSource(robot, friction, structural_base(robot, friction), samples), sigma
 
 
-def compression(repeats: int) -> Iterator[Row]:
+def compression(bench: Bench) -> Iterator[Row]:
     """Measure a sample of each step from samples to the triangle."""
-    rows, sigma = problem_rows()
-    columns, count = rows.base.count + 1, COMPRESSED
+    count = bench.size(COMPRESSED, 1_000)
+    rows, sigma = problem_rows(count)
+    columns = rows.base.count + 1
     blocks = [x.reshape(-1, columns).copy() for _, x, _ in whitened_chunks(rows, sigma)]
     robot, samples, base = rows.robot, rows.samples, rows.base
 
@@ -131,33 +130,31 @@ def compression(repeats: int) -> Iterator[Row]:
         for _ in whitened_chunks(rows, sigma):
             pass
 
-    product, folded, plain, made, all_in_one, problem = (
-        side_by_side(
-            (
-                multiply,
-                fold,
-                factorize,
-                make,
-                lambda: compress(rows, sigma),
-                lambda: build_problem(robot, samples, friction=FRICTION, base=base),
-            ),
-            repeats,
-        )
-        / count
+    found = bench.seconds(
+        multiply=multiply,
+        fold=fold,
+        factorize=factorize,
+        make=make,
+        compress=lambda: compress(rows, sigma),
+        build=lambda: build_problem(robot, samples, friction=FRICTION, base=base),
     )
-    multiplying, factorizing = "X^T·X of its rows", "numpy QR of its rows, in chunks"
-    yield Row.of("Triangle.add, per sample", folded, multiplying, product)
-    yield Row.of("Triangle.add, per sample", folded, factorizing, plain)
-    yield Row.of("whitened rows, per sample", made, multiplying, product)
-    yield Row.of("compress, per sample", all_in_one, factorizing, plain)
-    yield Row.of("build_problem, base given, per sample", problem, factorizing, plain)
+    each = {name: seconds / count for name, seconds in found.items()}
+    references = {
+        "X^T·X of its rows": each["multiply"],
+        "numpy QR of its rows, in chunks": each["factorize"],
+    }
+    multiplying, factorizing = references
+    for what, action, against in (
+        ("Triangle.add", "fold", multiplying),
+        ("Triangle.add", "fold", factorizing),
+        ("whitened rows", "make", multiplying),
+        ("compress", "compress", factorizing),
+        ("build_problem, base given", "build", factorizing),
+    ):
+        yield Row.of(f"{what}, per sample", each[action], against, references[against])
 
 
-def measure(repeats: int) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Row]:
     """Measure everything here."""
-    yield from regressor(repeats)
-    yield from compression(repeats)
-
-
-if __name__ == "__main__":
-    sys.exit(print_table("tests.benchmarks.kernels", measure))
+    yield from regressor(bench)
+    yield from compression(bench)

@@ -1,18 +1,16 @@
 """From samples of a quadruped in contact to the compressed cost, against robots without contacts.
 
-    python -m tests.benchmarks.contacts [--repeat 5]
-
 The same states are compressed with four feet that are down for 60 % of the time, without contacts,
 and as those of the legs alone on a base that is fixed: leg by leg, and as all one chain.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from harness import Bench, Row
 
 from sdpid.estimation.compression.branches import NO_BRANCHES
 from sdpid.estimation.compression.rows import RowSource
@@ -23,7 +21,6 @@ from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.benchmarks.timing import Row, print_table, side_by_side
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 
 # Samples that are compressed: so many different ones, again and again.
@@ -38,9 +35,10 @@ def source(robot: RobotModel, samples: Samples) -> RowSource:
     return RowSource(robot, friction, structural_base(robot, friction), samples)
 
 
-def measure(repeats: int) -> Iterator[Row]:
+def measure(bench: Bench) -> Iterator[Row]:
     """Measure a sample of compression and of the Jacobians."""
-    samples = replace(Samples.join([gait(DIFFERENT).samples] * TIMES), starts=(0,))
+    again = [gait(DIFFERENT).samples] * bench.size(TIMES, 1)
+    samples = replace(Samples.join(again), starts=(0,))
     fixed = load_robot("solo12")
     legs = Samples(
         position=samples.position[:, 7:],
@@ -48,31 +46,26 @@ def measure(repeats: int) -> Iterator[Row]:
         acceleration=samples.acceleration[:, 6:],
         effort=samples.effort[:, 6:],
     )
-    sigma, count = np.diag(NOISE**2), samples.n_samples
+    sigma = np.diag(NOISE**2)
     touching = source(quadruped(), samples)
     flying = source(quadruped(), replace(samples, contacts=None))
     held = source(fixed, legs)
     chain = source(fixed, legs)
     # As a chain without branches is compressed.
     chain.__dict__["branches"] = NO_BRANCHES
-    contacts, alone, plain, single, jacobians = (
-        side_by_side(
-            (
-                lambda: compress(touching, sigma),
-                lambda: compress(flying, sigma),
-                lambda: compress(held, sigma[6:, 6:]),
-                lambda: compress(chain, sigma[6:, 6:]),
-                lambda: contact_jacobians(quadruped(), samples.position, FEET, RADIUS),
-            ),
-            repeats,
-        )
-        / count
+    found = bench.seconds(
+        contacts=lambda: compress(touching, sigma),
+        alone=lambda: compress(flying, sigma),
+        plain=lambda: compress(held, sigma[6:, 6:]),
+        single=lambda: compress(chain, sigma[6:, 6:]),
+        jacobians=lambda: contact_jacobians(quadruped(), samples.position, FEET, RADIUS),
     )
-    yield Row.of("compress, 4 feet, per sample", contacts, "its base fixed, one chain", single)
-    yield Row.of("compress, 4 feet, per sample", contacts, "its base fixed, leg by leg", plain)
-    yield Row.of("compress, 4 feet, per sample", contacts, "no contacts", alone)
-    yield Row.of("contact_jacobians, 4 feet, per sample", jacobians, "compress, 4 feet", contacts)
-
-
-if __name__ == "__main__":
-    sys.exit(print_table("tests.benchmarks.contacts", measure))
+    each = {name: seconds / samples.n_samples for name, seconds in found.items()}
+    for against, reference in (
+        ("its base fixed, one chain", "single"),
+        ("its base fixed, leg by leg", "plain"),
+        ("no contacts", "alone"),
+    ):
+        yield Row.of("compress, 4 feet, per sample", each["contacts"], against, each[reference])
+    what = "contact_jacobians, 4 feet, per sample"
+    yield Row.of(what, each["jacobians"], "compress, 4 feet", each["contacts"])

@@ -1,7 +1,5 @@
 """A controlled arm moved by the compiled loop, by Pinocchio in a loop, and by MuJoCo's rollout.
 
-    python -m tests.benchmarks.simulation [--repeat 5]
-
 Ten seconds of the Denso under its drives' position loop at 5 kHz, viscous and Coulomb friction.
 Pinocchio's loop is the least one can write: a semi-implicit step, with the sign of the velocity as
 friction. MuJoCo has the controller as its actuators, and friction as its constraint solver has.
@@ -9,10 +7,11 @@ friction. MuJoCo has the controller as its actuators, and friction as its constr
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from harness import Bench, Row
 
 from sdpid._common.extras import require
 from sdpid.experiment.plant.drives import load_drives
@@ -25,13 +24,12 @@ from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
-from tests.benchmarks.timing import Row, print_table, side_by_side
 
-ROBOT, SECONDS, RATE = "denso_vp6242", 10.0, 5000.0
+ROBOT, RATE_HZ = "denso_vp6242", 5000.0
 
 
-def measure(repeats: int) -> list[Row]:
-    """Return the rows of the table."""
+def measure(bench: Bench) -> Iterator[Row]:
+    """Measure three ways of ours against either reference."""
     import pinocchio as pin
 
     mujoco = require("mujoco", extra="sim")
@@ -40,14 +38,15 @@ def measure(repeats: int) -> list[Row]:
     friction = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
     model = RobotDynamics(robot=robot, terms=friction, theta=theta)
     arm = SimulatedArm.of(model)
-    motion = paper_excitation(ROBOT, 0, periods=1, period=SECONDS)
+    seconds = bench.size(10.0, 6.0)
+    motion = paper_excitation(ROBOT, 0, periods=1, period=seconds)
     first = motion.lead_samples
-    told = motion.sample(first, first + round(SECONDS * motion.rate_hz))
+    told = motion.sample(first, first + round(seconds * motion.rate_hz))
     law = P(drives.proportional_gain, drives.velocity_gain)
-    steps, dt = round(SECONDS * RATE), 1.0 / RATE
-    fine = np.repeat(told[0], round(RATE / motion.rate_hz), axis=0)
+    steps, dt = round(seconds * RATE_HZ), 1.0 / RATE_HZ
+    fine = np.repeat(told[0], round(RATE_HZ / motion.rate_hz), axis=0)
 
-    def ours(hold: float | None = RATE, step: float = dt) -> None:
+    def ours(hold: float | None = RATE_HZ, step: float = dt) -> None:
         moved = simulate_closed_loop(
             arm, told, law, rate_hz=motion.rate_hz, control_hz=hold, step=step
         )
@@ -71,23 +70,23 @@ def measure(repeats: int) -> list[Row]:
     held: Any = mujoco.MjData(plant.model)
     held.qpos[plant.qpos], held.act[:] = told[0][0], told[0][0]
     mujoco.mj_getState(plant.model, held, state, kind)
-    rates = np.diff(fine, axis=0, append=fine[-1:]) * RATE
+    rates = np.diff(fine, axis=0, append=fine[-1:]) * RATE_HZ
 
     def engine() -> None:
         rollout.rollout(plant.model, held, state[None], rates[None])
 
-    actions = (ours, lambda: ours(None), lambda: ours(None, 1e-3), loop, engine)
-    held_5k, free_5k, free_1k, python, engines = side_by_side(actions, repeats)
-    rows = []
-    for what, seconds in (
-        (f"{steps} steps, control held at 5 kHz", held_5k),
-        (f"{steps} steps, continuous control", free_5k),
-        (f"{round(SECONDS * 1e3)} steps, continuous control", free_1k),
+    found = bench.seconds(
+        held=ours,
+        free=lambda: ours(None),
+        coarse=lambda: ours(None, 1e-3),
+        loop=loop,
+        engine=engine,
+    )
+    for what, action in (
+        (f"{steps} steps, control held at 5 kHz", "held"),
+        (f"{steps} steps, continuous control", "free"),
+        (f"{round(seconds * 1e3)} steps, continuous control", "coarse"),
     ):
-        rows.append(Row.of(what, seconds, "a Python loop over pinocchio.aba, 5 kHz", python))
-        rows.append(Row.of(what, seconds, "mujoco.rollout, 5 kHz", engines))
-    return rows
-
-
-if __name__ == "__main__":
-    sys.exit(print_table("tests.benchmarks.simulation", measure))
+        python = "a Python loop over pinocchio.aba, 5 kHz"
+        yield Row.of(what, found[action], python, found["loop"])
+        yield Row.of(what, found[action], "mujoco.rollout, 5 kHz", found["engine"])

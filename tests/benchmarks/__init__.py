@@ -1,1 +1,0 @@
-"""What is measured and never asserted: ``python -m tests.benchmarks``."""
