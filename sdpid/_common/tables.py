@@ -8,10 +8,10 @@ import json
 import math
 import os
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid._common.text import printable
 
 # Characters of a value, and of all settings together.
-_VALUE, _LINE = 40, 150
+_VALUE, _LINE = 40, 120
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,72 @@ def facts_html(title: str, facts: Mapping[str, object], *tables: Table) -> str:
     return "\n".join([*parts, *(table.html() for table in tables)])
 
 
+# Numbers of an array that is shown as it is.
+_FEW = 8
+
+# Last parts of paths that say little: what is before them names the fact.
+_VAGUE = frozenset({"name", "count", "ok", "min", "max"})
+
+
+class Shown:
+    """A result that shows itself by its facts: in a line, and above its tables in a notebook.
+
+    Attributes
+    ----------
+    _facts : tuple of str
+        Paths to attributes, such as ``"robot.name"`` or ``"mass, kg"`` with a unit. Methods are
+        called; of lists and large arrays the length is shown.
+    """
+
+    _facts: ClassVar[tuple[str, ...]] = ()
+
+    def _shown(self) -> Mapping[str, object]:
+        """Return the facts by what they are called, with their units."""
+        return {_fact_name(fact): _fact(self, fact.partition(",")[0]) for fact in self._facts}
+
+    def _tables(self) -> Iterable[Table]:
+        """Return what stands below the facts in a notebook."""
+        return ()
+
+    def __repr__(self) -> str:
+        facts = ((name.partition(",")[0], value) for name, value in self._shown().items())
+        line = ", ".join(
+            f"{name}={_cell(value, '.6g') if isinstance(value, float) else brief(value)}"
+            for name, value in facts
+        )
+        return f"{type(self).__name__}({_cut(line)})"
+
+    def _repr_html_(self) -> str:
+        return facts_html(type(self).__name__, self._shown(), *self._tables())
+
+
+def _fact_name(fact: str) -> str:
+    """Return what a fact is called: the last part of its path that says something, and its unit."""
+    path, comma, unit = fact.partition(",")
+    parts = [part for part in path.split(".") if part not in _VAGUE] or [path]
+    return f"{parts[-1].lstrip('_')}{comma}{unit}"
+
+
+def _fact(shown: object, path: str) -> object:
+    """Return what a path leads to; None where an attribute on it is None."""
+    for part in path.split("."):
+        shown = None if shown is None else getattr(shown, part)
+        shown = shown() if callable(shown) else shown
+    if isinstance(shown, np.ndarray) and shown.size <= _FEW:
+        return ", ".join(f"{number:.4g}" for number in shown.ravel())
+    return len(shown) if isinstance(shown, Sized) and not isinstance(shown, str) else shown
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= _LINE else f"{line[:_LINE]}…"
+
+
 class Settings:
     """A dataclass of settings, which shows those that are not the defaults, cut where long."""
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name}={text}" for name, text in _changed(self).items())
-        return f"{type(self).__name__}({shown if len(shown) <= _LINE else shown[:_LINE] + '…'})"
+        return f"{type(self).__name__}({_cut(shown)})"
 
     def _repr_html_(self) -> str:
         facts = _changed(self) or {"settings": "the defaults"}

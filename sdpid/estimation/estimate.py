@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
@@ -36,8 +37,8 @@ class Step:
     violation: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimate(Shown):
     """Estimated parameters and how they came about.
 
     Attributes
@@ -97,35 +98,27 @@ class Estimate:
     start: Array | None = field(default=None, repr=False)
     curvature: Array | None = field(default=None, repr=False)
 
+    _facts = (
+        "problem.robot.name",
+        "method",
+        "status",
+        "cost",
+        "worst_margin, kg·m²",
+        "iterations",
+        "solve_time, s",
+    )
+
     @classmethod
     def of_theta(cls, problem: Problem, theta: ArrayLike, **fields: Any) -> Estimate:
         """Build from standard parameters."""
         values = frozen(theta)
         return cls(problem=problem, base=frozen(problem.base_of(values)), theta=values, **fields)
 
-    def __repr__(self) -> str:
-        least = None if self.worst_margin is None else f"{self.worst_margin:.4g}"
-        return (
-            f"{type(self).__name__}(method={self.method!r}, status={self.status!r}, "
-            f"cost={self.cost:.10g}, "
-            f"worst_margin={least}, iterations={self.iterations}, "
-            f"solve_time={self.solve_time:.3g})"
-        )
-
-    def _repr_html_(self) -> str:
+    def _tables(self) -> Iterator[Table]:
         base = self.problem.base
-        facts = {
-            "status": self.status,
-            "cost": self.cost,
-            "smallest margin, kg·m²": self.worst_margin,
-            "iterations": self.iterations,
-            "time in the solver, s": self.solve_time,
-        }
-        table = Table.of_columns(
+        yield Table.of_columns(
             {"base parameter": base.names, "unit": base.units, "value": self.base.tolist()}
         )
-        title = f"Estimate of {self.problem.robot.name} by {self.method}"
-        return facts_html(title, facts, table)
 
     @cached_property
     def cost(self) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.tables import Shown
 from sdpid.errors import IdentifiabilityError
 
 # Below this (columns scaled to unit length) a direction is lost in rounding: not determined.
@@ -19,8 +20,8 @@ WEAK = 1e-3
 _SHARE = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation(Shown):
     """How well the data determine the base parameters.
 
     Attributes
@@ -40,11 +41,7 @@ class Excitation:
     directions: Array
     column_norms: Array
 
-    def __repr__(self) -> str:
-        return (
-            f"Excitation({len(self.names)} base parameters, {len(self.weak())} weak, condition "
-            f"number {self.condition_number:.3g})"
-        )
+    _facts = ("names", "weak", "condition_number")
 
     @classmethod
     def of(cls, A: Array, names: tuple[str, ...]) -> Excitation:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
@@ -40,8 +40,8 @@ from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Problem(Shown):
     """Weighted least squares over the physically possible parameters.
 
     The cost of base parameters is ``‖A @ base − rhs‖² + floor``, for every weighting. It is
@@ -133,18 +133,10 @@ class Problem:
     friction_bias: Array | None = None
     meaning: str | None = None
 
-    def __repr__(self) -> str:
-        prior = "" if self.prior is None else ", with a prior"
-        prior += "" if self.meaning is None else f"; {self.meaning}"
-        return (
-            f"Problem({self.robot.name!r:.60}: {self.n_samples} samples, {self.n_rows} rows, "
-            f"{self.base.count} base of {self.n_theta} standard parameters, "
-            f"weighting={self.weighting!r}, consistency={self.consistency!r}{prior})"
-        )
-
-    def _repr_html_(self) -> str:
+    def _shown(self) -> dict[str, object]:
         terms = ", ".join(str(each["term"]) for each in self.friction.described())
         facts: dict[str, object] = {
+            "robot": self.robot.name,
             "samples": self.n_samples,
             "rows": self.n_rows,
             "base parameters": self.base.count,
@@ -157,7 +149,7 @@ class Problem:
         }
         if self.meaning is not None:
             facts["cost"] = self.meaning
-        return facts_html(f"Problem of {self.robot.name}", facts)
+        return facts
 
     @property
     def consistency(self) -> Consistency:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
@@ -36,7 +36,7 @@ from sdpid.experiment.processing.samples import Samples
 _REGULARIZATION = 1e-10
 
 
-class RecursiveEstimator:
+class RecursiveEstimator(Shown):
     """An estimator that takes samples while the robot works, and is solved at any time.
 
     Weights are those of the start, for good: its covariance (``gls``, ``residual``), or that of
@@ -68,6 +68,8 @@ class RecursiveEstimator:
     'optimal'
     """
 
+    _facts = ("_problem.robot.name", "_problem.base.count", "_forgets")
+
     def __init__(
         self, start: Problem, *, forgetting: float = 1.0, memory: float | None = None
     ) -> None:
@@ -96,14 +98,6 @@ class RecursiveEstimator:
         self._about: Estimate | None = None
         self._bounds_included = start.feasible.bounded
         self._last: Array | None = None
-
-    def __repr__(self) -> str:
-        """Return the robot and what is forgotten, in a line."""
-        return f"RecursiveEstimator({self._problem.robot.name!r:.60}, {self._forgets})"
-
-    def _repr_html_(self) -> str:
-        facts = {"base parameters": self._problem.base.count, "forgetting": self._forgets}
-        return facts_html(f"Recursive estimator of {self._problem.robot.name}", facts)
 
     @property
     def _forgets(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.jobs import parallel
 from sdpid._common.progress import progress
 from sdpid._common.seeds import generator
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -70,8 +70,8 @@ _LABELS = {"slsqp": "SLSQP", "log_cholesky": "log-Cholesky"}
 _COLUMNS = tuple(Row.__dataclass_fields__)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Shown):
     """Solver runs on one problem.
 
     Attributes
@@ -96,14 +96,10 @@ class Comparison:
     estimates: tuple[Estimate | None, ...]
     certificate: Certificate
 
-    def __repr__(self) -> str:
-        """Return the number of runs and the proven bound in a line."""
-        return f"Comparison({len(self.rows)} runs, lower_bound={self.certificate.lower_bound:.8g})"
+    _facts = ("rows", "certificate.lower_bound")
 
-    def _repr_html_(self) -> str:
-        """Return the table for a notebook."""
-        facts = {"proven lower bound": self.certificate.lower_bound}
-        return facts_html("Comparison of solvers", facts, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def table(self) -> str:
         """Return the rows as aligned text."""

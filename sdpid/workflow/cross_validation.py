@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
@@ -68,8 +68,8 @@ class Fold:
     power: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CrossValidation:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CrossValidation(Shown):
     """The errors of several fits, each on what was held out from it.
 
     Attributes
@@ -102,13 +102,10 @@ class CrossValidation:
     relative: float
     relative_unconstrained: float
 
-    def __repr__(self) -> str:
-        """Return the result in a line."""
-        return f"CrossValidation({self.summary()})"
+    _facts = ("summary",)
 
-    def _repr_html_(self) -> str:
-        """Return the table for a notebook."""
-        return facts_html("Cross-validation", {"result": self.summary()}, self.as_table())
+    def _tables(self) -> Iterator[Table]:
+        yield self.as_table()
 
     @property
     def count(self) -> int:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from numpy.typing import ArrayLike
 
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from sdpid.workflow.cross_validation import CrossValidation
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Identification(Judged):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Identification(Judged, Shown):
     """The result of `identify`.
 
     Attributes
@@ -97,38 +97,34 @@ class Identification(Judged):
     rollouts: tuple[Rollout, ...] = ()
     bias: BiasTest | None = None
 
-    def __repr__(self) -> str:
-        """Return the robot, the residual and the proof in a line."""
-        return (
-            f"Identification(robot={self.problem.robot.name!r}, "
-            f"relative_residual={self.training.relative:.3g}, "
-            f"certified={self.certificate.passed})"
-        )
-
-    def _repr_html_(self) -> str:
-        """Return the main facts, the verdict and the errors of every joint, for a notebook."""
-        facts = {
-            "base parameters": self.problem.base.count,
-            "rows": self.problem.n_rows,
-            "cost": self.estimate.cost,
-            "proven lower bound": self.certificate.lower_bound,
-            "certified": "yes" if self.certificate.passed else "no",
+    def _shown(self) -> dict[str, object]:
+        """Return the main facts."""
+        facts: dict[str, object] = {
+            "robot": self.problem.robot.name,
+            "certified": self.certificate.passed,
             "relative residual": self.training.relative,
             "relative residual, unconstrained": self.training_wls.relative,
+            "cost": self.estimate.cost,
+            "proven lower bound": self.certificate.lower_bound,
+            "base parameters": self.problem.base.count,
+            "rows": self.problem.n_rows,
         }
         if self.held_out is not None:
             what = "validation" if self.held_out.by == "recording" else "blocks held out"
             facts[f"relative residual in motion, {what}"] = self.held_out.fit.moving.relative
+        return facts
+
+    def _tables(self) -> Iterator[Table]:
+        """Yield the errors of every joint, and the verdict."""
         joints = slice(self.training.n_base, None)
-        errors = Table.of_columns(
+        yield Table.of_columns(
             {
                 "joint": list(self.training.joint_names[joints]),
                 "RMSE [N·m]": self.training.rmse[joints].tolist(),
                 "NRMSE": self.training.nrmse[joints].tolist(),
             }
         )
-        words = Table(("verdict",), tuple((text,) for text in self.verdict))
-        return facts_html(f"Identification of {self.problem.robot.name}", facts, errors, words)
+        yield Table(("verdict",), tuple((text,) for text in self.verdict))
 
     @property
     def effects(self) -> tuple[Tried, ...]:

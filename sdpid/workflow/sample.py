@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, require_probability
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.assurance.sampling.draw import Draws, draw
 from sdpid.errors import DataError
@@ -143,7 +143,7 @@ def require_same(estimate: Estimate, given: Mapping[str, float], file: str) -> N
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ParameterSamples:
+class ParameterSamples(Shown):
     """Robots drawn from the posterior of an estimate.
 
     Attributes
@@ -178,16 +178,20 @@ class ParameterSamples:
         """Return the number of draws."""
         return len(self.draws.theta)
 
-    def __repr__(self) -> str:
-        return (
-            f"ParameterSamples({len(self)} draws of '{self.estimate.problem.robot.name}', "
-            f"{self.theta.shape[1]} parameters, seed={self.seed})"
-        )
+    def _shown(self) -> dict[str, object]:
+        facts: dict[str, object] = {
+            "robot": self.estimate.problem.robot.name,
+            "draws": len(self),
+            "seed": self.seed,
+            "least effective sample size": float(np.min(self.draws.effective_sizes)),
+            "largest split R-hat": float(np.max(self.draws.r_hat)),
+        }
+        return facts | {f"note {k}": note for k, note in enumerate(self.notes, 1)}
 
-    def _repr_html_(self) -> str:
+    def _tables(self) -> Iterator[Table]:
         low, middle, high = np.quantile(self.base, [0.025, 0.5, 0.975], axis=0)
         base = self.estimate.problem.base
-        table = Table.of_columns(
+        yield Table.of_columns(
             {
                 "base parameter": base.names,
                 "unit": base.units,
@@ -196,15 +200,6 @@ class ParameterSamples:
                 "97.5 %": high.tolist(),
             }
         )
-        facts: dict[str, object] = {
-            "draws": len(self),
-            "seed": self.seed,
-            "least effective sample size": float(np.min(self.draws.effective_sizes)),
-            "largest split R-hat": float(np.max(self.draws.r_hat)),
-        }
-        for k, note in enumerate(self.notes):
-            facts[f"note {k + 1}"] = note
-        return facts_html(f"Draws of {self.estimate.problem.robot.name}", facts, table)
 
     @property
     def theta(self) -> Array:

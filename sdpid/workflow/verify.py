@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
 from sdpid.verifier import certificate, tables
 from sdpid.verifier.command import check_path
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 _OF_ROWS = {"log", "robot", "base parameters", "compression", "rows"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verification:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Verification(Shown):
     """Result of checking a proof, recomputed from the numbers in its files.
 
     Attributes
@@ -78,15 +78,10 @@ class Verification:
     margin: float | None = None
     log: LogProof | None = None
 
-    def __repr__(self) -> str:
-        """Return whether everything claimed is proven, in a line."""
-        said = f"{len(self.statements)} proven, {len(self.problems)} not"
-        return f"Verification(passed={self.passed}, {said}, {len(self.unchecked)} unchecked)"
+    _facts = ("passed", "statements", "problems", "unchecked", "gap", "sha256")
 
-    def _repr_html_(self) -> str:
-        facts = {"passed": self.passed, "gap": self.gap, "SHA-256": self.sha256}
-        lines = Table(("in words",), tuple((line,) for line in self.lines))
-        return facts_html("Verification", facts, lines)
+    def _tables(self) -> Iterator[Table]:
+        yield Table(("lines",), tuple((each,) for each in self.lines))
 
     @property
     def lines(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from tests.helpers.data import make_samples, random_theta
 from tests.helpers.robots import small_arm
 
 # Characters of a line that is still read.
-LINE = 120
+LINE = 200
 
 
 def results() -> Iterator[Any]:

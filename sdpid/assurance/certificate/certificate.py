@@ -19,7 +19,7 @@ import numpy as np
 from sdpid import __version__
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.compression import Compression, prove_compression
 from sdpid.assurance.certificate.contact_record import contact_record
@@ -48,8 +48,8 @@ GAP = 1e-6
 _PROVEN: WeakKeyDictionary[Problem, Compression | None] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Certificate:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Certificate(Shown):
     """A proof of how far an estimate can be from the global optimum.
 
     Everything it states is checked in exact arithmetic, when first asked for. What is certified is
@@ -75,6 +75,16 @@ class Certificate:
 
     estimate: Estimate
     bound: Bound
+
+    _facts = (
+        "problem.robot.name",
+        "estimate.method",
+        "passed",
+        "cost",
+        "lower_bound",
+        "gap",
+        "estimate.worst_margin, kg·m²",
+    )
 
     @property
     def problem(self) -> Problem:
@@ -201,23 +211,6 @@ class Certificate:
     def passed(self) -> bool:
         """Whether all that is claimed is proven, and the gap is no more than 1e-6 (`GAP`)."""
         return not self._proof.problems and self.gap <= GAP
-
-    def __repr__(self) -> str:
-        return (
-            f"Certificate(robot={self.problem.robot.name!r}, method={self.estimate.method!r}, "
-            f"cost={self.estimate.cost:.8g}, lower_bound={self.bound.value:.8g})"
-        )
-
-    def _repr_html_(self) -> str:
-        margins = [margin for margin in self.margins or () if margin is not None]
-        facts = {
-            "passed": "yes" if self.passed else "no",
-            "cost": self.cost,
-            "lower bound": self.lower_bound,
-            "relative gap": self.gap,
-            "smallest margin, kg·m²": min(margins, default=None),
-        }
-        return facts_html(f"Certificate of {self.problem.robot.name}", facts)
 
     def summary(self) -> str:
         """Return what is proven, in words."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.descriptions.body_checks import (
     check_numbers,
     check_shape,
@@ -76,8 +76,8 @@ class BodyAudit:
     density: float | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class UrdfAudit:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class UrdfAudit(Shown):
     """Result of the audit of a robot description.
 
     Attributes
@@ -106,6 +106,8 @@ class UrdfAudit:
     bodies: tuple[BodyAudit, ...]
     findings: tuple[Finding, ...]
 
+    _facts = ("name", "bodies", "errors", "warnings")
+
     @property
     def errors(self) -> tuple[Finding, ...]:
         """Findings that no body can have."""
@@ -121,17 +123,10 @@ class UrdfAudit:
         """Whether there are no errors."""
         return not self.errors
 
-    def __repr__(self) -> str:
-        return (
-            f"UrdfAudit(name={self.name!r}, {len(self.bodies)} links, {len(self.errors)} errors, "
-            f"{len(self.warnings)} warnings)"
-        )
-
-    def _repr_html_(self) -> str:
-        header = ("severity", "link", "finding")
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
         rows = tuple((f.severity, f.link, f.message) for f in self.findings)
-        facts = {"errors": len(self.errors), "warnings": len(self.warnings)}
-        return facts_html(f"Audit of {self.name}", facts, self._table(), Table(header, rows))
+        yield Table(("severity", "link", "finding"), rows)
 
     def _table(self) -> Table:
         """Return one row a body; one that cannot exist is marked with an exclamation mark."""

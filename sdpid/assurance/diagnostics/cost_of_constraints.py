@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.retry import solve_with_retries
@@ -39,8 +39,8 @@ _REGULARIZATIONS = (1e-10, 1e-8)
 _PRESSES = 1e-7
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CostOfConstraints:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CostOfConstraints(Shown):
     """Effort error that constraints add.
 
     Attributes
@@ -82,20 +82,15 @@ class CostOfConstraints:
     saved: Array
     increase: Array
 
+    _facts = ("constraints", "cost", "cost_free", "excess")
+
     @property
     def total(self) -> Array:
         """What all constraints together add to the root mean square errors, N·m, shape (n,)."""
         return np.asarray(self.rmse - self.rmse_free)
 
-    def __repr__(self) -> str:
-        return (
-            f"CostOfConstraints({len(self.constraints)} constraints, cost={self.cost:.6g}, "
-            f"cost_free={self.cost_free:.6g})"
-        )
-
-    def _repr_html_(self) -> str:
-        facts = {"cost": self.cost, "without constraints": self.cost_free, "excess": self.excess}
-        return facts_html("Cost of constraints", facts, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def _table(self) -> Table:
         """Return one row a constraint: what leaving it out saves of cost and joints' errors."""

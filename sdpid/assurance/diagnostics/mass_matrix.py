@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
-from sdpid._common.tables import facts_html, plain
+from sdpid._common.tables import Shown, plain
 from sdpid.errors import DataError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -54,8 +54,8 @@ _GIVE = (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.5)
 _NULL = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SmallestMassEigenvalue:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SmallestMassEigenvalue(Shown):
     """The smallest eigenvalue of the mass matrix over a box of joint positions.
 
     Attributes
@@ -90,23 +90,12 @@ class SmallestMassEigenvalue:
     positions: int
     bounds: Array
 
+    _facts = ("value", "q", "lower_bound", "reason")
+
     @property
     def positive_definite(self) -> bool:
         """Whether the mass matrix is proven positive definite at every position."""
         return self.lower_bound is not None and self.lower_bound > 0.0
-
-    def __repr__(self) -> str:
-        bound = "none" if self.lower_bound is None else f"{self.lower_bound:.4g}"
-        return f"SmallestMassEigenvalue(value={self.value:.4g}, lower_bound={bound})"
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "smallest found": self.value,
-            "at": ", ".join(f"{each:.4g}" for each in self.q),
-            "proven lower bound": self.lower_bound,
-            "reason": self.reason,
-        }
-        return facts_html("Smallest eigenvalue of the mass matrix", facts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
 from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows
@@ -38,8 +38,8 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Errors:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Errors(Shown):
     """Prediction errors, joint by joint, on some of the rows.
 
     Attributes
@@ -71,6 +71,8 @@ class Errors:
     rows: Indices
     n_base: int = 0
 
+    _facts = ("relative",)
+
     @classmethod
     def of(
         cls,
@@ -84,14 +86,8 @@ class Errors:
         mask = mask & (np.arange(len(names)) >= n_base)
         return cls(joint_names=names, n_base=n_base, **_figures(effort, predicted, mask))
 
-    def __repr__(self) -> str:
-        joints = len(self.joint_names) - self.n_base
-        residual = f"relative residual {100 * self.relative:.3g} %"
-        return f"{type(self).__name__}({joints} joints, {residual})"
-
-    def _repr_html_(self) -> str:
-        title = type(self).__name__
-        return facts_html(title, {"relative residual": self.relative}, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def _table(self) -> Table:
         """Return one row a joint."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.robot.inertia import physical_parameters
@@ -42,8 +43,8 @@ class CarriedLoad:
         return np.asarray(physical_parameters(self.theta)[2])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class IdentifiedGains:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifiedGains(Shown):
     """Gains that recordings show, and what they were found from.
 
     Attributes
@@ -93,17 +94,10 @@ class IdentifiedGains:
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
 
-    def __repr__(self) -> str:
-        return f"IdentifiedGains({self.gains!r})"
+    _facts = ("gains.basis", "gains.common_factor", "status", "starts", "agreed")
 
-    def _repr_html_(self) -> str:
-        facts = {
-            "rest on": self.gains.basis,
-            "common factor": self.gains.common_factor,
-            "status": self.status,
-            "starts that agree": f"{self.agreed} of {self.starts}",
-        }
-        return facts_html("IdentifiedGains", facts, self.table())
+    def _tables(self) -> Iterator[Table]:
+        yield self.table()
 
     def table(self, level: float = 0.95) -> Table:
         """Return one row a joint: gain, error, interval, and what is left of the current.

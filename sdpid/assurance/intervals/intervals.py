@@ -13,7 +13,7 @@ Three kinds, each with its own question (see docs/guides/intervals.md):
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from typing import Any, Literal
@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, require_probability
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
 from sdpid.assurance.intervals.parameters import ParameterFunctions
@@ -40,8 +40,8 @@ FROM_PHYSICS = "from physics"
 FROM_PRIOR = "from the prior"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Intervals:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Intervals(Shown):
     """Confidence intervals of parameters.
 
     Attributes
@@ -120,6 +120,8 @@ class Intervals:
     seconds: float = 0.0
     solves: int = field(default=0)
 
+    _facts = ("names", "method", "level", "groups")
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -133,12 +135,8 @@ class Intervals:
         values = np.asarray(values, dtype=np.float64)
         return np.asarray((self.lower <= values) & (values <= self.upper))
 
-    def __repr__(self) -> str:
-        return f"Intervals({len(self)} parameters, method={self.method!r}, level={self.level:g})"
-
-    def _repr_html_(self) -> str:
-        facts = {"method": self.method, "level": self.level, "independent": self.groups}
-        return facts_html("Intervals", facts, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def _table(self) -> Table:
         """Return one row a parameter; the last column is left out where no end rests on a mass."""

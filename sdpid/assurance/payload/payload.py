@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.payload.program import QUANTITIES, QUANTITY_UNITS, quantities
 from sdpid.assurance.payload.rows import Description
 from sdpid.experiment.inspection.finding import Finding
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Payload:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Payload(Shown):
     """A payload and its intervals, in the form that robot controllers take.
 
     Attributes
@@ -89,6 +89,8 @@ class Payload:
     described: Description | None = None
     gains_share: Array | None = None
 
+    _facts = ("link", "frame", "mass, kg", "level", "shown")
+
     @property
     def names(self) -> tuple[str, ...]:
         """The quantities that have intervals."""
@@ -99,12 +101,8 @@ class Payload:
         """Mass, center of mass and inertia about it, (10,), in the order of `names`."""
         return quantities(self.theta)
 
-    def __repr__(self) -> str:
-        return f"Payload(link={self.link!r}, mass={self.mass:.4g} kg, shown={self.shown})"
-
-    def _repr_html_(self) -> str:
-        facts = {"link": self.link, "frame": self.frame, "level": self.level, "shown": self.shown}
-        return facts_html("Payload", facts, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def _table(self) -> Table:
         """Return one row a quantity."""

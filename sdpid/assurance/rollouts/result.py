@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
 from sdpid.assurance.rollouts.models import CLOSED_LOOP
 from sdpid.assurance.rollouts.words import level_of, notes_on, verdict_on
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class MotionErrors:
+class MotionErrors(Shown):
     """How far one model's motion is off, at instants after many starts.
 
     Attributes
@@ -41,8 +41,7 @@ class MotionErrors:
     tip: Array
     at: Indices
 
-    def __repr__(self) -> str:
-        return f"MotionErrors({len(self.joint)} starts, {self.joint.shape[2]} joints)"
+    _facts = ("joint",)
 
     @property
     def overall(self) -> Array:
@@ -73,7 +72,7 @@ def _quantile(errors: Array, share: float) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Rollout:
+class Rollout(Shown):
     """Simulated motion under measured efforts against the measured motion.
 
     Attributes
@@ -124,16 +123,11 @@ class Rollout:
     light: tuple[LightJoint, ...] = ()
     said: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        numbers = ", ".join(
-            f"{1e3 * value:.3g} mrad at {horizon:g} s" if np.isfinite(value) else "ran away"
-            for value, horizon in zip(self.median, self.horizons, strict=True)
-        )
-        return f"Rollout({len(self.joint_names)} joints, {len(self.start)} starts, {numbers:.90})"
+    _facts = ("robot", "joint_names", "start", "median, rad", "verdict")
 
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {"starts": len(self.start), "verdict": self.verdict}
-        return facts_html(f"Rollout of {self.robot}", facts, self.as_table(), self.joint_table())
+    def _tables(self) -> Iterator[Table]:
+        yield self.as_table()
+        yield self.joint_table()
 
     @property
     def median(self) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid._common.seeds import generator
+from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.sampling.density import Density
 from sdpid.assurance.sampling.mixing import effective_sizes, split_r_hat
@@ -52,8 +53,8 @@ _DISAGREE = 1.2
 _AT_LIMIT, _NEAR, _NAMED, _TINY = 0.02, 0.9, 4, 1e-300
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Draws:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Draws(Shown):
     """Robots drawn at random, each of which obeys every constraint.
 
     Attributes
@@ -86,14 +87,10 @@ class Draws:
     notes: tuple[str, ...] = ()
     seconds: float = field(default=0.0)
 
+    _facts = ("thetas", "names", "effective_sizes.min", "r_hat.max")
+
     def __len__(self) -> int:
         return len(self.theta)
-
-    def __repr__(self) -> str:
-        return (
-            f"Draws({len(self)} of {len(self.names)} parameters, effective sample size at least "
-            f"{self.effective_sizes.min():.0f}, R-hat at most {self.r_hat.max():.3f})"
-        )
 
 
 @one_thread

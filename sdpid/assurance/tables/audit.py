@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.tables.proof_file import TableFile
 from sdpid.assurance.tables.proof_search import bound_margin, refute, strongest
@@ -38,8 +38,8 @@ _NO_CHANGE = 1e-4
 _BEYOND = 1e-4
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BaseAudit:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BaseAudit(Shown):
     """Result of the audit of a table of base parameters.
 
     Attributes
@@ -91,19 +91,14 @@ class BaseAudit:
     changes: Mapping[str, float]
     units: Mapping[str, float]
 
-    def __repr__(self) -> str:
-        return f"BaseAudit(robot={self.robot!r}, verdict={self.verdict!r})"
-
-    def _repr_html_(self) -> str:
-        proof = self.refutation
-        facts = {
-            "verdict": self.verdict,
-            "largest margin found, kg·m²": self.margin,
-            "no margin above, kg·m²": self.margin_bound,
-            "proof": None if proof is None else proof.inequality(),
-            "change needed, halfwidths": self.change,
-        }
-        return facts_html(f"Audit of base parameters of {self.robot}", facts)
+    _facts = (
+        "robot",
+        "verdict",
+        "margin, kg·m²",
+        "margin_bound, kg·m²",
+        "refutation.inequality",
+        "change",
+    )
 
     @property
     def refutation(self) -> Refutation | None:

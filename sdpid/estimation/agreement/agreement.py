@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,7 @@ class EffortDifference:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Agreement:
+class Agreement(Shown):
     """Two estimates of one robot, and whether they agree.
 
     Attributes
@@ -112,6 +113,8 @@ class Agreement:
     joint_names: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
+    _facts = ("agree", "p", "differences", "summary")
+
     @property
     def agree(self) -> bool | None:
         """Whether all differences together are as large as errors make them; None: not tested."""
@@ -122,12 +125,8 @@ class Agreement:
         """Names of the parameters whose intervals of the difference exclude zero."""
         return tuple(each.name for each in self.differences if each.agree is False)
 
-    def __repr__(self) -> str:
-        verdict = "not tested" if self.p is None else f"agree={self.agree}, p={self.p:.2g}"
-        return f"Agreement({len(self.differences)} base parameters in both, {verdict})"
-
-    def _repr_html_(self) -> str:
-        return facts_html("Two estimates of one robot", {"verdict": self.summary()}, self._table())
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
 
     def summary(self) -> str:
         """Return the answer in a few sentences."""

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid._common.tables import Shown
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.constraints.condition import Cone, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
@@ -19,8 +20,8 @@ from sdpid.robot.inertia import Consistency, margin, margin_shift, matrix_basis
 _SIDES: tuple[Side, Side] = ("least", "most")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FeasibleSet:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FeasibleSet(Shown):
     """All theta with ``lower ≤ theta ≤ upper``, matrices ⪰ 0 and rows within their limits.
 
     Every matrix inequality is ``F0 + Σ body_k·F_k`` ⪰ 0 in the ten parameters of one link. First
@@ -71,12 +72,7 @@ class FeasibleSet:
     row_lower: Array
     row_upper: Array
 
-    def __repr__(self) -> str:
-        return (
-            f"FeasibleSet({len(self.theta_names)} parameters, {len(self.link_names)} links, "
-            f"{len(self.block_names)} matrices, {len(self.rows)} rows, "
-            f"consistency={self.consistency!r})"
-        )
+    _facts = ("theta_names", "link_names", "block_names", "rows", "consistency")
 
     @classmethod
     def build(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import require_probability
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid._common.threads import one_thread
 from sdpid.errors import IdentifiabilityError, SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -28,8 +28,8 @@ from sdpid.experiment.simulation.controllers import Controller
 SHIFT = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
-class BiasTest:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class BiasTest(Shown):
     """What instruments say of the bias of least squares.
 
     Attributes
@@ -80,6 +80,8 @@ class BiasTest:
     weak: tuple[str, ...] = ()
     note: str | None = None
 
+    _facts = ("biased", "shift", "limit", "p", "instruments")
+
     @property
     def significant(self) -> bool | None:
         """Whether the test rejects that nothing biases least squares; None without a test."""
@@ -113,21 +115,9 @@ class BiasTest:
             f"{100.0 * self.limit:g} %."
         )
 
-    def __repr__(self) -> str:
-        p = "None" if self.p is None else f"{self.p:.3g}"
-        return f"BiasTest(biased={self.biased}, shift={self.shift:.3g}, p={p})"
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "biased": "yes" if self.biased else "no",
-            "shift of predictions": self.shift,
-            "limit": self.limit,
-            "p": self.p,
-            "instruments": self.instruments,
-        }
-        table = Table.of_columns({"joint": list(self.joint_names), "shift": list(self.shifts)})
-        words = Table(("verdict",), ((self.verdict,),))
-        return facts_html("Test of bias", facts, words, table)
+    def _tables(self) -> Iterator[Table]:
+        yield Table(("verdict",), ((self.verdict,),))
+        yield Table.of_columns({"joint": list(self.joint_names), "shift": list(self.shifts)})
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

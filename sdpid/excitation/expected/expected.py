@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
 from sdpid.robot.inertia import PARAMETER_NAMES
@@ -84,8 +84,8 @@ class Duration:
     bands: tuple[float, ...]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Expected:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Expected(Shown):
     """What a run will buy.
 
     Attributes
@@ -163,11 +163,7 @@ class Expected:
     seconds: float
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        return (
-            f"Expected({len(self.names)} base parameters after {self.seconds:g} s, "
-            f"{len(self.open_directions)} directions open)"
-        )
+    _facts = ("names", "seconds, s", "open_directions")
 
     def sentences(self) -> tuple[str, ...]:
         """Return what the run will buy in words, the most important first."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
@@ -106,8 +106,8 @@ class LimitRow:
         return f"{what} holds the limit of {self.limit:.6g} {self.unit} by {self.slack:.3g}."
 
 
-@dataclass(frozen=True, kw_only=True)
-class LimitCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LimitCheck(Shown):
     """The limits of a motion, checked at every instant.
 
     Attributes
@@ -131,6 +131,8 @@ class LimitCheck:
     rows: tuple[LimitRow, ...]
     notes: tuple[str, ...] = ()
     left_out: tuple[tuple[str, str, str], ...] = ()
+
+    _facts = ("ok", "rows", "broken")
 
     @property
     def ok(self) -> bool:
@@ -168,12 +170,8 @@ class LimitCheck:
             "left_out": plain(self.left_out),
         }
 
-    def __repr__(self) -> str:
-        """Return whether all limits hold, and how many do not, in a line."""
-        return f"LimitCheck(ok={self.ok}, {len(self.rows)} limits, {len(self.broken)} not held)"
-
-    def _repr_html_(self) -> str:
-        return facts_html("Limits", {"all held": self.ok}, self.table())
+    def _tables(self) -> Iterator[Table]:
+        yield self.table()
 
 
 def _gravity(row: LimitRow) -> tuple[bool, float]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.limits.check import LimitCheck
@@ -20,7 +21,7 @@ _RATE_HZ = 200.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Plan:
+class Plan(Shown):
     """A motion that holds its limits at every instant, and shows the parameters.
 
     Attributes
@@ -80,26 +81,21 @@ class Plan:
     settings: dict[str, Any] = field(default_factory=dict)
     history: tuple[dict[str, Any], ...] = ()
 
+    _facts = (
+        "robot.name",
+        "trajectory.period, s",
+        "limits.ok",
+        "objective",
+        "purpose",
+        "condition_number",
+        "log_det",
+    )
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "standard_errors", frozen(self.standard_errors))
 
-    def __repr__(self) -> str:
-        return (
-            f"Plan({self.robot.name!r:.60}, {self.trajectory.period:g} s, condition number "
-            f"{self.condition_number:.3g}, log det {self.log_det:.3g})"
-        )
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "period, s": self.trajectory.period,
-            "limits": "held at every instant" if self.limits.ok else "NOT held",
-            "made small": self.objective,
-            "purpose": self.purpose,
-            "condition number": self.condition_number,
-            "log det": self.log_det,
-        }
-        notes = Table(("notes",), tuple((note,) for note in self.notes))
-        return facts_html(f"Plan for {self.robot.name}", facts, notes)
+    def _tables(self) -> Iterator[Table]:
+        yield Table(("notes",), tuple((each,) for each in self.notes))
 
     def plot(self, *, axes: Any = None) -> Any:
         """Show each joint's motion against its limits, which are dashed (extra ``plot``).

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.loads import loads
@@ -35,7 +36,7 @@ def sampled(stance: Stance, curve: Curve) -> tuple[Array, States]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class StandingPlan:
+class StandingPlan(Shown):
     """A motion of a robot whose feet stay where they are.
 
     Attributes
@@ -99,22 +100,15 @@ class StandingPlan:
     # Made once: inverse kinematics takes a second.
     motion: WholeBodyMotion = field(init=False)
 
+    _facts = ("robot.name", "curve.duration, s", "limits.ok", "_known")
+
     @property
     def robot(self) -> RobotModel:
         """The robot, on a floating base."""
         return self.stance.robot
 
-    def __repr__(self) -> str:
-        return f"StandingPlan({self.robot.name!r:.60}, {self.curve.duration:g} s, {self._known()})"
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "duration, s": self.curve.duration,
-            "limits": "held at every sample" if self.limits.ok else "NOT held",
-            "what it buys": self._known(),
-        }
-        notes = Table(("notes",), tuple((note,) for note in self.notes))
-        return facts_html(f"Plan for {self.robot.name}, standing", facts, notes)
+    def _tables(self) -> Iterator[Table]:
+        yield Table(("notes",), tuple((each,) for each in self.notes))
 
     def _known(self) -> str:
         sharp = int(np.sum(self.standard_errors < _KNOWN * self.before))

@@ -106,7 +106,7 @@ class Rolled(Protocol):
         """Draw the errors over time."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Judged(ABC):
     """What an `Identification` holds, where each field is told."""
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.estimation.estimate import Estimate
@@ -53,8 +54,8 @@ class Errors:
         return f": more than {_LOST:g} times as much, predict efforts with estimate.model() instead"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportReport:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ExportReport(Shown):
     """The links and joints that were written, the parameters that were not, and what that costs.
 
     Attributes
@@ -107,14 +108,10 @@ class ExportReport:
     validation: Errors | None = None
     _written: Written | None = field(default=None, repr=False)
 
-    def __repr__(self) -> str:
-        """Return the file's name and what was written, in a line."""
-        lost = f", {len(self.left_out)} left out" if self.left_out else ""
-        return f"ExportReport({self.path.name!r:.80}, {len(self.links_changed)} links{lost})"
+    _facts = ("path.name", "kind", "links_changed", "left_out")
 
-    def _repr_html_(self) -> str:
-        table = Table(("report",), tuple((line,) for line in self.describe().splitlines()))
-        return facts_html("Export", {"file": self.path, "kind": self.kind}, table)
+    def _tables(self) -> Iterator[Table]:
+        yield Table(("report",), tuple((line,) for line in self.describe().splitlines()))
 
     def with_validation(self, samples: Samples) -> ExportReport:
         """Return the report with the errors on other samples."""

@@ -14,7 +14,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.seeds import generator
-from sdpid._common.tables import Table, json_text, plain
+from sdpid._common.tables import Shown, Table, json_text, plain
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.problem import Problem
@@ -97,8 +97,8 @@ class JointRange:
     scale: Range | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ranges:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Ranges(Shown):
     """Ranges of every body and joint that contain a share of the draws, each by itself.
 
     Attributes
@@ -133,11 +133,7 @@ class Ranges:
     widened: float | None
     feasible: float
 
-    def __repr__(self) -> str:
-        return (
-            f"Ranges({len(self.bodies)} bodies, {len(self.joints)} joint attributes, "
-            f"probability={self.probability:g}, {self.number} draws)"
-        )
+    _facts = ("bodies", "joints", "probability", "number")
 
     @property
     def notes(self) -> tuple[str, ...]:

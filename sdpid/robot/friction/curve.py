@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 
 # Points of a curve on either side of standstill, and the top speed (rad/s or m/s) of a joint whose
@@ -18,7 +18,7 @@ _POINTS, _NOMINAL = 100, 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointCurve:
+class JointCurve(Shown):
     """Friction of one joint over its velocity, all other joints at rest.
 
     Attributes
@@ -45,18 +45,15 @@ class JointCurve:
     upper: Array | None = None
     level: float | None = None
 
-    def __repr__(self) -> str:
-        band = "no band" if self.level is None else f"{100.0 * self.level:g} % band"
-        return f"JointCurve({self.joint!r:.80}, {self._range}, {band})"
+    _facts = ("joint", "_range", "level")
 
-    def _repr_html_(self) -> str:
-        """Return the curve at some velocities, for a notebook."""
+    def _tables(self) -> Iterator[Table]:
+        """Yield the curve at some velocities."""
         some = np.unique(np.linspace(0, len(self.velocity) - 1, 11).astype(int))
         columns = {"velocity": self.velocity, f"effort, {self.unit}": self.effort}
         if self.lower is not None and self.upper is not None:
             columns |= {"lower": self.lower, "upper": self.upper}
-        table = Table.of_columns({name: x[some].tolist() for name, x in columns.items()})
-        return facts_html(f"Friction of {self.joint}", {"velocities": self._range}, table)
+        yield Table.of_columns({name: x[some].tolist() for name, x in columns.items()})
 
     def plot(self, *, axes: Any = None) -> Any:
         """Show the curve, with its band where that is known; needs the extra ``plot``.

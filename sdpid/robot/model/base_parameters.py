@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid._common.tables import Shown
 from sdpid.errors import IdentifiabilityError
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
@@ -45,7 +46,7 @@ _SEED = 20210621
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BaseParameters:
+class BaseParameters(Shown):
     """The base parameters of a robot with its friction terms.
 
     Attributes
@@ -89,8 +90,7 @@ class BaseParameters:
     smallest_kept: float
     largest_dropped: float
 
-    def __repr__(self) -> str:
-        return f"BaseParameters({self.count} of {len(self.theta_names)} standard parameters)"
+    _facts = ("count", "theta_names")
 
     @property
     def count(self) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.robot.inertia import physical_parameters
 from sdpid.workflow.runs.saved import OURS, BaseParameter, SavedRun, predictions
@@ -21,7 +21,7 @@ _NO_JOINT_TEST = (
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class RunComparison:
+class RunComparison(Shown):
     """Two runs against each other.
 
     Attributes
@@ -60,14 +60,13 @@ class RunComparison:
     headlines: tuple[dict[str, Any], dict[str, Any]]
     notes: tuple[str, ...]
 
-    def __repr__(self) -> str:
-        said = {True: "the same log", False: "other logs", None: "logs unknown"}[self.same_log]
-        return f"RunComparison({said}, {len(self.parameters.rows)} base parameters in both)"
+    def _shown(self) -> dict[str, object]:
+        first, other = self.folders
+        notes = " ".join(self.notes)
+        return {"same log": self.same_log, "first": first, "other": other, "notes": notes}
 
-    def _repr_html_(self) -> str:
-        facts = {"first": self.folders[0], "other": self.folders[1], "notes": " ".join(self.notes)}
-        tables = [table for _, table in self._sections() if table.rows]
-        return facts_html("Two runs", facts, *tables)
+    def _tables(self) -> Iterator[Table]:
+        return (table for _, table in self._sections() if table.rows)
 
     def _sections(self) -> Iterator[tuple[str, Table]]:
         yield "inputs", self.inputs

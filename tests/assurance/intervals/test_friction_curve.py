@@ -57,7 +57,7 @@ def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
     assert np.mean(held) > 0.87
     assert np.mean(with_offset) > 0.87
     assert (curve.level, curve.joint) == (0.95, ARM.joint_names[1])
-    assert "95 % band" in repr(curve)
+    assert "level=0.95" in repr(curve)
     assert "upper" in curve._repr_html_()
 
 

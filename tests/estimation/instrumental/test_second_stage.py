@@ -173,7 +173,7 @@ def test_constraints_prior_and_proof_are_those_of_any_problem(
     assert digests[0] != digests[1]
     assert len(sdpid.confidence_intervals(second, method="gauss_markov")) > 0
     assert second.compare_to(sdpid.solve_sdp(with_prior)).table()
-    assert "no more" in repr(second.problem)
+    assert "no more" in second.problem._repr_html_()
 
 
 def test_what_the_data_do_not_show_is_left_to_the_prior(clean: Samples) -> None:

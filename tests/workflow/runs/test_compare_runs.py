@@ -204,5 +204,5 @@ def test_the_command(runs: dict[str, Path], tmp_path: Path) -> None:
     assert {row["parameter"] for row in data["parameters"]} >= {"mx2", "Fs1"}
     assert CliRunner().invoke(app, ["compare-runs", pair[0], str(tmp_path)]).exit_code == 2
     found = compare_runs(*pair)
-    assert repr(found).startswith("RunComparison(other logs")
+    assert repr(found).startswith("RunComparison(same log=False, ")
     assert "<table>" in found._repr_html_()

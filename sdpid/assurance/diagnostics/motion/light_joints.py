@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -34,8 +34,8 @@ _POSITIONS = 100
 _SLOPE = 0.2
 
 
-@dataclass(frozen=True, kw_only=True)
-class LightJoint:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LightJoint(Shown):
     """How far a joint's own effort error drives it.
 
     Attributes
@@ -61,6 +61,8 @@ class LightJoint:
     velocity: float
     acceleration: float
     rotor: bool = False
+
+    _facts = ("joint", "inertia, kg·m²", "damping, N·m·s/rad", "error, N·m", "drift, rad", "ratio")
 
     @property
     def drift(self) -> float:
@@ -109,16 +111,6 @@ class LightJoint:
             f"description, where that is right (Prior(strength=100)){rotor}; {run}; or a longer "
             "run, where its friction is what is off"
         )
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "inertia, kg·m²": self.inertia,
-            "damping, N·m·s/rad": self.damping,
-            "effort error, N·m": self.error,
-            "drift in 0.1 s, rad": self.drift,
-            "drift over motion": self.ratio,
-        }
-        return facts_html(f"Light joint {self.joint}", facts)
 
 
 def own_inertias(model: RobotDynamics, samples: Samples) -> Array:
