@@ -199,19 +199,11 @@ def test_ros_bags_of_several_sources(tmp_path: Path):
         read_recording(file, joint_names=("up", "thumb"))
     with pytest.raises(DataError, match=r"no topic /states.*there is /joint_states"):
         read_recording(file, topic="/states")
-    with pytest.raises(DataError, match="topic is for ROS bags"):
-        read_recording(_npz(tmp_path), topic="/states")
     file = write_bag(tmp_path / "ragged", "mcap", T, Q, DQ, TAU, ragged=7)
     with pytest.raises(DataError, match="message 8 has 0 entries of effort for 2 joints"):
         read_recording(file)
     with pytest.raises(DataError, match=r"without metadata\.yaml.*without text files"):
         read_recording(tmp_path)
-
-
-def _npz(folder: Path) -> Path:
-    file = folder / "log.npz"
-    np.savez(file, t=T, q=Q, tau=TAU)
-    return file
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -137,51 +136,6 @@ def test_gears_signs_and_sides():
     assert sensors.to_joints("effort", TAU) is TAU
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({}, "give either gear_ratios"),
-        ({"gear_ratios": [1, 2, 3], "position_matrix": R}, "give either gear_ratios"),
-        ({"gear_ratios": [1, 2, 3], "signs": [1, 2, 1]}, "expected 1 or -1"),
-        ({"gear_ratios": [1, 0, 3]}, "cannot be inverted"),
-        ({"gear_ratios": [1, "x", 3]}, "real numbers"),
-        ({"gear_ratios": [1, 2]}, "motors is for 2 columns"),
-        ({"gear_ratios": [1, 2, 3], "offsets": [1, 2]}, r"offsets: has shape \(2,\)"),
-        ({"gear_ratios": [1, 2, 3], "offset": [1, 2, 3]}, "offset is not known"),
-        ({"gear_ratios": [1, 2, 3], "applies_to": "effort"}, "applies_to"),
-        ({"position_matrix": [[1, 2, 3]]}, "position_matrix: has shape"),
-        ({"position_matrix": 3}, "position_matrix: has 0 axes"),
-    ],
-)
-def test_motors_that_cannot_be(tmp_path: Path, given: dict[str, Any], words: str):
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.npz", motors=given)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("colums = 1", "colums is not known; known are columns"),
-        ("columns = 1", r"expected a table \[columns\]"),
-        ("[columns]\ntorque = 'x'", "torque is not a quantity"),
-        ("[units]\nposition = 3", "units.position is 3"),
-        ("[units]\nposition = ['deg', 'deg']", "2 units for position"),
-        ("joint_names = 'a'", "joint_names is 'a'"),
-        ("period = 'x'", "period is 'x'"),
-        ("topic = 3", "topic is 3"),
-        ("[units]\ntime = ['rad']", r"units.time is \['rad'\]"),
-        ("[motors]\ngear = 3", "log.toml: motors: gear is not known"),
-        ("x = ", "not a TOML file"),
-    ],
-)
-def test_bad_mappings(tmp_path: Path, text: str, words: str):
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    (tmp_path / "log.toml").write_text(text)
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.npz")
-
-
 def test_units_joint_by_joint_and_rates(tmp_path: Path):
     file = tmp_path / "log.npz"
     np.savez(file, q=Q, tau=TAU)
@@ -189,22 +143,7 @@ def test_units_joint_by_joint_and_rates(tmp_path: Path):
     log = read_recording(file, units=units, rate_hz=2.0)
     np.testing.assert_allclose(log.position, Q * [np.pi / 180, 1.0, 1e-3], rtol=1e-15)
     np.testing.assert_array_equal(log.time, T)
-    with pytest.raises(DataError, match="effort_scale is of the joints' side"):
-        read_recording(file, rate_hz=2.0, motors={"gear_ratios": [1, 2, 3]}, effort_scale=[1, 1, 1])
-    with pytest.raises(DataError, match="no mapping beside it"):
-        read_recording(file, mapping=True)
     assert read_recording(file, mapping={"rate_hz": 4}).rate_hz == pytest.approx(4.0)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{"units": {"time": ["s"]}}, {"units": {"position": 3}}, {"units": {"position": [["rad"]]}}],
-)
-def test_arguments_are_checked_as_mappings_are(tmp_path: Path, arguments: dict[str, Any]):
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    for given in (arguments, {"mapping": arguments}):
-        with pytest.raises(DataError, match=r"units\.\w+ is .*, expected a text"):
-            read_recording(tmp_path / "log.npz", **given)
 
 
 def test_ranges_of_columns_without_names(tmp_path: Path):
@@ -212,22 +151,6 @@ def test_ranges_of_columns_without_names(tmp_path: Path):
     np.savetxt(file, np.column_stack([T, Q, TAU]), delimiter=",")
     columns = {"time": 1, "position": "2:4", "effort": ["5:6", 7]}
     np.testing.assert_array_equal(read_recording(file, columns=columns).effort, TAU)
-
-
-def test_csv_errors_name_line_and_column(tmp_path: Path):
-    file = tmp_path / "log.csv"
-    for text, words in (
-        (
-            "t,q1,tau1\n0,1,2\n1,,2\n",
-            "line 3: position: 'q1' has no value (NaN), as in 1 of 2 rows",
-        ),
-        ("t;q1;tau1\n0;1.5;2\n1;1,5;2\n", "'q1' holds '1.5' where other decimals have commas"),
-        ("t,q1,tau1\n0,1,2\n1,2\n", "line 3 has 2 values for 3 columns"),
-    ):
-        file.write_text(text)
-        with pytest.raises(DataError) as error:
-            read_recording(file)
-        assert words in str(error.value)
 
 
 def test_the_coupled_wrist_of_a_real_robot(data_folder: Path):
