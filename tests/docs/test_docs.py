@@ -55,7 +55,6 @@ def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
     exec(compile(code[-1], "docs/guides/constraints.md", "exec"), names)
     problem = arm_problem(names["LighterTowardsTheTip"]())
     theta = sdpid.solve_sdp(problem).theta
-    assert theta is not None
     masses = theta[: 10 * problem.robot.n_links : 10]
     assert np.all(np.diff(masses) <= 1e-8)
 

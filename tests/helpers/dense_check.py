@@ -15,8 +15,6 @@ def dense_check() -> ModuleType:
     name = "sdpid_dense_check"
     if name not in sys.modules:
         spec = importlib.util.spec_from_file_location(name, _PATH)
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)

@@ -38,7 +38,6 @@ def estimate_of(robot: RobotModel, terms: tuple[str, ...] = TERMS, **options: st
 
 def draws_about(estimate: Estimate, count: int, seed: int = 0) -> Array:
     """Return parameters (count, p) spread about those of an estimate, all consistent."""
-    assert estimate.theta is not None
     rng = np.random.default_rng(seed)
     links = 10 * estimate.problem.robot.n_links
     bodies = estimate.problem.feasible.bodies(estimate.theta)

@@ -91,7 +91,6 @@ class Second:
         return self.theta[10 * link : 10 * link + 10]
 
     def _believed(self, prior: Prior) -> Any:
-        assert self.problem.prior is not None
         # What is left of the rows when the links are taken off: those of the friction terms.
         links = 10 * self.problem.robot.n_links
         count = self.problem.base.count

@@ -76,8 +76,6 @@ def test_true_parameters_are_real() -> None:
 
 def script() -> Any:
     spec = importlib.util.spec_from_file_location("make", FOLDER / "make_true_parameters.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -172,11 +172,9 @@ def test_links_in_a_circle_end(results: Path) -> None:
             '<joint name="(?!x)[^"]*" type="(revolute|continuous)"', _fixed, text, count=1
         )
         child = re.search('<joint [^>]*type="fixed".*?<child link="([^"]*)"', text, re.DOTALL)
-        assert child is not None
         link = child[1]
         joint = '<joint name="x" type="fixed"><parent link="{}"/><child link="{}"/></joint>'
         root = re.search('<link name="([^"]*)"', text)
-        assert root is not None
         return text.replace("</robot>", joint.format(link, root[1]) + "</robot>")
 
     edit(results / "identified.urdf", circle)
@@ -213,7 +211,6 @@ def test_axes_cannot_be_turned_behind_a_long_quaternion(results: Path) -> None:
 
     def turn(text: str) -> str:
         found = re.search('<inertial [^>]*quat="([^"]*)"', text)
-        assert found is not None
         w, x, y, z = map(float, found[1].split())
         half = 0.5e-4
         turned = (w - half * x, x + half * w, y + half * z, z - half * y)

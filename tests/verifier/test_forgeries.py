@@ -214,7 +214,6 @@ def shares(result: Result) -> list[float]:
         r".* cost less than (\S+) on the data.",
         said,
     )
-    assert found is not None
     return [float(number) for number in found.groups()]
 
 

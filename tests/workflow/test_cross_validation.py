@@ -48,8 +48,6 @@ def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) 
     np.testing.assert_allclose(fold.held_out.rmse, expected.rmse, rtol=1e-5)
     # Between training and held-out rows lies twice what either filter needs to forget its ends.
     time, held = problem.samples.time, fresh.time
-    assert time is not None
-    assert held is not None
     distance = np.abs(time[:, None] - held[None, :]).min()
     trimmed = held[0] - log.time[a]
     assert trimmed > 0.0
@@ -103,7 +101,6 @@ def test_by_recording_and_in_blocks_of_several() -> None:
 
 def test_it_is_part_of_an_identification(log: sdpid.Recording) -> None:
     result = sdpid.identify(arm(), log, folds=3, prior=False)
-    assert result.cross_validation is not None
     assert result.cross_validation.count == 3
     assert result.to_dict()["cross_validation"]["relative_residual"] > 0.0
     assert "3 blocks of time held out in turn" in result.summary()

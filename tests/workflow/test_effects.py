@@ -62,7 +62,6 @@ def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
     told = {each["name"]: each for each in json.loads(file.read_text())["effects"]}
     assert told["tilt"]["chosen"]
     found = result.estimate.named_theta()
-    assert found is not None
     assert f"{np.degrees(found['Gx']):.2f}° about x" in told["tilt"]["words"]
     # Effects that the data do not show stand in the notes, with their numbers.
     free = sdpid.identify(arm(), recorded(1), intervals=False)

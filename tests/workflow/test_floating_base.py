@@ -52,7 +52,6 @@ def test_a_log_with_a_base_gives_a_floating_robot_with_its_mass() -> None:
     assert result.certificate.passed
     assert result.intervals is not None
     theta = result.estimate.theta
-    assert theta is not None
     mass = theta[: 10 * robot.n_links : 10].sum()
     assert mass == pytest.approx(robot.prior[:, 0].sum(), rel=2e-3)
 
@@ -73,15 +72,12 @@ def test_a_base_that_is_held_all_the_time_is_proven() -> None:
 
 def test_errors_of_joints_and_of_the_base_stand_apart() -> None:
     fit = identified().validation
-    assert fit is not None
-    assert fit.floating is not None
     # Of 25 N of weight, and efforts with 1 % of noise before the filter.
     assert fit.floating.force < 0.1
     assert fit.floating.torque < 0.02
     assert not fit.rows[:6].any()
     assert fit.moving.relative < 0.02
     held_out = identified().held_out
-    assert held_out is not None
     described = held_out.baselines["description as it is"]
     assert described.floating is not None
     assert described.moving.relative < 0.05
@@ -98,7 +94,6 @@ def test_report_and_words_know_the_base_and_its_contacts(tmp_path) -> None:  # t
     assert report.count("contacts over time") == 2
     assert "base, force in N" in report
     back = sdpid.load_robot(tmp_path / "identified.urdf", root="free_flyer")
-    assert result.estimate.theta is not None
     np.testing.assert_allclose(
         back.prior[:, 0], result.estimate.theta[: 10 * back.n_links : 10], rtol=1e-6
     )
@@ -120,7 +115,6 @@ def test_the_report_draws_which_feet_were_down() -> None:
     shown = values(result)["gait"]
     assert [each["title"] for each in shown] == ["training", "validation"]
     samples = result.problem.samples
-    assert samples.contacts is not None
     for row, down in zip(shown[0]["rows"], samples.contacts.down.T, strict=True):
         drawn = sum(bar["width"] for bar in row["bars"]) / (shown[0]["width"] - shown[0]["left"])
         assert drawn == pytest.approx(down.mean())
@@ -193,9 +187,7 @@ def test_the_chain_from_the_log_holds_with_contacts(tmp_path: Path) -> None:
     result.save(tmp_path, figures=False)
     found = sdpid.verify(tmp_path, data=data())
     assert found.passed, found.problems
-    assert found.log is not None
     assert {"contacts", "compression", "rows", "total"} <= found.log.proven
-    assert found.log.equations is not None
     assert found.log.equations.gap < 1e-5  # type: ignore[operator]
 
 

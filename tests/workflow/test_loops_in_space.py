@@ -39,13 +39,10 @@ def test_motors_alone_identify_a_chain(
     result, log, _ = identified
     gap = result.certificate.gap
     assert result.certificate.passed
-    assert gap is not None
     assert gap < 1e-6
-    assert result.validation is not None
     # Torques have noise of a thousandth.
     assert result.validation.moving.relative < 3e-3
     held_out = result.held_out
-    assert held_out is not None
     described = held_out.baselines["description as it is"]
     assert described.moving.relative > 10.0 * result.validation.moving.relative
     floating = result.validation.floating
@@ -66,7 +63,6 @@ def test_a_chain_is_proven_from_the_log(
     result.save(tmp_path / "run", figures=False)
     found = sdpid.verify(tmp_path / "run", data=log, robot=sdpid.load_robot(path))
     assert found.passed, found.problems
-    assert found.log is not None
     assert {"robot", "contacts", "compression", "rows"} <= found.log.proven
 
 

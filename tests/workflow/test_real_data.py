@@ -45,7 +45,6 @@ def problem(folder: Path, consistency: Consistency, prior: sdpid.Prior | bool) -
 
 
 def masses(estimate: Estimate) -> np.ndarray:
-    assert estimate.theta is not None
     return np.asarray(estimate.theta[: 10 * estimate.problem.robot.n_links : 10])
 
 
@@ -97,9 +96,7 @@ def test_bands_and_grades_hold_on_another_run(data_folder: Path) -> None:
     robot = sdpid.load_robot(folder / "kuka_lwr4.urdf")
     first, second = (sdpid.read_recording(folder / f"measurements_{run}.npz") for run in (1, 2))
     found = sdpid.identify(robot, first, validation=second, intervals=False)
-    assert found.held_out is not None
     fit, samples = found.held_out.fit, found.held_out.samples
-    assert fit.effort_band is not None
     inside = np.abs(samples.effort - fit.effort_predicted) <= fit.effort_band
     assert 0.9 <= inside[moving_rows(samples)].mean() <= 0.99
     blind = grades(found.estimate, found.training, hold_out(found.estimate, found.wls, None))

@@ -275,12 +275,10 @@ def test_what_a_living_run_prepares_stays(result: Identification, tmp_path: Path
     """The next run waits for it; when it is killed, its folder is removed at once."""
     run = [sys.executable, "-c", WRITER, str(tmp_path)]
     with subprocess.Popen([*run, "1"], stdout=subprocess.PIPE, text=True) as living:
-        assert living.stdout is not None
         assert living.stdout.readline() == "ready\n"
         result.save(tmp_path, figures=False)
         assert living.wait(timeout=30) == 0
     with subprocess.Popen([*run, "60"], stdout=subprocess.PIPE, text=True) as killed:
-        assert killed.stdout is not None
         assert killed.stdout.readline() == "ready\n"
         killed.kill()
     assert any(path.name.startswith(".sdpid-") for path in tmp_path.iterdir())

@@ -69,12 +69,10 @@ def test_recordings_are_processed_alike_and_alone(
     samples = result.problem.samples
     assert samples.starts == (0, pieces[0].n_samples)
     np.testing.assert_array_equal(samples.effort, np.concatenate([p.effort for p in pieces]))
-    assert result.validation_samples is not None
     alone = prepare(arm(), logs[2], replace(chosen, covariance=None))
     np.testing.assert_array_equal(result.validation_samples.effort, alone.effort)
     assert "as suits recording 1" in result.notes[0]
     assert result.certificate.passed
-    assert result.validation is not None
     assert result.validation.relative < 0.02
 
 
@@ -105,7 +103,6 @@ def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
 
 def test_intervals_come_by_default_and_are_written(result: Identification, tmp_path: Path) -> None:
     found = result.intervals
-    assert found is not None
     assert found.method == "gauss_markov"
     result.save(tmp_path, figures=False)
     for file, names in (
@@ -138,7 +135,6 @@ def test_intervals_come_by_default_and_are_written(result: Identification, tmp_p
 
 def test_profile_intervals_hold_the_estimate(logs: list[sdpid.Recording]) -> None:
     result = sdpid.identify(arm(), logs[0], intervals="profile")
-    assert result.intervals is not None
     assert result.intervals.contains(result.intervals.estimate).all()
     assert result.intervals_note is None
 
@@ -147,7 +143,6 @@ def test_profile_intervals_hold_the_estimate(logs: list[sdpid.Recording]) -> Non
 def test_no_interval_excludes_the_estimate(logs: list[sdpid.Recording], strength: float) -> None:
     result = sdpid.identify(arm(), logs[0], prior=sdpid.Prior(strength=strength))
     found = result.intervals
-    assert found is not None
     values = {**result.estimate.named_theta(), **result.estimate.named()}
     assert found.contains([values[name] for name in found.names]).all()
     assert result.intervals_note is None
@@ -160,8 +155,6 @@ def test_short_records_have_intervals_that_are_wider() -> None:
         for length in lengths
     ]
     short, long = found
-    assert short is not None
-    assert long is not None
     ratio = np.median(short.width / long.width)
     # The square root of ten where both have the same motion; a short one moves less evenly.
     assert 2.0 < ratio < 20.0
@@ -171,7 +164,6 @@ def test_why_there_are_none_is_said(tmp_path: Path) -> None:
     short = recorded(1, seconds=6.0)
     result = sdpid.identify(arm(), short, intervals="profile", prior=sdpid.Prior(kind="entropic"))
     assert result.intervals is None
-    assert result.intervals_note is not None
     assert "log-det" in result.intervals_note
     assert result.intervals_note in result.to_dict()["notes"]
     result.save(tmp_path, figures=False)

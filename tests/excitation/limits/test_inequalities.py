@@ -56,7 +56,6 @@ def test_limits_are_met_at_zero() -> None:
     share = model.torque(*state)[:, limited] / limits.torque[limited]
     np.testing.assert_allclose(torque.evaluate(*state), 1.0 - share**2)
     speed = ToolSpeedWithin.of(robot, limits)
-    assert speed is not None
     at_rest = state * np.array([1.0, 0.0, 0.0])[:, None, None]
     np.testing.assert_array_equal(speed.evaluate(*at_rest), 1.0)
     assert ToolSpeedWithin.of(robot, Limits().of(robot, assume=False)) is None

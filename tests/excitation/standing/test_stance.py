@@ -101,7 +101,6 @@ def test_rows_are_those_of_an_estimate(stance: Stance) -> None:
         ),
     )
     contacts = ContactRows.of(robot, samples, slice(0, K))
-    assert contacts is not None
     root = np.diag(rows.spread**-0.5)[None]
     every = np.ones((K, robot.n), dtype=bool)
     T, _ = contacts.eliminated(root, np.zeros(K, dtype=np.intp), every)

@@ -92,7 +92,6 @@ def test_findings_tell_what_processing_takes_off() -> None:
 
 def test_without_an_imu_the_pose_is_compared_with_legs_that_stand() -> None:
     log = recorded(late=True)
-    assert log.base is not None
     base = replace(
         log.base,
         imu=None,
@@ -117,7 +116,6 @@ def test_without_a_robot_the_imu_is_compared_with_the_pose() -> None:
 def test_free_rows_hold_no_contact_force() -> None:
     samples = prepare_recordings(robot(), recorded(late=False)).samples
     contacts = samples.contacts
-    assert contacts is not None
     rows = np.arange(0, samples.n_samples, 40)
     free = FreeRows.of(robot(), samples, rows, first_scale(robot(), samples.effort))
     J = contact_jacobians(robot(), samples.position[rows], contacts.frames, contacts.offset)
@@ -153,5 +151,4 @@ def test_lag_of_two_signals(delay: float) -> None:
     wave = np.sin(4.0 * time[:, None] + phases) + np.sin(7.3 * time[:, None])
     late = np.sin(4.0 * (time - delay)[:, None] + phases) + np.sin(7.3 * (time - delay)[:, None])
     found = lag(late, 1.3 * wave + 2.0, 0.01, gain=True)
-    assert found is not None
     assert found.value == pytest.approx(delay, abs=1e-4)

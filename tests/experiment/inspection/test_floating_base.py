@@ -32,10 +32,8 @@ def walk() -> Recording:
     sensors = Sensors(forces=True)
     log = sdpid.simulate_legged(robot(), "walk", seed=1, duration=3.0, sensors=sensors).recording
     turn = Rotation.from_euler("z", 90.0, degrees=True)
-    assert log.base is not None
     turned = (turn * Rotation.from_quat(log.base.orientation)).as_quat()
     position = turn.apply(np.array(log.base.position))
-    assert log.contacts is not None
     forces = turn.apply(np.array(log.contacts.forces).reshape(-1, 3)).reshape(-1, 4, 3)
     log = replace(log, contacts=replace(log.contacts, forces=forces))
     return replace(log, base=replace(log.base, orientation=turned, position=position))

@@ -275,7 +275,6 @@ def test_unmodeled_effects_show_in_the_current_only(
     np.testing.assert_allclose(extra, other.unmodeled_torque, atol=1e-9)
     assert not log.unmodeled_torque.any()
     effects = load_drives(NAME).unmodeled
-    assert effects is not None
     slow = effects.torque(np.zeros((1, 6)), np.full((1, 6), 1e-9))
     np.testing.assert_allclose(slow[0], effects.stribeck_torque + effects.coulomb_asymmetry)
     backwards = effects.torque(np.zeros((1, 6)), np.full((1, 6), -1e-9))

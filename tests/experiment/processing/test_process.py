@@ -442,8 +442,6 @@ def test_the_default_is_what_identify_chooses():
         np.testing.assert_array_equal(own.acceleration, chosen.acceleration)
         assert (own.mask is None) == (chosen.mask is None)
     short, long = process(log).mask, process(log, Processing()).mask
-    assert short is not None
-    assert long is not None
     assert 0.0 < 1.0 - short.mean() < 0.5 * (1.0 - long.mean())
 
 

@@ -92,7 +92,6 @@ def test_a_joint_that_hardly_moves_is_not_masked() -> None:
     position = np.array(log.position)
     position[:, 1] = 1.0 + 1e-3 * position[:, 1]
     samples = process(replace(log, position=position))
-    assert samples.mask is not None
     assert 0.5 < samples.mask[:, 0].mean() < 1.0
     assert samples.mask[:, 1].all()
     assert any("not masked, since less than 10 % of the rows" in note for note in samples.notes)

@@ -23,19 +23,13 @@ T = 0.01 * np.arange(N)
 def require_same(found: Recording, wanted: Recording) -> None:
     """Check every array of base and contacts."""
     a, b = found.base, wanted.base
-    assert a is not None
-    assert b is not None
     np.testing.assert_allclose(a.orientation, b.orientation, atol=1e-15)
     np.testing.assert_array_equal(a.position, b.position)
     np.testing.assert_array_equal(a.angular_velocity, b.angular_velocity)
     assert (a.velocity_frame, a.linear_velocity) == (b.velocity_frame, None)
-    assert a.imu is not None
-    assert b.imu is not None
     np.testing.assert_array_equal(a.imu.accelerometer, b.imu.accelerometer)
     np.testing.assert_array_equal(a.imu.translation, b.imu.translation)
     feet, wished = found.contacts, wanted.contacts
-    assert feet is not None
-    assert wished is not None
     assert (feet.frames, feet.kind) == (wished.frames, wished.kind)
     for name in ("down", "forces", "offset"):
         np.testing.assert_array_equal(getattr(feet, name), getattr(wished, name))
@@ -53,7 +47,6 @@ def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
     plain = Recording(time=T, position=log().position, effort=log().effort)
     plain.with_held_base("trunk").to_csv(file)
     contacts = read_recording(file).contacts
-    assert contacts is not None
     assert (contacts.frames, contacts.kind) == (("trunk",), ("plane",))
     # A mapping that was written with a log goes with it; one of other hands stays.
     plain.to_csv(file)
@@ -64,7 +57,6 @@ def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
     (tmp_path / "run.toml").unlink()
     log().to_csv(file)
     turned = read_recording(file, contacts={"frames": ["right", "left"], "kind": "plane"})
-    assert turned.contacts is not None
     assert turned.contacts.frames == ("right", "left")
     assert turned.contacts.kind == ("plane", "plane")
     np.testing.assert_array_equal(turned.contacts.down, log().contacts.down[:, ::-1])
@@ -75,7 +67,6 @@ def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
 def arrays(**changes: Any) -> dict[str, Any]:
     """Return the arrays of a file, quaternions w first."""
     base = log().base
-    assert base is not None
     return {
         "t": T,
         "q": log().position,
@@ -98,8 +89,6 @@ TOLD = {
 def test_arrays_are_read_as_told(tmp_path: Path) -> None:
     np.savez(tmp_path / "run.npz", **arrays())
     found = read_recording(tmp_path / "run.npz", **TOLD)
-    assert found.base is not None
-    assert found.contacts is not None
     np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
     np.testing.assert_allclose(found.base.angular_velocity, log().base.angular_velocity)
     assert found.base.velocity_frame == "base"
@@ -148,8 +137,6 @@ def test_a_mapping_says_that_the_base_was_held(tmp_path: Path) -> None:
     assert found.sources["base"] == "held at trunk"
     wanted = alone.with_held_base("trunk", orientation=tilted)
     for one in (found.recording, read_recording(file, mapping=False, base=held(tilted))):
-        assert one.base is not None
-        assert one.contacts is not None
         np.testing.assert_array_equal(one.base.orientation, wanted.base.orientation)
         assert (one.contacts.frames, one.contacts.kind) == (("trunk",), ("plane",))
         assert one.contacts.down.all()
@@ -165,7 +152,6 @@ def test_velocities_of_unknown_axes_are_left_out_with_a_word(tmp_path: Path) -> 
     np.savez(tmp_path / "run.npz", **arrays())
     told = {**TOLD, "base": {"quaternion": "wxyz"}}
     found = read_described(tmp_path / "run.npz", **told)
-    assert found.recording.base is not None
     assert found.recording.base.angular_velocity is None
     assert "its axes are not known" in found.sources["base_angular_velocity"]
     told["columns"] = {"contact": "feet", "base_angular_velocity": "base_ang_vel"}
@@ -230,8 +216,6 @@ def test_odometry_and_imu_of_bags_come_to_the_stamps_of_the_joints(
     found = read_recording(file, missing="drop", imu={"translation": [0.1, 0.0, 0.0]})
     assert (found.n_samples, found.joint_names) == (N - 1, JOINTS)
     base = found.base
-    assert base is not None
-    assert base.imu is not None
     np.testing.assert_allclose(base.orientation, turns.as_quat()[:-1], atol=1e-12)
     np.testing.assert_allclose(base.position, rows[:-1, :3], atol=1e-12)
     np.testing.assert_allclose(base.imu.gyroscope, rows[:-1, 10:], atol=1e-12)

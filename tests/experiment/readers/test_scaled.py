@@ -31,7 +31,6 @@ def test_gains_are_found_by_name() -> None:
     torques = scaled(log, GAINS)
     assert not torques.currents
     assert "in A" not in repr(torques)
-    assert torques.gains is not None
     assert torques.gains.joint_names == log.joint_names
     np.testing.assert_array_equal(torques.effort, log.effort * [1.0, 2.0, 3.0])
     with pytest.raises(DataError, match="turned into torques by gains already"):
@@ -66,7 +65,6 @@ def test_gains_follow_picked_joints() -> None:
     with pytest.raises(DataError, match="sdpid gains"):
         sdpid.process(log)
     samples = prepare(robot, scaled(log, gains))
-    assert samples.gains is not None
     assert samples.gains.joint_names == robot.joint_names
     np.testing.assert_array_equal(samples.gains.gains, [2.0, 3.0, 4.0, 5.0, 1.0, 6.0])
     np.testing.assert_array_equal(samples.gains.covariance, np.diag(samples.gains.gains) / 1e4)
@@ -89,12 +87,9 @@ def test_files_keep_currents_as_currents(tmp_path: Path, suffix: str) -> None:
     read = sdpid.read_recording(path)
     np.testing.assert_array_equal(read.effort, scaled(log, GAINS).effort)
     # How it was read reads the same again, without the file of the gains.
-    assert read.source is not None
     (tmp_path / "gains.toml").unlink()
     repeated = sdpid.read_recording(path, mapping=False, **read.source.options)
     np.testing.assert_array_equal(repeated.effort, read.effort)
-    assert repeated.gains is not None
-    assert read.gains is not None
     assert repeated.gains.same_errors(read.gains)
     assert repeated.gains.source == read.gains.source
 

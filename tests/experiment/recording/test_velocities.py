@@ -53,7 +53,6 @@ def test_scale_sign_and_lag_are_found(
 ) -> None:
     log = moving(rate, scale=sign * scale, lag=lag, seed=seed)
     fit = velocity_fit(log, 1)
-    assert fit is not None
     # At 25 Hz the trapezia of the mean lose (w h)²/12 = 1e-3, and a lag is only taken up to its
     # first order: (w lag)²/2 = 2e-3 of the scale.
     assert fit.scale == pytest.approx(sign * scale, rel=5e-3)
@@ -115,6 +114,5 @@ def test_noise_of_positions_is_no_scale() -> None:
     noisy = log.position + noise * np.random.default_rng(0).standard_normal(log.position.shape)
     log = replace(log, position=noisy)
     fit = velocity_fit(log, 1)
-    assert fit is not None
     assert fit.scale == pytest.approx(np.sqrt(1.0 / 1.16), abs=0.02)
     assert disagreement(log, 0.5) is None

@@ -23,7 +23,6 @@ def alone() -> Identification:
 def with_error(result: Identification, share: float) -> HeldOut:
     """Return blocks whose error is this share of each joint's effort's spread."""
     held_out = result.held_out
-    assert held_out is not None
     rng = np.random.default_rng(0)
     effort = held_out.samples.effort
     error = share * effort.std(axis=0) * rng.standard_normal(effort.shape)

@@ -30,7 +30,6 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     found = headline(good)
     assert "on recordings that were not fitted; the 95 % bands hold 9" in found.error
     assert found.step.startswith("none: use ")
-    assert found.baseline is not None
     for words in ("description as it is", "friction fitted", "least squares", "this estimate"):
         assert words in found.baseline
     blocks = replace(good, validation=None, held_out=hold_out(good.estimate, good.wls, None))
@@ -45,7 +44,6 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
 
 def test_an_estimate_that_costs_more_and_is_worse_is_not_to_be_used(good: Identification) -> None:
     held_out = good.held_out
-    assert held_out is not None
     assert held_out.beaten_by is None
     swapped = {**held_out.baselines, "least squares": held_out.fit}
     worse = replace(held_out, fit=held_out.baselines["description as it is"], baselines=swapped)
@@ -61,7 +59,6 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     found = headline(good)
     errors = urdf_errors(good.estimate, good.validation_samples)
     assert errors is not None
-    assert found.file is not None
     assert f"on the rows in use of the validation recordings it misses {errors}" in found.file
     assert any("do not use identified.urdf" in line for line in found.lines)
     assert (
@@ -79,7 +76,6 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     )
     own = replace(good.problem, friction=replace(friction, terms=kinds))
     advice = headline(replace(good, problem=own)).file
-    assert advice is not None
     assert "estimate.model()" in advice
     assert "identified_friction" not in advice
     theta = np.array(arm_theta())

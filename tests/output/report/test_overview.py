@@ -23,7 +23,6 @@ def test_every_joint_has_effort_error_and_friction() -> None:
         assert row[1].get_ylabel() == "error [N·m]"
         assert row[2].get_xlabel() == "velocity [rad/s]"
     # What was held out, not what was fitted.
-    assert result.validation_samples is not None
     drawn = axes[0, 0].get_lines()[0].get_ydata()
     assert set(np.round(drawn, 9)) <= set(np.round(result.validation_samples.effort[:, 0], 9))
     # A notebook shows axes as their figure, but for a figure that belongs to others.

@@ -46,7 +46,6 @@ def unsaid(result: Identification, *words: str) -> None:
 
 def with_validation(result: Identification, samples: Samples) -> Identification:
     held_out = hold_out(result.estimate, result.wls, samples)
-    assert held_out is not None
     return replace(result, validation=held_out.fit, validation_samples=samples, held_out=held_out)
 
 

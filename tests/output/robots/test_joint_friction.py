@@ -181,7 +181,6 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
     mjcf = sdpid.write_mjcf(estimate, target=tmp_path / "arm.xml")
     for report in (urdf, mjcf):
         robot = sdpid.load_robot(report.path, gravity=ARM.gravity.tolist())
-        assert report.training is not None
         assert report.training.file == pytest.approx(validate_robot(robot, samples).relative)
         assert report.training.estimate == pytest.approx(sdpid.validate(estimate).relative)
         assert f"misses the recorded efforts by {report.training}" in report.describe()
@@ -236,6 +235,5 @@ def test_forces_of_contacts_are_no_friction() -> None:
     numbers = [found.values[joint] for joint in made.robot.joint_names[6:]]
     written = [np.r_[np.zeros(6), [each[key] for each in numbers]] for key in URDF.values()]
     errors = Written(estimate, (written[0], written[1], np.zeros(18))).errors()
-    assert errors is not None
     assert errors.estimate < 0.01
     assert errors.file < 0.05

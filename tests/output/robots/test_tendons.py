@@ -66,7 +66,6 @@ def test_mujoco_has_the_efforts_of_the_model(
     expected = estimate.model().inverse_dynamics(*states)
     found = mujocos(tmp_path / "out.xml", states)
     assert np.abs(found - expected).max() <= CLOSE * np.abs(expected).max()
-    assert report.training is not None
     assert report.training.file == pytest.approx(report.training.estimate, abs=1e-9)
     assert differences(estimate, tmp_path / "out.xml") == []
 

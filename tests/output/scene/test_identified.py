@@ -128,7 +128,6 @@ def test_recordings_play_their_first_minute() -> None:
     assert "no stamps" in bare.note
     # Two pieces an hour apart are played one after the other.
     samples = moved(robot)
-    assert samples.time is not None
     broken = moved(robot, time=samples.time + 3600.0 * (samples.time >= 1.0), starts=(0, 100))
     assert np.allclose(recorded_motion(broken).position, recorded_motion(samples).position)
     assert len(recorded_motion(moved(robot, seconds=0.01)).position) == 1

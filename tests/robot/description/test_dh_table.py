@@ -117,8 +117,6 @@ def test_denso_urdf_is_what_its_script_writes(monkeypatch: pytest.MonkeyPatch) -
     text = (DENSO / "denso_vp6242.urdf").read_text(encoding="utf-8")
     assert DhTable.from_toml(DENSO / "kinematics.toml").to_urdf() == text
     spec = importlib.util.spec_from_file_location("make_urdf", DENSO / "make_urdf.py")
-    assert spec is not None
-    assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     written: dict[Path, str] = {}

@@ -219,7 +219,6 @@ def test_rank_is_that_of_the_singular_values(table: DhTable, seed: int) -> None:
 
 
 def test_right_angles_written_with_five_digits_change_no_choice(denso: RobotModel) -> None:
-    assert denso.urdf is not None
     rounded = denso.urdf.replace("1.5707963267948966", "1.5708")
     assert rounded != denso.urdf
     base, exact = (base_of(r, "viscous") for r in (load_robot(rounded), denso))

@@ -135,7 +135,6 @@ def test_a_mesh_is_found_by_package_by_folder_and_by_path(tmp_path: Path) -> Non
 def test_what_is_refused(geometry: str, message: str) -> None:
     # Pinocchio is not asked for the geometry, so that a model loads whatever its shapes are.
     robot = arm('<box size="1 1 1"/>')
-    assert robot.urdf is not None
     text = robot.urdf.replace('<box size="1 1 1"/>', geometry)
     changed = RobotModel(**{**vars(robot), "urdf": text})
     with pytest.raises(ModelError, match=message):

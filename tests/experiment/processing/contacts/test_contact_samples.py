@@ -30,23 +30,17 @@ def test_parts_and_joins_keep_contacts() -> None:
     covariance = np.diag([1.0, 1.0, np.inf, 5.0, 5.0, 5.0])
     forces = np.random.default_rng(3).normal(size=(12, 2, 6))
     whole = samples(forces=forces, force_covariance=covariance)
-    assert whole.contacts is not None
-    assert whole.contacts.forces is not None
     # Points transmit no moments, whatever is given.
     assert not whole.contacts.forces[:, :, 3:].any()
     assert not whole.contacts.force_covariance[:, 3:].any()  # type: ignore[index]
     parts = [whole.between(0, 5), whole.between(5, 12)]
     joined = Samples.join(parts)
-    assert joined.contacts is not None
     assert joined.contacts.forces is not None
     np.testing.assert_array_equal(joined.contacts.down, whole.contacts.down)
     np.testing.assert_array_equal(joined.contacts.forces, whole.contacts.forces)
     for piece, part in zip(joined.pieces, parts, strict=True):
-        assert piece.contacts is not None
-        assert part.contacts is not None
         np.testing.assert_array_equal(piece.contacts.down, part.contacts.down)
     thin = whole.every(4).contacts
-    assert thin is not None
     np.testing.assert_array_equal(thin.down, whole.contacts.down[::4])
     assert "2 contacts" in repr(whole)
     assert "forces measured" in repr(thin)

@@ -62,7 +62,6 @@ def residuals(walk: Crawl, samples: sdpid.Samples, *, forces: bool, widened: boo
         J = [pin.getFrameJacobian(model, data, f, pin.LOCAL_WORLD_ALIGNED) for f in frames]
         feet = np.array([each[:3] - pin.skew(RADIUS) @ each[3:] for each in J])
         if forces:
-            assert contacts.forces is not None
             error = error - np.einsum("cij,ci->j", feet, contacts.forces[k, :, :3])
         else:
             basis = np.linalg.qr(feet[down[k]].reshape(-1, 18).T)[0]
@@ -97,11 +96,8 @@ def test_wrenches_are_moved_to_the_contact_point() -> None:
     moment = np.cross(RADIUS, walk.forces)
     wrenches = np.concatenate([walk.forces, moment], axis=-1)
     moved = sdpid.process(walk.log(forces=None, wrenches=wrenches), settings).contacts
-    assert plain is not None
-    assert moved is not None
     np.testing.assert_allclose(moved.forces, plain.forces, atol=1e-12)
     told = sdpid.process(walk.log(down=None), settings).contacts
-    assert told is not None
     assert np.mean(told.down == plain.down) > 0.95
 
 
@@ -113,8 +109,6 @@ def test_what_a_sensor_shows_of_a_foot_in_the_air_is_left_out() -> None:
         prepare(walk.robot, walk.log(forces=each), processing).contacts
         for each in (walk.forces, shown)
     )
-    assert plain is not None
-    assert offset is not None
     assert np.array_equal(plain.forces, offset.forces)  # type: ignore[arg-type]
 
 
@@ -146,7 +140,6 @@ def test_recordings_with_other_contacts_are_put_together() -> None:
         logs = [log, replace(log, contacts=held), replace(log, contacts=None)]
         standing, hanging, flying = (prepare(walk.robot, each, processing) for each in logs)
         both = join_samples([standing, hanging, flying]).contacts
-        assert both is not None
         assert both.frames == (*FEET, "base_link")
         K = standing.n_samples
         assert both.down[:, 4].tolist() == [False] * K + [True] * K + [False] * K
@@ -176,7 +169,6 @@ def test_what_does_not_fit_is_refused() -> None:
         prepare_recordings(walk.robot, [log, without], fused)
     # What is predicted needs no forces.
     predicted = prepare_recordings(walk.robot, log, fused).others(without).samples
-    assert predicted.contacts is not None
     assert not predicted.contacts.measured
     with pytest.raises(DataError, match=r"fixed to the ground.*root='free_flyer'"):
         prepare(sdpid.load_robot("solo12"), log)
@@ -225,7 +217,6 @@ def test_accelerations_come_from_what_has_the_less_noise(
 ) -> None:
     walk, random = crawl(), np.random.default_rng(1)
     log = walk.log(frame)
-    assert log.base is not None
 
     def noise(table: Array | None, size: float) -> Array:
         return np.asarray(table) + size * random.normal(size=np.shape(table))

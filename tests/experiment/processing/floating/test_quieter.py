@@ -27,7 +27,6 @@ def test_noise_of_the_pose_is_at_most_a_share_of_gravity_below_the_limit() -> No
 
 def test_a_base_without_an_accelerometer_is_filtered_more() -> None:
     log = sdpid.simulate_legged("solo12", "stand", duration=2.0).recording
-    assert log.base is not None
     with_imu = choose_processing(log).processing
     posed = choose_processing(replace(log, base=replace(log.base, imu=None)))
     assert posed.processing.cutoff_hz < 0.8 * with_imu.cutoff_hz
