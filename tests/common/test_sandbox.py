@@ -80,6 +80,8 @@ def test_modules_beside_the_log_are_not_run(
     monkeypatch.syspath_prepend("")
     monkeypatch.syspath_prepend(os.curdir)
     monkeypatch.syspath_prepend(str(tmp_path))
+    # A child that is measured imports coverage.py, and json with it, before its path is set.
+    monkeypatch.delenv("COVERAGE_PROCESS_START", raising=False)
     # Of a path in the environment an empty entry is the current folder.
     monkeypatch.setenv("PYTHONPATH", os.pathsep + os.environ.get("PYTHONPATH", ""))
     assert run(sandboxed.take, 10) == 10
