@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import os
+
+# Workers fight for the cores where each starts threads of its own: said before NumPy is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +18,10 @@ from hypothesis import HealthCheck, settings
 
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.kernels import compile_kernels
 
-_CI = os.environ.get("CI", "").lower() == "true"
+# On GitHub CI is "without-records": there is a server, and no public recordings.
+_CI = os.environ.get("CI", "").lower()
 
 # Examples take milliseconds to a second depending on the robot, so no deadline is right for all.
 _QUIET = [HealthCheck.too_slow]
@@ -32,9 +39,53 @@ settings.register_profile(
 settings.register_profile(
     "brief", max_examples=10, deadline=None, derandomize=True, suppress_health_check=_QUIET
 )
-settings.load_profile("ci" if _CI else "dev")
+settings.load_profile("ci" if _CI in ("true", "without-records") else "dev")
 
-_REPOSITORY = Path(__file__).resolve().parent.parent
+_TESTS = Path(__file__).resolve().parent
+_REPOSITORY = _TESTS.parent
+# Tests that take over a second of computing, and how much a test may take before it is named.
+_SLOW = _TESTS / "slow.txt"
+_UNLISTED_SECONDS = 5.0
+_UNKNOWN = pytest.StashKey[list[str]]()
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile what Numba compiles once, before workers would each do so."""
+    if not hasattr(session.config, "workerinput") and session.config.getoption("numprocesses", 0):
+        compile_kernels()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what `tests/slow.txt` lists; keep what it lists and nobody collected."""
+    listed = set(_SLOW.read_text(encoding="utf-8").split("\n")) - {""}
+    found = set()
+    for item in items:
+        names = {item.nodeid, item.nodeid.partition("[")[0]} & listed
+        found |= names
+        if names:
+            item.add_marker(pytest.mark.slow)
+    whole = config.args_source is not pytest.Config.ArgsSource.ARGS
+    config.stash[_UNKNOWN] = sorted(listed - found) if whole else []
+
+
+@pytest.fixture
+def unknown_slow_tests(request: pytest.FixtureRequest) -> list[str]:
+    """Return the entries of `tests/slow.txt` that are no test; none where only some were asked."""
+    return request.config.stash[_UNKNOWN]
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Name the tests that are slow and not listed as such."""
+    if "not slow" not in str(config.option.markexpr):
+        return
+    reports = (each for each in terminalreporter.stats.get("passed", ()) if each.when == "call")
+    for report in reports:
+        if report.duration > _UNLISTED_SECONDS:
+            terminalreporter.write_line(
+                f"{report.nodeid} took {report.duration:.1f} s: list it in tests/slow.txt where "
+                "an idle machine needs over a second too"
+            )
 
 
 @pytest.fixture(scope="session")
@@ -43,7 +94,7 @@ def data_folder() -> Path:
     folder = Path(os.environ.get("SDPID_DATA", _REPOSITORY.parent / "shared" / "data"))
     if not folder.is_dir():
         reason = f"no recordings in {folder}; set SDPID_DATA to their folder"
-        if _CI:
+        if _CI == "true":
             pytest.fail(reason)
         pytest.skip(reason)
     return folder

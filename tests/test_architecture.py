@@ -6,14 +6,16 @@ import ast
 import json
 import subprocess
 import sys
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import sdpid
+from tests.helpers.code_lines import code_lines, lines_by_part
 
 PACKAGE = Path(sdpid.__file__).parent
 MODULES = {
@@ -154,8 +156,8 @@ FEATURES = (
 )
 FACES = ("sdpid.cli", "sdpid.workflow")
 
-# A folder of more modules than this wants sub-folders.
-MOST_MODULES = 13
+# Code lines that each room and sub-package may have, lowered by `.ci/budgets`.
+BUDGETS = Path(__file__).with_name("budgets.toml")
 
 
 def imports(tree: ast.AST, *, executed_only: bool = False) -> Iterator[tuple[str, int]]:
@@ -194,19 +196,29 @@ def executed(node: ast.AST) -> Iterator[ast.AST]:
         yield from executed(child)
 
 
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Return the syntax tree of every module, read when a test first asks."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
-# Who imports whom, imports inside functions and for type checkers counted. A package stands for
-# its own __init__.py only: what is imported from a module is counted as that module.
-ARROWS = {
-    name: {
-        imported
-        for given, dots in imports(tree)
-        if (imported := resolved(name, given, dots)) in MODULES and imported not in ("sdpid", name)
+
+@cache
+def arrows() -> dict[str, set[str]]:
+    """Return who imports whom, imports inside functions and for type checkers counted.
+
+    A package stands for its own __init__.py only: what is imported from a module is counted as
+    that module.
+    """
+    return {
+        name: {
+            imported
+            for given, dots in imports(tree)
+            if (imported := resolved(name, given, dots)) in MODULES
+            and imported not in ("sdpid", name)
+        }
+        for name, tree in trees().items()
+        if name != "sdpid"
     }
-    for name, tree in TREES.items()
-    if name != "sdpid"
-}
 
 
 def room(name: str) -> str | None:
@@ -224,10 +236,10 @@ def is_face(name: str) -> bool:
     return name.count(".") == 1 and room(name) not in ROOMS and room(name) is not None
 
 
-def circle(arrows: dict[str, set[str]]) -> list[str]:
+def circle(graph: dict[str, set[str]]) -> list[str]:
     """Return a circle of arrows, empty where there is none."""
     try:
-        TopologicalSorter(arrows).prepare()
+        TopologicalSorter(graph).prepare()
     except CycleError as error:
         return list(error.args[1])
     return []
@@ -236,7 +248,7 @@ def circle(arrows: dict[str, set[str]]) -> list[str]:
 def at_level(level: int) -> dict[str, set[str]]:
     """Return the arrows between rooms (level 2) or between their sub-packages (level 3)."""
     found: dict[str, set[str]] = defaultdict(set)
-    for name, targets in ARROWS.items():
+    for name, targets in arrows().items():
         for target in targets:
             a, b = (".".join(each.split(".")[:level]) for each in (name, target))
             if a != b and len(a.split(".")) == len(b.split(".")) == level:
@@ -245,7 +257,7 @@ def at_level(level: int) -> dict[str, set[str]]:
 
 
 def test_no_circle_between_files() -> None:
-    assert circle(ARROWS) == []
+    assert circle(arrows()) == []
 
 
 @pytest.mark.parametrize(
@@ -262,7 +274,7 @@ def test_no_circle_between(level: int) -> None:
 def test_arrows_point_one_way() -> None:
     order = list(ROOMS)
     wrong = []
-    for name, targets in ARROWS.items():
+    for name, targets in arrows().items():
         if is_face(name):
             continue
         own = room(name)
@@ -296,14 +308,14 @@ def test_every_part_of_a_room_is_named_in_the_order() -> None:
 
 
 def test_imports_are_absolute() -> None:
-    relative = [name for name, tree in TREES.items() if any(dots for _, dots in imports(tree))]
+    relative = [name for name, tree in trees().items() if any(dots for _, dots in imports(tree))]
     assert [name for name in relative if not name.startswith(ALONE)] == []
 
 
 def test_the_checker_stands_alone() -> None:
     wrong = [
         f"{name} imports {imported}"
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         if name.startswith(f"{ALONE}.")
         for imported, dots in imports(tree)
         if not dots
@@ -317,7 +329,7 @@ def test_the_checker_stands_alone() -> None:
 def test_libraries_stay_in_their_rooms() -> None:
     wrong = [
         f"{name} imports {imported}"
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         for imported, _ in imports(tree)
         if (allowed := ALLOWED.get(imported.split(".")[0])) and not name.startswith(allowed)
     ]
@@ -327,7 +339,7 @@ def test_libraries_stay_in_their_rooms() -> None:
 def test_heavy_libraries_are_imported_where_they_are_used() -> None:
     wrong = [
         f"{name} imports {imported} when it is imported"
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         for imported, _ in imports(tree, executed_only=True)
         if imported.split(".")[0] in HEAVY
     ]
@@ -337,7 +349,7 @@ def test_heavy_libraries_are_imported_where_they_are_used() -> None:
 def test_features_can_be_deleted_alone() -> None:
     wrong = [
         f"{name} imports {target}"
-        for name, targets in ARROWS.items()
+        for name, targets in arrows().items()
         for target in targets
         for feature in FEATURES
         if (target + ".").startswith(feature + ".")
@@ -348,10 +360,24 @@ def test_features_can_be_deleted_alone() -> None:
     assert wrong == []
 
 
-def test_folders_are_small() -> None:
-    sizes = Counter(path.parent for path in MODULES.values() if path.name != "__init__.py")
-    large = {str(folder): size for folder, size in sizes.items() if size > MOST_MODULES}
-    assert large == {}
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib came with Python 3.11")
+def test_no_room_has_more_lines_than_its_budget() -> None:
+    import tomllib
+
+    budgets = tomllib.loads(BUDGETS.read_text(encoding="utf-8"))["lines"]
+    found = lines_by_part(BUDGETS.parent.parent)
+    assert sorted(found) == sorted(budgets), "parts came or went: .ci/budgets renews the table"
+    over = {part: (count, budgets[part]) for part, count in found.items() if count > budgets[part]}
+    assert over == {}, "code lines beside the budget: cut, or .ci/budgets --raise PART REASON"
+
+
+def test_docstrings_comments_and_blank_lines_are_no_code() -> None:
+    text = (
+        '"""One."""\n\n# Two.\n'
+        'def f() -> str:\n    """Three,\n\n    four."""\n'
+        '    # Five.\n    return """six\n# six"""  # six\n'
+    )
+    assert code_lines(text) == 3
 
 
 def run(code: str) -> str:

@@ -17,20 +17,28 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 FOLDER = REPOSITORY / "examples"
 # Where tests find real recordings (tests/conftest.py); without them examples leave those out.
 DATA = Path(os.environ.get("SDPID_DATA", REPOSITORY.parent / "shared" / "data"))
-# Tools of the benchmark are run by its script, in environments of their own.
-EXAMPLES = sorted(
+# What users run stands in the folder itself, the studies of docs/evidence below it. Tools of the
+# benchmark are run by its script, in environments of their own; speed is measured, not tested.
+EXAMPLES = sorted(FOLDER.glob("*.py"))
+STUDIES = sorted(
     p
-    for p in FOLDER.rglob("*.py")
-    if "__main__" in p.read_text(encoding="utf-8") and p.parent.name != "adapters"
+    for p in FOLDER.glob("*/**/*.py")
+    if "__main__" in p.read_text(encoding="utf-8") and not {"adapters", "speed"} & {*p.parts}
 )
 
 
-def test_there_are_examples() -> None:
+def test_there_are_examples_and_studies() -> None:
     assert EXAMPLES
+    assert STUDIES
 
 
-@pytest.mark.examples
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        *(pytest.param(path, marks=pytest.mark.examples, id=path.stem) for path in EXAMPLES),
+        *(pytest.param(path, marks=pytest.mark.studies, id=path.stem) for path in STUDIES),
+    ],
+)
 def test_example_runs(path: Path, tmp_path: Path) -> None:
     # The package under test, installed or not.
     places = [str(Path(sdpid.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]

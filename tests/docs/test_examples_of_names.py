@@ -22,8 +22,8 @@ NAMESPACES = ("constraints", "controllers", "errors", "friction", "plots")
 OBJECTS = re.compile(r"^\.\. auto(?:class|function|exception):: (\S+)$", re.M)
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
-# One process makes what the examples start from.
-pytestmark = pytest.mark.xdist_group("examples of names")
+# Processes make what the examples start from, once each: this many groups of examples share it.
+GROUPS = 4
 
 # What `numpydoc.validate` must not find: no docstring; missing, unknown, disordered parameters,
 # parameters without a type or a description; no summary in a sentence; unknown or disordered
@@ -48,6 +48,15 @@ def names_of_the_pages() -> list[str]:
 
 
 NAMES = sorted({*public_names(), *names_of_the_pages()})
+
+
+def grouped() -> list[Any]:
+    """Return the names with a mark each, by which workers share the groups."""
+    found = []
+    for i, name in enumerate(NAMES):
+        group = f"examples of names {i * GROUPS // len(NAMES)}"
+        found.append(pytest.param(name, marks=pytest.mark.xdist_group(group)))
+    return found
 
 
 def _summary(name: str) -> str:
@@ -107,7 +116,7 @@ def _undescribed(found: type) -> Iterator[str]:
     yield from (f"unknown: {name}" for name in described - known)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def start(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return the namespace that the lines of the index page make."""
     lines = re.findall(r"^```python\n(.*?)^```", (API / "index.md").read_text("utf-8"), re.M | re.S)
@@ -118,7 +127,7 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", grouped())
 def test_examples_run(
     name: str, start: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
