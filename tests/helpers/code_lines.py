@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import io
-import tokenize
 from collections import Counter
 from pathlib import Path
 
@@ -13,17 +11,20 @@ _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 def code_lines(text: str) -> int:
     """Return how many lines of a module are neither blank, nor comment, nor docstring."""
-    lines = text.splitlines()
     skipped: set[int] = set()
+    # Lines that begin within a text: a "#" there begins no comment.
+    within: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             first = node.body[0]
             skipped.update(range(first.lineno, (first.end_lineno or first.lineno) + 1))
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        row, column = token.start
-        if token.type == tokenize.COMMENT and not lines[row - 1][:column].strip():
-            skipped.add(row)
-    return sum(bool(line.strip()) and row not in skipped for row, line in enumerate(lines, 1))
+        elif isinstance(node, (ast.Constant, ast.JoinedStr)):
+            within.update(range(node.lineno + 1, (node.end_lineno or node.lineno) + 1))
+    count = 0
+    for row, line in enumerate(text.splitlines(), 1):
+        comment = line.lstrip().startswith("#") and row not in within
+        count += bool(line.strip()) and row not in skipped and not comment
+    return count
 
 
 def lines_by_part(repository: Path) -> dict[str, int]:
