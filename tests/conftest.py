@@ -75,13 +75,11 @@ def unknown_slow_tests(request: pytest.FixtureRequest) -> list[str]:
     return request.config.stash[_UNKNOWN]
 
 
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Name the tests that are slow and not listed as such."""
-    if "not slow" not in str(config.option.markexpr):
-        return
-    reports = (each for each in terminalreporter.stats.get("passed", ()) if each.when == "call")
-    for report in reports:
-        if report.duration > _UNLISTED_SECONDS:
+    for report in terminalreporter.stats.get("passed", ()):
+        listed = {"slow", "examples", "studies"} & {*report.keywords}
+        if report.when == "call" and report.duration > _UNLISTED_SECONDS and not listed:
             terminalreporter.write_line(
                 f"{report.nodeid} took {report.duration:.1f} s: list it in tests/slow.txt where "
                 "an idle machine needs over a second too"

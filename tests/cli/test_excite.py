@@ -196,7 +196,7 @@ def test_ctrl_c_writes_the_best_so_far(folder: Path, tmp_path: Path) -> None:
 
 def test_a_robot_that_stands(tmp_path: Path) -> None:
     out = tmp_path / "plan"
-    done = run("excite", "solo12", "--stand", "--duration", "2", "--steps", "8",
+    done = run("excite", "solo12", "--stand", "--duration", "2", "--steps", "3",
                "--no-figures", "--grip", "0.4", "--out", out)  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "of 130 base parameters known ten times as well as before" in done.output

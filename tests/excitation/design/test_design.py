@@ -84,7 +84,7 @@ def test_a_plan_begins_where_it_is_asked_to() -> None:
 @pytest.mark.parametrize("motion", ["fourier", "postures", "one_by_one"])
 def test_every_kind_of_motion_holds_its_limits(motion: Any) -> None:
     found = sdpid.design_excitation(
-        "denso_vp6242", motion=motion, duration=20.0, starts=1, time_limit=8.0, objective="D"
+        "denso_vp6242", motion=motion, duration=20.0, starts=1, time_limit=3.0, objective="D"
     )
     assert found.limits.ok
     assert found.motion == motion
@@ -157,7 +157,7 @@ def test_a_payload_is_asked_for_by_name() -> None:
 def test_torque_limits_with_a_spread_are_held() -> None:
     robot = sdpid.load_robot("panda")
     found = sdpid.design_excitation(
-        robot, torque_spread=2.0, duration=6.0, starts=1, time_limit=10.0, collisions=False
+        robot, torque_spread=2.0, duration=6.0, starts=1, time_limit=4.0, collisions=False
     )
     rows = [row for row in found.limits.rows if row.kind == "torque"]
     assert rows
