@@ -193,12 +193,19 @@ SECONDS = {"quick": 0.1, "slow": 50.0, "broken": 0.2, "other": 0.1}
 def test_a_renewed_list_says_what_noticed_each_error() -> None:
     room = room_of(SOURCE, COVERING, dict(SECONDS))
     pool = Pool({"quick": "x >= 0", "broken": "x"})
-    entries = mutants.renew(pool, room, seed=0)
+    entries = mutants.renew(pool, room, 0)
     # The test of the `raise` takes too long for a draw.
     assert [(each["kind"], each["result"], each["by"]) for each in entries] == [
         ("comparison", "killed", "quick")
     ]
-    assert all("broken" not in tests for tests in pool.met)
+    assert pool.met == [("quick", "broken")]
+
+
+def test_what_fails_without_an_error_notices_none() -> None:
+    pool = Pool({"broken": "x"})
+    (entry,) = mutants.renew(pool, room_of(SOURCE, COVERING, dict(SECONDS)), 0)
+    assert (entry["result"], entry["by"]) == ("survived", "")
+    assert pool.met == [("quick", "broken"), ("quick",)]
 
 
 def noticed(kind: str, line: str, by: str) -> dict[str, Any]:
@@ -218,18 +225,25 @@ def test_errors_that_tests_still_notice_are_no_loss() -> None:
     pool = Pool({"quick": "x >= 0", "slow": "pass"})
     assert mutants.again(pool, room_of(SOURCE, COVERING, dict(SECONDS)), ENTRIES) == []
     # What noticed an error before comes first, and goes beyond the time.
-    assert ("other", "quick") in pool.met
-    assert ("slow",) in pool.met
+    assert pool.met == [("other", "quick", "broken"), ("slow",)]
 
 
 def test_an_error_that_is_noticed_no_more_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     pool = Pool({"slow": "pass"})
     (line,) = mutants.again(pool, room_of(SOURCE, COVERING, dict(SECONDS)), ENTRIES)
     assert line.startswith("sdpid/robot/a.py, f: comparison in 'if x < 0:' was noticed (other)")
-    assert "2 tests that run the line" in line
+    assert "3 tests that run the line" in line
     # Before that it met the slow test, too.
-    assert ("quick", "slow") in pool.met
+    assert pool.met[-1] == ("quick", "broken", "slow")
     assert "robot: 1 noticed, 1 no more, 1 gone" in capsys.readouterr().out
+
+
+def test_a_check_that_is_gone_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    source = SOURCE.replace("raise ValueError", "return None")
+    assert mutants.again(Pool({}), room_of(source, COVERING, dict(SECONDS)), ENTRIES[1:2]) == []
+    shown = capsys.readouterr().out
+    assert "robot: gone from f in sdpid/robot/a.py: raise ValueError" in shown
+    assert "robot: 0 noticed, 0 no more, 1 gone" in shown
 
 
 def test_a_line_that_no_test_runs_any_more_is_a_loss() -> None:
