@@ -1,28 +1,29 @@
-"""The compressed cost is the cost of the raw rows, whatever the weights and masks."""
+"""x"""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
 import sdpid.estimation.compression.rows as rows_module
+from sdpid import Constraints, Recording, RobotModel, Samples, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, residual_covariance
-from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import TotalMass
-from sdpid.estimation.problem import build_problem, describe
-from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.problem import Problem, build_problem, describe
+from sdpid.robot.inertia import Consistency
 from tests.helpers.data import (
     brute_force_cost,
     make_samples,
@@ -30,10 +31,12 @@ from tests.helpers.data import (
     random_covariance,
     random_theta,
     raw_rows,
+    relative_error,
 )
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
-from tests.helpers.strategies import SEEDS, random_states
-from tests.helpers.tolerances import COST
+from tests.helpers.strategies import SEEDS, dh_tables, random_states
+from tests.helpers.tolerances import COST, EXACT, LOCAL_PARAMETERS
 
 ARM = small_arm(3)
 
@@ -58,12 +61,7 @@ def noisy_samples(seed: int, robot: RobotModel = ARM, **options: Any) -> Any:
     return samples, theta, rng
 
 
-@given(
-    SEEDS,
-    st.sampled_from(WEIGHTINGS),
-    st.sampled_from(["none", "one", "each"]),
-    st.booleans(),
-)
+@given(SEEDS, st.sampled_from(WEIGHTINGS), st.sampled_from(["none", "one", "each"]), st.booleans())
 @settings(max_examples=40)
 def test_cost_is_that_of_the_raw_rows(
     seed: int, weighting: Weighting, covariance: str, masked: bool
@@ -158,8 +156,6 @@ def test_chunks_do_not_change_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_floating_base() -> None:
     """Six unactuated coordinates whose efforts are not measured are masked."""
-    import pinocchio as pin
-
     robot = load_robot(TREE, root="free_flyer")
     rng = np.random.default_rng(12)
     tangent, v, a = random_states(rng, robot.n, 150)
@@ -168,8 +164,6 @@ def test_a_floating_base() -> None:
     theta = random_theta(robot, rng, ("viscous",))
     effort = robot.inverse_dynamics(theta, q, v, a)
     effort[:, 6:] += v[:, 6:] * theta[10 * robot.n_links :]
-    from sdpid.experiment.processing.samples import Samples
-
     samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
     problem = build_problem(robot, samples, friction=("viscous",))
     base = solve_wls(problem).base
@@ -196,8 +190,6 @@ def test_other_constraints_keep_the_cost() -> None:
 
 
 def test_the_description_of_a_problem_is_plain() -> None:
-    import json
-
     samples, _, _ = noisy_samples(15, masked=True)
     plain = describe(build_problem(ARM, samples))
     assert json.loads(json.dumps(plain)) == plain
@@ -212,17 +204,16 @@ def test_results_are_read_only() -> None:
             array[0] = 1.0
 
 
-BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
-    ({"weighting": "ols"}, DataError, "weighting is 'ols': use one of gls"),
-    ({"consistency": "full"}, DataError, "consistency is 'full'"),
-]
-
-
-@pytest.mark.parametrize(("options", "error", "says"), BAD)
-def test_unknown_options(options: dict[str, Any], error: type[Exception], says: str) -> None:
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"weighting": "ols"}, "weighting is 'ols': use one of gls"),
+        ({"consistency": "full"}, "consistency is 'full'"),
+    ],
+)
+def test_unknown_options(options: dict[str, Any], says: str) -> None:
     samples, _, _ = noisy_samples(17)
-    with pytest.raises(error, match=says):
-        build_problem(ARM, samples, **options)
+    refuses(DataError, says, build_problem, ARM, samples, **options)
 
 
 def test_samples_of_another_robot() -> None:
@@ -230,8 +221,7 @@ def test_samples_of_another_robot() -> None:
     with pytest.raises(DataError, match="samples have 3 joints, the robot 'arm2' has 2"):
         build_problem(small_arm(2), samples)
     renamed = replace(samples, joint_names=("joint_2", "joint_1", "joint_3"))
-    with pytest.raises(DataError, match="joint_2, joint_1, joint_3"):
-        build_problem(ARM, renamed)
+    refuses(DataError, "joint_2, joint_1, joint_3", build_problem, ARM, renamed)
 
 
 def test_a_singular_covariance_is_refused() -> None:
@@ -259,8 +249,7 @@ def test_a_singular_covariance_is_refused() -> None:
     ],
 )
 def test_bad_constraints(options: dict[str, float], error: type[Exception]) -> None:
-    with pytest.raises(error, match="Constraints"):
-        Constraints(**options)
+    refuses(error, "Constraints", Constraints, **options)
 
 
 def test_residual_sigma_is_what_its_estimator_says() -> None:
@@ -290,8 +279,7 @@ def test_residuals_over_their_sigma_have_a_variance_of_one(noise: float) -> None
     ],
 )
 def test_arguments_of_another_kind(arguments: tuple[Any, Any], says: str) -> None:
-    with pytest.raises(SdpidError, match=says):
-        build_problem(*arguments)
+    refuses(SdpidError, says, build_problem, *arguments)
 
 
 def test_a_recording_or_a_file_is_processed(tmp_path: Path) -> None:
@@ -320,13 +308,99 @@ def test_a_single_condition_needs_no_tuple() -> None:
     total = TotalMass(3.0)
     assert Constraints(others=total).others == (total,)
     assert Constraints(others=[total]).others == (total,)
-    with pytest.raises(DataError, match="'mass' among the others is not a Condition"):
-        Constraints(others="mass")  # type: ignore[arg-type]
+    refuses(DataError, "'mass' among the others is not a Condition", Constraints, others="mass")
 
 
 @pytest.mark.parametrize("taken", [sdpid.solve_robust, sdpid.RecursiveEstimator])
 @pytest.mark.parametrize("fields", [{"constant": 1.0}, {"meaning": "a second stage"}])
 def test_costs_of_other_rows_are_refused(taken: Any, fields: dict[str, Any]) -> None:
     problem = replace(build_problem(ARM, noisy_samples(0)[0]), **fields)
-    with pytest.raises(DataError, match="not that of the measured samples"):
-        taken(problem)
+    refuses(DataError, "not that of the measured samples", taken, problem)
+
+
+# ---- On exact data every estimator returns the true base parameters.
+
+
+ARMS = {n: small_arm(n) for n in (2, 3)}
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+
+
+def exact(robot: RobotModel, seed: int, **options: object) -> tuple[Problem, Array, Array]:
+    """Return a problem without noise, the true theta and the true base parameters."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(robot, rng)
+    count = 12 * robot.n + 40
+    covariance = random_covariance(rng, robot.n, count)
+    samples = make_samples(robot, theta, rng, count=count, covariance=covariance)
+    problem = build_problem(robot, samples, **options)  # type: ignore[arg-type]
+    return problem, theta, problem.base_of(theta)
+
+
+def error_of(problem: Problem, base: Array, truth: Array) -> float:
+    return relative_error(base, truth, problem.base.units)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_wls_on_the_denso(denso: RobotModel, weighting: Weighting) -> None:
+    problem, _, truth = exact(denso, 0, weighting=weighting)
+    assert error_of(problem, solve_wls(problem).base, truth) <= EXACT
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18", "residual"])
+@pytest.mark.parametrize("consistency", BOTH)
+def test_sdp_on_the_denso(
+    denso: RobotModel, weighting: Weighting, consistency: Consistency
+) -> None:
+    problem, _, truth = exact(denso, 1, weighting=weighting, consistency=consistency)
+    estimate = solve_sdp(problem)
+    assert estimate.status == "optimal"
+    assert error_of(problem, estimate.base, truth) <= EXACT
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_sdp_on_a_tree(consistency: Consistency) -> None:
+    problem, _, truth = exact(load_robot(TREE), 2, consistency=consistency)
+    assert error_of(problem, solve_sdp(problem).base, truth) <= EXACT
+
+
+@given(dh_tables(most=3, clear=True), SEEDS)
+@settings(max_examples=10)
+def test_wls_on_any_arm(table: object, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)  # type: ignore[arg-type]
+    problem, _, truth = exact(robot, seed)
+    assert error_of(problem, solve_wls(problem).base, truth) <= EXACT
+
+
+@given(SEEDS)
+@settings(max_examples=5)
+def test_sdp_on_small_arms(seed: int) -> None:
+    for consistency in BOTH:
+        problem, _, truth = exact(ARMS[2], seed, consistency=consistency)
+        estimate = solve_sdp(problem)
+        assert error_of(problem, estimate.base, truth) <= EXACT
+        assert estimate.feasible
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_slsqp_from_near_the_truth(consistency: Consistency) -> None:
+    problem, theta, truth = exact(ARMS[3], 3, consistency=consistency)
+    start = theta * (1.0 + 0.02 * np.random.default_rng(0).standard_normal(len(theta)))
+    estimate = solve_slsqp(problem, start=start)
+    assert estimate.status == "optimal"
+    assert error_of(problem, estimate.base, truth) <= LOCAL_PARAMETERS
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_slsqp_from_a_random_start(consistency: Consistency) -> None:
+    problem, _, truth = exact(ARMS[2], 4, consistency=consistency)
+    start = random_start(problem, np.random.default_rng(5))
+    estimate = solve_slsqp(problem, start=start)
+    assert error_of(problem, estimate.base, truth) <= LOCAL_PARAMETERS
+    np.testing.assert_array_equal(np.asarray(estimate.start), start)
+
+
+def test_slsqp_at_the_truth_stays_there(denso: RobotModel) -> None:
+    problem, theta, truth = exact(denso, 6)
+    estimate = solve_slsqp(problem, start=theta)
+    assert estimate.iterations <= 5
+    assert error_of(problem, estimate.base, truth) <= EXACT

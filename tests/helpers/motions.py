@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -55,3 +56,12 @@ def fourier_motion(joint_names: tuple[str, ...], seed: int = 0, *, periods: int 
         position_range=np.tile([-np.pi, np.pi], (n, 1)),
         velocity_limit=np.full(n, 8.0),
     )
+
+
+def slow_motion(count: int, rate_hz: float = 25.0) -> tuple[Array, Array, Array]:
+    """Return states (count, 2) of a slow motion of two joints that does not repeat itself."""
+    time = np.arange(count) / rate_hz
+    omega = np.array([[0.9, 1.3], [2.1, 3.1], [4.3, 3.7]])
+    waves = np.exp(1j * (time[:, None, None] * omega + [0.3, 1.2]))
+    q, v, a = (np.real(waves * (1j * omega) ** k / omega).sum(axis=1) for k in range(3))
+    return q, v, a

@@ -10,7 +10,7 @@ from harness import Bench
 from sdpid._common.tables import Table
 from sdpid.errors import SolverError
 from sdpid.estimation.sdp.solve import solve_sdp
-from tests.estimation.sdp.test_solve import BOTH, ROBOTS, noisy
+from tests.estimation.test_sdp import BOTH, ROBOTS, noisy
 
 # Robots, margins (kg·m²), weightings and seeds; under either consistency 648 problems.
 NAMES = ("pendulum", "planar", "arm2")

@@ -56,7 +56,7 @@ class _Attempt:
 
 
 # Tried in turn until the gap is proven small. Without the second or the last, small problems stay
-# unproven (tests/estimation/sdp/test_attempts.py); without the third or the fourth, some robots of
+# unproven (tests/estimation/test_sdp.py); without the third or the fourth, some robots of
 # example-robot-data with weak data (examples/studies/every_robot.py: Baxter, Centauro, iCub).
 _ATTEMPTS = (
     _Attempt("most problems", 1e-10),

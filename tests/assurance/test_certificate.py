@@ -1,0 +1,822 @@
+"""Certificates as files: what they say is proven, and what was changed is found out."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid import Prior, build_problem, certify, solve_sdp, solve_slsqp, solve_wls, verify
+from sdpid.assurance.certificate.certificate import GAP, Certificate
+from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite
+from sdpid.assurance.certificate.rows_digest import rows_digest
+from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Fixed
+from sdpid.errors import CertificateError, DataError
+from sdpid.estimation.compression.covariance import WEIGHTINGS
+from sdpid.estimation.estimate import Estimate
+from sdpid.robot.inertia import Consistency, matrix_basis
+from sdpid.verifier import certificate as checker
+from sdpid.verifier import command, exact, reading
+from sdpid.verifier.bodies import has_margin
+from sdpid.workflow.formulate import formulate
+from sdpid.workflow.verify import Verification
+from tests.helpers.arm import ARM, BODIES, BOTH, FIRST, LAST, LIGHT, arm_problem
+from tests.helpers.data import make_samples, random_covariance, random_links, random_theta
+from tests.helpers.refusals import refuses
+
+# The stand-alone checker.
+FOLDER = Path(command.__file__).parent
+Data = dict[str, Any]
+Path_ = tuple[Any, ...]
+
+
+def certificate(kind: str) -> Data:
+    """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
+    others = (
+        LIGHT,
+        CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
+        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
+        Fixed({"Fv1": 0.5}),
+    )
+    priors = {"entropic": Prior(kind="entropic", bodies=BODIES), "prior": Prior(bodies=BODIES)}
+    problem = arm_problem(
+        *others,
+        margin=0.0 if kind == "entropic" else 1e-3,
+        consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
+        prior=priors.get(kind),
+    )
+    return certify(solve_sdp(problem)).to_dict()
+
+
+MADE = {kind: certificate(kind) for kind in ("pseudo", "spatial", "prior", "entropic")}
+
+
+def sealed(data: Data) -> Data:
+    """Return a certificate whose digest is right: what a forger would write."""
+    try:
+        return {**data, "sha256": reading.digest(data)}
+    except (ValueError, OverflowError):
+        return data
+
+
+def checked(data: Data, folder: Path) -> Verification:
+    """Verify through a file; NaN is written as Python does."""
+    path = folder / "c.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return verify(path)
+
+
+def holds(text: str) -> bool:
+    """Whether what a file says is proven."""
+    try:
+        return not checker.check(checker.load(text.encode())).problems
+    except reading.REFUSED:
+        return False
+
+
+def rejected(data: Data, folder: Path) -> bool:
+    """Whether a certificate is refused, or found not to hold."""
+    try:
+        return not checked(data, folder).passed
+    except CertificateError:
+        return True
+
+
+def alone(path: Path) -> subprocess.CompletedProcess[str]:
+    """Run the script where nothing but the standard library can be imported."""
+    command = [sys.executable, "-I", "-S", str(FOLDER), str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
+    data = MADE[kind]
+    found = checked(data, tmp_path)
+    assert found.passed, found.problems
+    assert found.problems == ()
+    assert found.gap <= GAP
+    assert found.cost == data["claims"]["cost"]
+    assert found.lower_bound == data["claims"]["lower_bound"]
+    assert found.margin is not None
+    assert found.sha256 == hashlib.sha256((tmp_path / "c.json").read_bytes()).hexdigest()
+    # Every new part is in use, or tampering below would mean nothing.
+    problem, multipliers = data["problem"], data["multipliers"]
+    assert len(problem["rows"]) == len(multipliers["rows"]) == 6
+    assert len(problem["cones"]) == 1
+    assert np.abs(multipliers["rows"]).max() > 0.1
+    assert np.trace(np.array(multipliers["Z"][-1])) > 0.1
+    entropic = kind == "entropic"
+    assert (problem["entropic_prior"] is not None) == (multipliers["W"] is not None) == entropic
+    assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(MADE[kind]), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 0, done.stderr
+    claims = MADE[kind]["claims"]
+    for said in (
+        f"No feasible parameters cost less than {claims['lower_bound']!r}.",
+        f"the least margin {min(claims['margins'])!r} kg.m2",
+        f"They cost at most {claims['cost']!r}.",
+        f"a gap of at most {claims['gap']!r}",
+        "\nPROVEN, but for what was not checked.",
+    ):
+        assert said in done.stdout
+
+
+def test_status_of_the_script(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    data = copy.deepcopy(MADE["pseudo"])
+    data["theta"][0] += 1.0
+    path.write_text(json.dumps(data), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 1
+    assert "NOT PROVEN: the digest" in done.stdout
+    assert "\nPROVEN" not in done.stdout
+    path.write_text("{}", encoding="utf-8")
+    assert alone(path).returncode == 2
+    assert alone(tmp_path / "none.json").returncode == 2
+    assert command.main([]) == 2
+
+
+# ---- What is claimed is as strong as can be, and no stronger ------------------------------------
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize(
+    ("claim", "toward"), [("cost", -math.inf), ("lower_bound", math.inf), ("gap", -math.inf)]
+)
+def test_no_claim_can_be_better_by_a_digit(
+    kind: str, claim: str, toward: float, tmp_path: Path
+) -> None:
+    data = copy.deepcopy(MADE[kind])
+    data["claims"][claim] = math.nextafter(data["claims"][claim], toward)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_margins_cannot_be_better(kind: str, tmp_path: Path) -> None:
+    for link, margin in enumerate(MADE[kind]["claims"]["margins"]):
+        data = copy.deepcopy(MADE[kind])
+        data["claims"]["margins"][link] = margin + 1e-12
+        assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
+    from sdpid.estimation.duality.bound import evaluate
+
+    problem = arm_problem(
+        LIGHT,
+        consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
+        prior=Prior(kind="entropic", bodies=BODIES) if kind == "entropic" else None,
+    )
+    # Without rows nothing is added for their compression.
+    estimate = solve_sdp(problem.without_rows())
+    found = certify(estimate)
+    assert found.cost == pytest.approx(estimate.cost, rel=1e-13)
+    assert found.lower_bound == pytest.approx(evaluate(problem, found.bound.multipliers), rel=1e-12)
+    assert found.margins == pytest.approx(tuple(estimate.margins), rel=1e-9)
+    assert found.gap == pytest.approx((found.cost - found.lower_bound) / found.cost, abs=1e-15)
+
+
+# ---- Tampering ----------------------------------------------------------------------------------
+
+
+def leaves(value: Any, path: Path_ = ()) -> Iterator[Path_]:
+    """Yield the paths of everything that is neither list nor object, and of what is empty."""
+    if isinstance(value, (dict, list)) and value:
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, item in items:
+            yield from leaves(item, (*path, key))
+    else:
+        yield path
+
+
+def at(data: Data, path: Path_) -> Any:
+    value: Any = data
+    for key in path:
+        value = value[key]
+    return value
+
+
+LEAVES = {
+    kind: [path for path in leaves(data) if path[0] not in ("metadata", "sha256")]
+    for kind, data in MADE.items()
+}
+
+
+@given(st.data())
+def test_a_changed_digit_anywhere_that_matters_is_rejected(data: st.DataObject) -> None:
+    """Without a new digest, every change of anything but descriptions is seen."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    path = data.draw(st.sampled_from(LEAVES[kind]))
+    forged = copy.deepcopy(MADE[kind])
+    where, value = at(forged, path[:-1]), at(forged, path)
+    other = [True, "a half", None, 10**400, [], {}, float("nan"), float("inf"), -float("inf")]
+    if type(value) in (int, float):
+        other += [value + 1, math.nextafter(value, math.inf), math.nextafter(value, -math.inf)]
+        other += [-value] if value else []
+    new = data.draw(st.sampled_from([item for item in other if repr(item) != repr(value)]))
+    how = data.draw(st.sampled_from(["change", "remove", "swap", "reverse"]))
+    if how == "change":
+        where[path[-1]] = new
+    elif how == "remove":
+        del where[path[-1]]
+    elif isinstance(where, list) and where != where[::-1] and how == "reverse":
+        where.reverse()
+    elif isinstance(where, list) and (k := path[-1]) and where[k] != where[k - 1]:
+        where[k], where[k - 1] = where[k - 1], where[k]
+    else:
+        where[path[-1]] = new
+    assert not holds(json.dumps(forged))
+
+
+@given(st.data())
+def test_so_is_any_character_of_the_file(data: st.DataObject) -> None:
+    """One character of the text is another: it is refused, or means the same."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    text = json.dumps(MADE[kind])
+    k = data.draw(st.integers(0, len(text) - 1))
+    forged = text[:k] + data.draw(st.sampled_from('0123456789-+.eE,[]{}" tx')) + text[k + 1 :]
+    if not holds(forged):
+        return
+    same, found = copy.deepcopy(MADE[kind]), checker.load(forged.encode())
+    assert {**found, "metadata": None} == {**same, "metadata": None}
+
+
+@given(st.data())
+def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) -> None:
+    """Anything may stand anywhere: the check ends with an answer or says what is wrong."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    path = data.draw(st.sampled_from(LEAVES[kind]))
+    depth = data.draw(st.integers(1, len(path)))
+    forged = copy.deepcopy(MADE[kind])
+    where, key = at(forged, path[: depth - 1]), path[depth - 1]
+    odd = [None, True, -1, 10**400, 1e300, -1e300, 5e-324, "x", [], {}, [[]], [None], {"x": 1}]
+    where[key] = data.draw(st.sampled_from(odd))
+    try:
+        result = checker.check(sealed(forged))
+    except reading.MalformedError:
+        return
+    if not result.problems and path[0] != "problem":
+        # Other parameters or multipliers may do as well, but prove no more than there is.
+        claims = MADE[kind]["claims"]
+        assert forged["claims"]["lower_bound"] <= claims["cost"]
+
+
+def test_descriptions_may_be_changed(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["metadata"]["message"] = "something else"
+    assert checked(data, tmp_path).passed
+
+
+def test_a_key_occurs_once(tmp_path: Path) -> None:
+    text = json.dumps(MADE["pseudo"])
+    assert holds(text)
+    assert not holds(text[:-1] + ', "theta": null}')
+    assert not holds(text.replace('"floor": ', '"floor": 0.0, "floor": ', 1))
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000])
+def test_literals_that_are_no_numbers(literal: str) -> None:
+    text = json.dumps(MADE["pseudo"])
+    floor = json.dumps(MADE["pseudo"]["problem"]["floor"])
+    forged = text.replace(f'"floor": {floor}', f'"floor": {literal}', 1)
+    assert forged != text
+    assert not holds(forged)
+
+
+def change(path: tuple[Any, ...], how: Callable[[Any], Any]) -> Callable[[Data], None]:
+    """Return what changes one entry."""
+
+    def apply(data: Data) -> None:
+        at: Any = data
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = how(at[path[-1]])
+
+    return apply
+
+
+def scaled(factor: float) -> Callable[[Any], Any]:
+    """Return what scales all numbers of a value."""
+    return lambda value: (factor * np.array(value)).tolist()
+
+
+# Of the total mass, a known friction, and a wall that nothing leans on: each is said otherwise.
+TAMPERED: dict[str, Callable[[Data], None]] = {
+    "another total mass": change(("problem", "rows", 0, "upper"), lambda value: value - 0.01),
+    "no total mass": change(("problem", "rows", 0, "upper"), lambda value: None),
+    "other coefficients": change(("problem", "rows", 0, "coefficients"), scaled(1.01)),
+    "another friction": change(("problem", "rows", -1, "lower"), lambda value: value + 1e-3),
+    "another friction above": change(("problem", "rows", -1, "upper"), lambda value: value - 1e-3),
+    "a row less": lambda data: data["problem"]["rows"].pop(),
+    "a multiplier less": lambda data: data["multipliers"]["rows"].pop(),
+    "a row and its multiplier less": lambda data: (
+        data["problem"]["rows"].pop(0),
+        data["multipliers"]["rows"].pop(0),
+    ),
+    "larger multipliers of rows": change(("multipliers", "rows"), scaled(1.01)),
+    "no multipliers of rows": change(("multipliers", "rows"), scaled(0.0)),
+    "reversed multipliers of rows": change(("multipliers", "rows"), scaled(-1.0)),
+    "another axis": change(("problem", "cones", 0, "axis"), scaled(0.99)),
+    "other vectors": change(("problem", "cones", 0, "vectors"), scaled(1.01)),
+    "another link": change(("problem", "cones", 0, "link"), lambda link: 1 - link),
+    "no cone": change(("problem", "cones"), lambda cones: []),
+    "no multiplier of the cone": lambda data: data["multipliers"]["Z"].pop(),
+    "a larger multiplier of the cone": change(("multipliers", "Z", -1), scaled(1.1)),
+    "a negative multiplier of the cone": change(("multipliers", "Z", -1), scaled(-1.0)),
+    "a smaller floor": change(("problem", "floor"), lambda floor: 0.9 * floor),
+    "a smaller margin": change(("problem", "margin"), lambda value: value + 1e-2),
+    "version 1": change(("version",), lambda version: 1),
+    "another cost": change(("claims", "cost"), lambda cost: 0.999 * cost),
+    "another bound": change(("claims", "lower_bound"), lambda bound: 1.001 * bound),
+}
+ENTROPIC: dict[str, Callable[[Data], None]] = {
+    "another strength": change(
+        ("problem", "entropic_prior", "strength"), lambda value: 1.01 * value
+    ),
+    "a strength below zero": change(
+        ("problem", "entropic_prior", "strength"), lambda value: -value
+    ),
+    "other beliefs": change(("problem", "entropic_prior", "inverses"), scaled(1.01)),
+    "beliefs that no body has": change(("problem", "entropic_prior", "inverses"), scaled(-1.0)),
+    "another order": change(("problem", "entropic_prior", "links"), lambda links: links[::-1]),
+    "a link less": lambda data: data["problem"]["entropic_prior"]["links"].pop(),
+    "no belief": change(("problem", "entropic_prior"), lambda value: None),
+    "no tangent": change(("multipliers", "W"), lambda value: None),
+    "another tangent": change(("multipliers", "W"), scaled(1.1)),
+    "a tangent that touches nowhere": change(("multipliers", "W"), scaled(-1.0)),
+    "one tangent less": lambda data: data["multipliers"]["W"].pop(),
+}
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("name", list(TAMPERED))
+def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE[kind])
+    TAMPERED[name](data)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("name", list(ENTROPIC))
+def test_so_is_what_was_changed_of_a_log_det_prior(name: str, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["entropic"])
+    ENTROPIC[name](data)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("field", ["Z", "W"])
+def test_matrices_must_be_symmetric(field: str, tmp_path: Path) -> None:
+    """One triangle alone does not show that a multiplier is positive semidefinite."""
+    data = copy.deepcopy(MADE["entropic"])
+    matrix = data["multipliers"][field][0]
+    matrix[0][1] += 1e-3 * max(map(max, matrix))
+    found = rejected(sealed(data), tmp_path)
+    assert found
+
+
+def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
+    """What is optimal among bodies about their joint's frame is passed off as optimal.
+
+    Multipliers of the equations that say so are hidden in the upper triangles: were the lower
+    ones alone looked at, those would be positive semidefinite, and all would add up.
+    """
+    problem = arm_problem()
+    names = problem.base.theta_names
+    hidden = [10 * link + k for link in range(2) for k in (1, 2, 3, 5, 7, 8)]
+    fixed = Fixed({names[k]: 0.0 for k in hidden})
+    among = solve_sdp(arm_problem(fixed))
+    assert among.cost > solve_sdp(problem).cost * 1.01
+    proof = certify(among)
+    data = proof.to_dict()
+    multipliers = dict(zip(hidden, data["multipliers"]["rows"], strict=True))
+    data["problem"]["rows"], data["multipliers"]["rows"] = [], []
+    assert not checked(sealed(data), tmp_path).passed
+    basis = matrix_basis("pseudo_inertia")
+    for k, multiplier in multipliers.items():
+        i, j = np.argwhere(np.triu(basis[k % 10], 1))[0]
+        data["multipliers"]["Z"][k // 10][i][j] += multiplier / basis[k % 10, i, j]
+    assert not checked(sealed(data), tmp_path).passed
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_any_multipliers_prove_no_more_than_the_optimum(kind: str, tmp_path: Path) -> None:
+    """Multipliers made up at random never reach the cost, let alone exceed it."""
+    rng = np.random.default_rng(0)
+    best = MADE[kind]["claims"]["cost"]
+    for _ in range(10):
+        data = copy.deepcopy(MADE[kind])
+        Z = np.array(data["multipliers"]["Z"])
+        root = rng.standard_normal(Z.shape)
+        size = 10.0 ** rng.uniform(-4, 1)
+        data["multipliers"]["Z"] = (Z + size * root @ np.swapaxes(root, 1, 2)).tolist()
+        rows = np.array(data["multipliers"]["rows"])
+        data["multipliers"]["rows"] = (rows + size * rng.standard_normal(len(rows))).tolist()
+        y = np.array(data["multipliers"]["y"])
+        data["multipliers"]["y"] = (y + size * rng.standard_normal(len(y))).tolist()
+        assert checked(sealed(data), tmp_path).lower_bound <= best * (1.0 + GAP)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "sdpid-certificate"}', "nonsense"])
+def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CertificateError):
+        verify(path)
+    refuses(CertificateError, "cannot read", verify, tmp_path / "none.json")
+
+
+# ---- Rows, cones and names ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-12, 1e12])
+def test_what_is_violated_counts_in_its_own_size(scale: float, tmp_path: Path) -> None:
+    """Of a row ``m_1 ≥ 500`` that nothing obeys no unit makes rounding, nor a huge multiplier."""
+    for multiplier in (0.0, 1.0 / scale, 1e30):
+        data = copy.deepcopy(MADE["pseudo"])
+        row = [0.0] * len(data["theta"])
+        row[0] = scale
+        data["problem"]["rows"].append(
+            {"name": "heavy", "lower": 500.0 * scale, "upper": None, "coefficients": row}
+        )
+        data["multipliers"]["rows"].append(multiplier)
+        if multiplier:
+            data["claims"]["lower_bound"] = 4.1e20
+        found = checked(sealed(data), tmp_path)
+        assert not found.passed
+        assert any("row 'heavy' is violated by" in each for each in found.problems)
+
+
+def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> None:
+    """A violation of 1e-10 is allowed for, so a multiplier of 1e30 buys nothing."""
+    data = copy.deepcopy(MADE["pseudo"])
+    mass = data["theta"][0]
+    row = [0.0] * len(data["theta"])
+    row[0] = 1.0
+    limit = mass * (1.0 + 1e-10)
+    data["problem"]["rows"].append(
+        {"name": "a little more", "lower": limit, "upper": None, "coefficients": row}
+    )
+    data["multipliers"]["rows"].append(1e30)
+    data["claims"]["violation"] = 2e-10
+    proof = checker.Proof(data)
+    # What is left is what any numbers cost.
+    assert proof.lower_bound == proof.floor
+    data["multipliers"]["rows"][-1] = 0.0
+    assert checked(sealed(data), tmp_path).passed
+
+
+def test_the_mass_of_another_link_makes_no_violation_small(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["problem"]["upper"][0], data["theta"][0] = 1e12, 1e12
+    data["problem"]["rows"], data["multipliers"]["rows"] = [], []
+    row = [0.0] * len(data["theta"])
+    row[10] = 1.0
+    data["problem"]["rows"].append(
+        {"name": "heavy", "lower": 5000.0, "upper": None, "coefficients": row}
+    )
+    data["multipliers"]["rows"].append(0.0)
+    assert any("'heavy' is violated" in each for each in checked(sealed(data), tmp_path).problems)
+
+
+def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["theta"][0] *= 100.0
+    found = checker.Proof(data)
+    data["claims"]["cost"] = math.nextafter(float(found.cost), math.inf)
+    data["claims"]["gap"] = 1.0
+    assert not checked(sealed(data), tmp_path).passed
+
+
+@pytest.mark.parametrize("margin", [0.0, 1.0, None])
+def test_a_body_without_mass_has_no_margin(margin: float | None, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["problem"]["margin"], data["problem"]["lower"][0] = 0.0, 0.0
+    data["theta"][:10] = [0.0] * 10
+    data["claims"]["margins"][0] = margin
+    problems = checker.infeasible(checker.Proof(data), data["claims"])
+    assert any("mass of 0.0" in each for each in problems) == (margin is not None)
+
+
+def test_names_from_files_are_escaped(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["origin"]["robot"] = "arm\x1b[2K\u202e\x9b31m\nPROVEN."
+    data["problem"]["rows"][0]["name"] = "\x1b[8m"
+    data["problem"]["rows"][0]["upper"] -= 1.0
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(sealed(data)), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 1
+    assert r"arm\x1b[2K\u202e\x9b31m\nPROVEN." in done.stdout
+    assert r"\x1b[8m" in done.stdout
+    assert done.stdout.isprintable() or set(done.stdout) - set("\n") <= set(
+        map(chr, range(32, 127))
+    )
+    assert not any(line.startswith("PROVEN") for line in done.stdout.splitlines())
+
+
+def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
+    """The same numbers with fewer demands are another statement."""
+    data = copy.deepcopy(MADE["pseudo"])
+    told = checked(data, tmp_path).statements
+    assert "2 links" in told[1]
+    fewer = copy.deepcopy(data)
+    fewer["problem"]["rows"], fewer["multipliers"]["rows"] = [], []
+    assert checked(sealed(fewer), tmp_path).statements[2] != told[2]
+    assert "6 rows and 1 cones" in told[2]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *[(), ("metadata",), ("origin",), ("problem",), ("multipliers",), ("claims",)],
+        *[("problem", "rows", 0), ("problem", "cones", 0)],
+    ],
+)
+def test_unknown_keys_are_refused_at_every_level(path: Path_, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    at(data, path)["more"] = 1
+    refuses(CertificateError, "'more'", checked, sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("version", [3, 4.0, True, "4"])
+def test_other_versions_are_refused(version: Any, tmp_path: Path) -> None:
+    with pytest.raises(CertificateError, match="version 5 or 4"):
+        checked(sealed({**MADE["pseudo"], "version": version}), tmp_path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("rows", {}), ("cones", ""), ("rows", None)])
+def test_what_should_be_lists_are_lists(key: str, value: Any, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["problem"][key] = value
+    refuses(CertificateError, "list", checked, sealed(data), tmp_path)
+
+
+def test_the_compression_is_in_cost_bound_and_gap(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["prior"])
+    before = checker.Proof({**data, "compression": None})
+    data["compression"] = {"relative": 2.0**-10, "absolute": 0.5}
+    after = checker.Proof(data)
+    share, added = exact.Fraction(1, 1024), exact.Fraction(1, 2)
+    assert after.lower_bound == (1 - share) * before.lower_bound - added
+    assert after.cost == (1 + share) * before.data_cost + before.prior_cost + added
+    # What was claimed without it is now too much.
+    assert not checked(sealed(data), tmp_path).passed
+    for wrong in ({"relative": 1.0, "absolute": 0.0}, {"relative": 0.0, "absolute": -1e-9}):
+        with pytest.raises(CertificateError, match="compression"):
+            checked(sealed({**data, "compression": wrong}), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"[" * 10**6, b'{"a":' * 10**5, b'{"schema": 1' + b"0" * 10**6 + b"}", b"\xff\xfe{}"],
+)
+def test_files_made_to_exhaust_the_reader(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(content)
+    refuses(CertificateError, "not a proof", verify, path)
+
+
+def test_large_files_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    with path.open("wb") as file:
+        file.truncate(reading.MAX_BYTES + 1)
+    refuses(CertificateError, f"{reading.MAX_BYTES} are read at most", verify, path)
+
+
+def test_the_checker_runs_wherever_it_is_copied(tmp_path: Path) -> None:
+    shutil.copytree(FOLDER, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("__pycache__"))
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(MADE["pseudo"]), encoding="utf-8")
+    command = [sys.executable, "-I", "-S", str(tmp_path / "elsewhere"), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd="/")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == alone(path).stdout
+
+
+# ---- Other estimates ----------------------------------------------------------------------------
+
+
+def test_a_local_result_is_certified_by_the_bound_of_another(tmp_path: Path) -> None:
+    problem = arm_problem(LIGHT)
+    best = solve_sdp(problem)
+    early = solve_slsqp(problem, max_iterations=4)
+    assert early.cost > 1.001 * best.cost
+    found = certify(early, bound=best)
+    assert not found.passed
+    assert found.gap == pytest.approx(1.0 - best.cost / early.cost, rel=1e-3)
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    # It does not claim to be optimal, and what it claims is true.
+    assert again.passed == found.feasible
+    assert again.gap == found.gap
+
+
+def test_without_standard_parameters_only_the_bound_is_proven(tmp_path: Path) -> None:
+    problem = arm_problem(LIGHT)
+    found = certify(solve_wls(problem), bound=solve_sdp(problem))
+    assert not found.feasible
+    assert not found.passed
+    assert found.margins is None
+    assert found.gap < 0.0
+    assert "not feasible" in found.summary()
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    assert not again.passed
+    assert again.cost is None
+    assert again.statements[-1] == f"No feasible parameters cost less than {found.lower_bound!r}."
+    assert not any("at most" in each for each in again.statements[3:])
+
+
+def test_what_is_not_feasible_is_not_certified() -> None:
+    problem = arm_problem(LIGHT)
+    best = solve_sdp(problem)
+    assert best.theta is not None
+    for k, change in ((0, -100.0), (4, -0.1), (20, -100.0)):
+        theta = np.array(best.theta)
+        theta[k] += change
+        moved = Estimate.of_theta(problem, theta, method="made up", status="made up")
+        found = certify(moved, bound=best)
+        assert not found.feasible
+        assert not found.passed
+
+
+def test_without_a_consistency(tmp_path: Path) -> None:
+    problem = arm_problem(consistency="none")
+    found = certify(solve_sdp(problem))
+    assert found.margins is None
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    assert again.passed == (not again.problems)
+    assert again.margin is None
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_the_rows_are_named_and_the_compression_is_proven(weighting: Any) -> None:
+    rng = np.random.default_rng(5)
+    fields = {"covariance": random_covariance(rng, 2, 60)} if "gls" in weighting else {}
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, noise=0.1, **fields)
+    problem = build_problem(ARM, samples, weighting=weighting)
+    found = certify(solve_sdp(problem)).to_dict()
+    assert found["origin"]["rows_sha256"] == rows_digest(problem)
+    claimed, alone = checker.Proof(found), checker.Proof({**found, "compression": None})
+    assert claimed.lower_bound <= alone.lower_bound <= alone.cost < claimed.cost
+    assert claimed.cost - claimed.lower_bound < GAP * max(claimed.cost, claimed.scale)
+    again = build_problem(ARM, samples)
+    assert rows_digest(problem) == rows_digest(again)
+    moved = make_samples(ARM, random_theta(ARM, rng), rng, noise=0.1)
+    assert rows_digest(problem) != rows_digest(build_problem(ARM, moved))
+
+
+# ---- Rounding -----------------------------------------------------------------------------------
+
+
+def test_rounding_goes_the_safe_way() -> None:
+    from fractions import Fraction
+
+    third = Fraction(1, 3)
+    assert Fraction(downward(third)) < third < Fraction(exact.above(third))
+    assert math.nextafter(downward(third), math.inf) == exact.above(third)
+    assert exact.above(Fraction(0.1)) == downward(Fraction(0.1)) == 0.1
+
+
+@pytest.mark.parametrize("size", [4, 6])
+def test_multipliers_on_the_edge_are_moved_inside(size: int) -> None:
+    rng = np.random.default_rng(6)
+    units = 10.0 ** rng.uniform(-4, 4, (40, size))
+    V = units[:, :, None] * rng.standard_normal((40, size, 2))
+    Z = V @ np.swapaxes(V, 1, 2)
+    assert not all(exact.positive_semidefinite(z.tolist()) for z in Z)
+    moved = semidefinite(Z)
+    assert all(exact.positive_semidefinite(z.tolist()) for z in moved)
+    # Small entries beside large ones stay what they are.
+    scale = np.sqrt(np.einsum("nii->ni", Z))
+    assert np.max(np.abs(moved - Z) / (scale[:, :, None] * scale[:, None, :])) < 1e-12
+    # What is not near the cone is not passed off as if it were.
+    wrong = -np.eye(size)[None]
+    assert np.array_equal(semidefinite(wrong), wrong)
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_parameters_on_the_edge_are_moved_inside(consistency: Any) -> None:
+    feasible = arm_problem(consistency=consistency, margin=1e-3).feasible
+    theta = np.concatenate([BODIES.ravel(), np.zeros(4)])
+    lowest = feasible.margins(theta)
+    moments = 2.0 if consistency == "pseudo_inertia" else 1.0
+    for short in (1e-16, 1e-12):
+        bodies = BODIES.copy()
+        bodies[:, [4, 6, 9]] += moments * (1e-3 - lowest - short)[:, None]
+        theta[:20] = bodies.ravel()
+        theta[20] = -1e-13
+        moved = feasible_theta(feasible, theta)
+        assert np.max(np.abs(moved - theta)) < 3e-12
+        assert np.all(moved >= feasible.lower)
+        for body in feasible.bodies(moved):
+            assert has_margin(body.tolist(), 1e-3, consistency)
+
+
+def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
+    problem = arm_problem()
+    sent = problem.without_rows()
+    whole, without = (sdpid.certify(sdpid.solve_sdp(each)).to_dict() for each in (problem, sent))
+    assert without["origin"]["samples"] == problem.samples.n_samples
+    assert without["origin"]["rows"] == problem.n_rows
+    assert without["origin"]["rows_sha256"] is without["compression"] is None
+    assert without["claims"]["cost"] < whole["claims"]["cost"]
+    assert without["claims"]["lower_bound"] > whole["claims"]["lower_bound"]
+    assert without["theta"] == whole["theta"]
+    with pytest.raises(DataError, match="not kept"):
+        _ = sdpid.solve_wls(sent).standard_errors
+
+
+# ---- Certificates of the shared data sets and of the Denso, proven by a bare Python.
+
+
+# Robot and record of each set, and one friction model.
+SETS: dict[str, tuple[str, str, tuple[Any, ...]]] = {
+    "ur10_unisa": ("ur10.urdf", "ur10_exciting", ("coulomb",)),
+    "panda_unisa": ("panda.urdf", "panda_exciting", ("coulomb",)),
+    "kuka_lwr4plus": ("kuka_lwr4.urdf", "measurements_1", ("coulomb",)),
+    "staubli_tx40": (
+        "tx40.urdf",
+        "tx40_rows_0_24750",
+        (
+            sdpid.friction.Coulomb(width=0.05),
+            "rotor_inertia",
+            sdpid.friction.Coupling("joint_5", "joint_6"),
+        ),
+    ),
+    "kinova_gen3_dynamapp": (
+        "gen3.urdf",
+        "opti_traj_testing1",
+        (sdpid.friction.Coulomb(width=0.02),),
+    ),
+}
+
+
+def proven_alone(certificate: Certificate, path: Path) -> None:
+    """Write a certificate and have a bare Python check it."""
+    assert certificate.passed, certificate.summary()
+    certificate.to_json(path)
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", str(Path(command.__file__).parent), str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1] == "PROVEN, but for what was not checked."
+    assert f"cost less than {certificate.lower_bound!r}." in done.stdout
+
+
+@pytest.mark.parametrize("name", list(SETS))
+def test_real_recordings(name: str, data_folder: Path, tmp_path: Path) -> None:
+    urdf, record, terms = SETS[name]
+    robot = sdpid.load_robot(data_folder / name / urdf)
+    log = sdpid.read_recording(data_folder / name / f"{record}.npz")
+    for prior in (False, None, sdpid.Prior(kind="entropic")):
+        problem = formulate(robot, log, friction=(*terms, "viscous", "offset"), prior=prior)
+        for consistency in BOTH:
+            estimate = sdpid.solve_sdp(problem.constrained(consistency=consistency))
+            proven_alone(sdpid.certify(estimate), tmp_path / "c.json")
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("kind", ["none", "pullback", "entropic"])
+def test_the_arm_of_the_case_study(
+    denso: sdpid.RobotModel, consistency: Consistency, kind: Any, tmp_path: Path
+) -> None:
+    """Noise that makes constraints active, and the margin of the paper."""
+    rng = np.random.default_rng(0)
+    theta = random_theta(denso, rng)
+    theta[: 10 * denso.n_links] = random_links(rng, denso.n_links, points=1).ravel()
+    samples = make_samples(denso, theta, rng, count=200, noise=0.1)
+    bodies = random_links(rng, denso.n_links)
+    prior = None if kind == "none" else sdpid.Prior(kind=kind, bodies=bodies)
+    problem = sdpid.build_problem(
+        denso,
+        samples,
+        consistency=consistency,
+        constraints=sdpid.Constraints(margin=1e-3),
+        prior=prior,
+    )
+    estimate = sdpid.solve_sdp(problem)
+    proven_alone(sdpid.certify(estimate), tmp_path / "c.json")

@@ -1,0 +1,750 @@
+"""Predictions and their bands, what was held out, and what errors go with."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics import blocks as module
+from sdpid.assurance.diagnostics.bands import parameter_root, random_motion
+from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
+from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back
+from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
+from sdpid.assurance.diagnostics.described import described_dynamics
+from sdpid.assurance.diagnostics.held_out import (
+    DESCRIPTION,
+    FRICTION_FITTED,
+    LEAST_SQUARES,
+    hold_out,
+)
+from sdpid.assurance.diagnostics.mass_matrix import proven_bound, smallest_eigenvalues
+from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.assurance.diagnostics.rest import (
+    REST_SECONDS,
+    REST_SPEED,
+    moving_rows,
+    resting,
+    resting_rows,
+)
+from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
+from sdpid.cli.printing import errors_table
+from sdpid.errors import DataError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contacts.held import base_held
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.inertia import spatial_inertia
+from sdpid.robot.model.jacobians import joint_rates, link_jacobians
+from tests.helpers import legged
+from tests.helpers.arm import ARM, BOTH, arm_problem
+from tests.helpers.data import make_samples, random_links, random_theta
+from tests.helpers.identified import FRICTION, RATE, arm_theta, identified, moved
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
+from tests.helpers.runs import arm, recorded
+from tests.helpers.small_robots import SMALL
+from tests.helpers.strategies import SEEDS, random_states
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-153, 1e-100])
+def test_an_effort_that_is_all_but_zero(size: float) -> None:
+    samples = moved(arm_theta(), 1)
+    estimate = identified(samples).estimate
+    effort = np.array(samples.effort)
+    effort[:, 0] *= size
+    fit = sdpid.validate(estimate, replace(samples, effort=effort))
+    assert fit.rmse[0] > 0.0
+    assert fit.nrmse[0] > 1e90
+    assert fit.r2[0] == -np.inf or fit.r2[0] < -1e90
+    assert np.isfinite([fit.nrmse[1], fit.r2[1], fit.relative]).all()
+
+
+def test_beside_no_effort_no_share_is_told() -> None:
+    samples = moved(arm_theta(), 1)
+    estimate = identified(samples).estimate
+    effort = np.array(samples.effort)
+    effort[:, 0] = 0.0
+    fit = sdpid.validate(estimate, replace(samples, effort=effort))
+    assert fit.nrmse[0] == np.inf
+    told = fit.to_dict()["joints"]
+    assert isinstance(told, dict)
+    assert told["joint_1"]["nrmse"] is None
+    assert told["joint_1"]["r2"] is None
+    assert told["joint_1"]["rmse"] > 0.0
+    printed = errors_table({"training": fit}).splitlines()
+    assert printed[-1] == "no effort of which errors are a share: joint_1"
+    assert next(line for line in printed if line.startswith("joint_1")).split()[-1] == "-"
+    # Where nothing is predicted either, nothing is missed.
+    still = replace(fit, nrmse=np.zeros(len(fit.nrmse)))
+    assert "no effort" not in errors_table({"training": still})
+
+
+def test_recordings_and_files_are_read_as_by_identify(tmp_path: Path) -> None:
+    log, other = recorded(0), recorded(1)
+    file = tmp_path / "other.npz"
+    names = np.array(other.joint_names)
+    np.savez(file, t=other.time, q=other.position, tau=other.effort, joint_names=names)
+    found = sdpid.identify(arm(), log, validation=other, intervals=False, effects="none")
+    processing = {"cutoff_hz": 5.0}
+    for fresh in (other, file, [str(file)]):
+        fit = sdpid.validate(found.estimate, fresh)
+        np.testing.assert_allclose(fit.relative, found.validation.relative, rtol=0.05)
+        slow = sdpid.validate(found.estimate, fresh, processing=processing, without_effort=["a"])
+        assert slow.rows[0] == 0 < slow.rows[1]
+    turned = replace(other, effort=-other.effort)
+    refuses(DataError, r"validation.*effort_sign", sdpid.validate, found.estimate, turned)
+    assert sdpid.validate(found.estimate, turned, accept="effort_sign").relative > 1.0
+    refuses(DataError, "validation: is or holds int", sdpid.validate, found.estimate, 3)
+
+
+def test_a_description_on_legs_is_judged_beside_the_forces_that_suit_it() -> None:
+    made = legged.gait(160)
+    right = validate_robot(made.robot, made.samples)
+    assert right.relative < 1e-9
+    assert right.floating.force < 1e-9 > right.floating.torque
+    # Every body a tenth heavier, and noise: neither is hidden among the forces.
+    samples = made.noisy(noise=0.1 * legged.NOISE)
+    heavy = described_dynamics(made.robot, samples, bodies=1.1 * made.robot.prior)
+    wrong = validate_dynamics(heavy, samples)
+    assert wrong.relative > 3.0 * validate_robot(made.robot, samples).relative
+
+
+def test_coordinates_of_a_base_are_no_joints_in_tables() -> None:
+    made = legged.gait(40)
+    flight = replace(made.samples, contacts=None)
+    for samples in (made.samples, flight):
+        fit = validate_robot(made.robot, samples)
+        assert repr(fit).startswith("Validation(relative=")
+        assert "root_joint" not in fit.table() + str(fit.to_dict()) + fit.moving.table()
+        assert fit.table().count("\n") == 14
+        assert "base, force in N" in fit.table()
+        assert not fit.rows[:6].any()
+    # Without the forces of the feet the base misses its weight.
+    assert fit.floating.force > 10.0
+
+
+def test_a_held_base_leaves_an_arm_of_legs() -> None:
+    """An arm's recording predicts the same with its base said to be held as with a fixed one."""
+    arm = sdpid.load_robot("solo12")
+    t = 0.002 * np.arange(1000)
+    rates = np.linspace(0.6, 1.7, arm.n)
+    q, v = np.sin(np.outer(t, 2 * np.pi * rates)), np.cos(np.outer(t, 2 * np.pi * rates))
+    q, a = 0.4 * q, -0.4 * (2 * np.pi * rates) ** 2 * q
+    v = 0.4 * 2 * np.pi * rates * v
+    effort = 1.1 * arm.inverse_dynamics(arm.prior, q, v, a)
+    log = sdpid.Recording(time=t, position=q, effort=effort, joint_names=arm.joint_names)
+    held = log.with_held_base("base_link")
+    refuses(DataError, "has the motion of a base already", held.with_held_base, "base_link")
+    processing = sdpid.Processing(cutoff_hz=20.0, filter="finite", filter_friction=False)
+    both = [
+        validate_robot(robot, prepare(robot, recording, processing))
+        for robot, recording in ((arm, log), (legged.quadruped(), held))
+    ]
+    np.testing.assert_allclose(both[0].rmse, both[1].rmse[6:], rtol=1e-6)
+    assert both[1].relative == pytest.approx(0.1 / 1.1, rel=0.02)
+    # What holds the base takes any force.
+    assert both[1].floating is None
+    assert "base" not in both[1].table()
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_the_base_is_judged_where_it_is_not_held(measured: bool) -> None:
+    made = legged.gait(80)
+    first = np.arange(80) < 50
+    down = np.column_stack([made.samples.contacts.down & ~first[:, None], first])
+    contacts = ContactSamples(
+        frames=(*legged.FEET, "base_link"),
+        kind=(*["point"] * 4, "plane"),
+        down=down,
+        forces=np.zeros((80, 5, 6)) if measured else None,
+        force_covariance=np.eye(6) if measured else None,
+    )
+    samples = replace(made.samples, contacts=contacts)
+    assert base_held(made.robot, samples).tolist() == first.tolist()
+    errors = validate_robot(made.robot, samples).floating
+    assert errors.samples == 30
+    always = replace(contacts, down=np.tile(down[:1], (80, 1)))
+    alone = validate_robot(made.robot, replace(samples, contacts=always))
+    assert alone.floating is None
+    if not measured:
+        printed = errors_table(
+            {"training": alone, "validation": validate_robot(made.robot, samples)}
+        )
+        told = next(line for line in printed.splitlines() if line.startswith("base, force"))
+        assert told.split()[-4:-2] == ["-", "-"]
+
+
+# ---- Bands hold what they say, on motion that the parameters did not see.
+
+
+def test_bands_hold_95_percent_of_other_motion() -> None:
+    inside = []
+    for seed in range(8):
+        theta = arm_theta()
+        estimate = identified(moved(theta, seed, seconds=10.0, block=20)).estimate
+        fresh = moved(theta, 100 + seed)
+        fit = sdpid.validate(estimate, fresh)
+        assert fit.effort_band.shape == fresh.effort.shape
+        inside.append(np.abs(fresh.effort - fit.effort_predicted) <= fit.effort_band)
+    assert 0.93 <= np.mean(inside) <= 0.98
+
+
+def test_bands_widen_where_the_motion_has_not_been() -> None:
+    theta = arm_theta()
+    estimate = identified(moved(theta, 1, seconds=10.0, amplitude=0.05)).estimate
+    near, far = (
+        sdpid.validate(estimate, moved(theta, 2, amplitude=amplitude)) for amplitude in (0.05, 1.0)
+    )
+    assert np.all(np.mean(far.effort_band, axis=0) > 2.0 * np.mean(near.effort_band, axis=0))
+    fresh = moved(theta, 2)
+    assert np.mean(np.abs(fresh.effort - far.effort_predicted) <= far.effort_band) > 0.9
+
+
+def test_the_covariance_is_that_of_the_estimate() -> None:
+    """Over noise alone, with a prior that says nothing, estimates scatter as told."""
+    theta = arm_theta()
+    drawn = [identified(moved(theta, 1, noise_seed=k)) for k in range(40)]
+    bases = np.array([each.wls.base for each in drawn])
+    root, _ = parameter_root(drawn[0].estimate)
+    expected = np.sqrt(np.sum(root**2, axis=1))
+    assert np.std(bases, axis=0) == pytest.approx(expected, rel=0.45)
+
+
+def test_a_description_tells_nothing_of_its_errors() -> None:
+    samples = moved(arm_theta(), 1)
+    result = identified(samples)
+    assert validate_robot(result.problem.robot, samples).effort_band is None
+    # The same bits, whoever asks.
+    first, second = (sdpid.validate(result.estimate, samples).effort_band for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_the_deviation_on_other_motion_is_what_noise_brings() -> None:
+    theta = arm_theta()
+    drawn = [identified(moved(theta, 1, seconds=5.0, noise_seed=k)).estimate for k in range(20)]
+    truth = replace(drawn[0], base=drawn[0].problem.base_of(theta))
+    told, expected = random_motion(drawn[0])[0], random_motion(truth)[1]
+    errors = [random_motion(estimate)[1] - expected for estimate in drawn]
+    assert told == pytest.approx(np.sqrt(np.mean(np.square(errors), axis=(0, 1))), rel=0.4)
+
+
+# ---- What was held out is predicted by fits that saw nothing of it.
+
+
+BLOCK = 20
+GUARD = 5
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return identified(moved(arm_theta(), 1, block=BLOCK)).problem
+
+
+def test_a_block_is_predicted_by_the_fit_to_the_rows_outside_it(problem: Problem) -> None:
+    found = held_out_blocks(problem)
+    assert len(found) == 5
+    for block in found:
+        (held,) = block.slices
+        mask = np.ones((problem.n_samples, 2), dtype=bool)
+        mask[max(held.start - GUARD, 0) : held.stop + GUARD] = False
+        samples = replace(problem.samples, mask=mask, covariance=problem.sigma)
+        alone = build_problem(ARM, samples, friction=FRICTION, weighting="gls")
+        expected = sdpid.solve_sdp(alone).base
+        np.testing.assert_allclose(block.estimate.base, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_what_happens_in_a_block_does_not_reach_its_prediction(problem: Problem) -> None:
+    samples = problem.samples
+    effort = np.array(samples.effort)
+    effort[200:400] += 5.0
+    rows = replace(problem.require_rows_here("test"), samples=replace(samples, effort=effort))
+    changed = replace(problem, rows=rows)
+    before, after = (
+        predicted_by(held_out_blocks(each), each, {"": own})[""] for each in (problem, changed)
+    )
+    np.testing.assert_array_equal(before[200:400], after[200:400])
+    assert np.abs(before - after).max() > 0.1
+
+
+def test_every_recording_is_cut_and_short_ones_are_left_alone() -> None:
+    theta = arm_theta()
+    pieces = [moved(theta, seed, seconds=s, block=BLOCK) for seed, s in ((1, 20.0), (2, 0.5))]
+    samples = Samples.join([pieces[0], pieces[1], moved(theta, 3, block=BLOCK)])
+    estimate = identified(samples).estimate
+    found = held_out_blocks(estimate.problem)
+    assert {len(block.slices) for block in found} == {2}
+    inside = in_blocks(found, samples.n_samples)
+    assert not inside[1000:1025].any()
+    assert inside.sum() == 2000
+    held = hold_out(estimate, sdpid.solve_wls(estimate.problem), None)
+    assert held.fit.rows.tolist() == [2000, 2000]
+
+
+def test_short_records_get_fewer_blocks_or_none() -> None:
+    theta = arm_theta()
+    for block, count in ((100, 5), (500, 4), (600, 3), (800, 0)):
+        assert len(held_out_blocks(identified(moved(theta, 1, block=block)).problem)) == count
+
+
+def test_blocks_are_not_held_out_where_they_cannot_be(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples = replace(problem.samples, covariance=np.eye(2))
+    printed = build_problem(ARM, samples, friction=FRICTION, weighting="eq18")
+    assert held_out_blocks(printed) == ()
+    monkeypatch.setattr(module, "MOST_ROWS", problem.n_rows - 1)
+    assert held_out_blocks(problem) == ()
+
+
+def test_blocks_without_which_nothing_is_determined() -> None:
+    """Joint 2 moves in one block only: without it, friction is not determined."""
+    samples = moved(arm_theta(), 1, block=BLOCK)
+    fields = {name: np.array(getattr(samples, name)) for name in ("velocity", "acceleration")}
+    q = np.array(samples.position)
+    for each in (*fields.values(), q):
+        each[200:, 1] = 0.0
+    still = replace(samples, position=q, **fields)
+    assert held_out_blocks(identified(still).problem) == ()
+
+
+def test_an_estimate_stands_beside_what_costs_less() -> None:
+    result = sdpid.identify(arm(), recorded(1), validation=recorded(2), intervals=False)
+    for fresh, by in ((result.validation_samples, "recording"), (None, "blocks")):
+        held = hold_out(result.estimate, result.wls, fresh)
+        assert held.by == by
+        assert list(held.baselines) == [DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES]
+        # The recording is of the description's links, with friction that it does not tell.
+        errors = {name: fit.relative for name, fit in held.every.items()}
+        assert errors[DESCRIPTION] > 2.0 * errors[FRICTION_FITTED]
+        assert held.fit.relative < errors[DESCRIPTION]
+        assert held.to_dict()["by"] == by
+        assert [row[0] for row in held.as_table().rows] == list(held.every)
+    np.testing.assert_allclose(
+        hold_out(result.estimate, result.wls, result.validation_samples).fit.rmse,
+        result.validation.rmse,
+    )
+
+
+def test_a_robot_without_masses_has_no_baselines_of_its_description() -> None:
+    result = identified(moved(arm_theta(), 1), robot=replace(ARM, prior=0.0 * ARM.prior))
+    held = hold_out(result.estimate, result.wls, None)
+    assert list(held.baselines) == [LEAST_SQUARES]
+
+
+# ---- Rest is told from motion, and the errors of the two are kept apart.
+
+
+RESTING_RATE = 100.0
+
+
+def stopped(still: tuple[int, int]) -> Samples:
+    """Return ten seconds of a joint that moves, but for samples in a range."""
+    t = np.arange(1000) / RESTING_RATE
+    v = np.cos(2.0 * t)[:, None]
+    v[slice(*still)] = 0.0
+    return Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
+
+
+def test_a_stop_is_rest_and_a_reversal_is_not() -> None:
+    samples = stopped((300, 400))
+    assert np.flatnonzero(resting(samples)[:, 0]).tolist() == list(range(300, 400))
+    # Reversals are slow too, and over at once.
+    assert np.abs(samples.velocity).min(axis=0) < REST_SPEED
+    short = round(REST_SECONDS * RESTING_RATE) - 5
+    assert not resting(stopped((300, 300 + short))).any()
+
+
+def test_rest_ends_with_the_recording_and_needs_a_time() -> None:
+    samples = stopped((300, 400))
+    cut = replace(samples, starts=(0, 340))
+    # Forty samples before the break are too short, sixty behind it are not.
+    assert np.flatnonzero(resting(cut)[:, 0]).tolist() == list(range(340, 400))
+    assert not resting(replace(samples, time=None)).any()
+
+
+def test_rows_masked_around_a_reversal_belong_to_the_motion() -> None:
+    samples = stopped((300, 400))
+    turn = int(np.flatnonzero(np.diff(np.sign(samples.velocity[:, 0])))[0])
+    mask = np.ones((1000, 1), dtype=bool)
+    mask[turn - 5 : turn + 5] = False  # a reversal
+    mask[300:400] = False  # rest
+    mask[600:650] = False  # fast motion, with an effort that is wrong
+    assert np.abs(samples.velocity[600:650]).min() > REST_SPEED
+    moving = moving_rows(replace(samples, mask=mask))[:, 0]
+    assert moving[turn - 5 : turn + 5].all()
+    assert not moving[600:650].any()
+    still = resting_rows(replace(samples, mask=mask))[:, 0]
+    assert np.flatnonzero(still).tolist() == list(range(300, 400))
+
+
+def test_errors_at_rest_do_not_spoil_those_in_motion() -> None:
+    samples = stopped((300, 400))
+    predicted = np.array(samples.effort)
+    predicted[300:400] += 1.0
+    fit = Validation.of_prediction(("joint",), samples, predicted)
+    assert fit.moving.rmse[0] == 0.0
+    assert fit.resting.rmse[0] == 1.0
+    assert (fit.moving.rows[0], fit.resting.rows[0], fit.rows[0]) == (900, 100, 1000)
+    assert fit.to_dict()["resting"] is not None
+    # Rows masked for slowness are not fitted, and their error at rest is told all the same.
+    mask = np.ones((1000, 1), dtype=bool)
+    mask[300:400] = False
+    masked = Validation.of_prediction(("joint",), replace(samples, mask=mask), predicted)
+    assert masked.resting.rmse[0] == 1.0
+    assert masked.rmse[0] == 0.0
+    # A joint whose effort was not measured has none.
+    wide = replace(
+        samples,
+        **{
+            name: np.repeat(getattr(samples, name), 2, axis=1)
+            for name in ("position", "velocity", "acceleration", "effort")
+        },
+        mask=np.column_stack([np.ones(1000, dtype=bool), np.zeros(1000, dtype=bool)]),
+    )
+    both = Validation.of_prediction(("a", "b"), wide, np.repeat(predicted, 2, axis=1))
+    assert both.resting.rows.tolist() == [100, 0]
+
+
+# ---- What an error goes with is named, where it is put in; noise has no cause.
+
+
+ROBOT = small_arm(3)
+BODIES = random_links(np.random.default_rng(5), 3)
+
+
+def slowly(seconds: float = 120.0) -> Samples:
+    """Return samples of a slow random motion of a tilted-axis arm, predicted but for noise."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
+    w = rng.uniform(0.3, 4.0, (6, ROBOT.n))
+    angle = w * t[:, None, None] + rng.uniform(0.0, 6.0, (6, ROBOT.n))
+    q = np.sin(angle).sum(axis=1)
+    v = (w * np.cos(angle)).sum(axis=1)
+    a = -(w**2 * np.sin(angle)).sum(axis=1)
+    effort = ROBOT.inverse_dynamics(BODIES, q, v, a)
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t)
+
+
+SAMPLES = slowly()
+
+
+def causes(error: Array) -> dict[str, Cause]:
+    """Return the causes that are found of an error (K,) of the second joint, beside noise."""
+    rng = np.random.default_rng(8)
+    size = 0.1 * SAMPLES.effort.std(axis=0)
+    effort = SAMPLES.effort + 0.5 * size * rng.standard_normal(SAMPLES.effort.shape)
+    effort[:, 1] += size[1] * error / np.sqrt(np.mean(error**2))
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit))
+
+
+def tilted(samples: Samples) -> Array:
+    """Return how the second joint's effort differs on a base that stands tilted by 1.5 degrees."""
+    states = samples.position, samples.velocity, samples.acceleration
+    axis = np.array([0.6, 0.8, 0.0])
+    axis -= ROBOT.gravity * (axis @ ROBOT.gravity) / (ROBOT.gravity @ ROBOT.gravity)
+    gravity = ROBOT.gravity + 0.026 * np.cross(axis, ROBOT.gravity)
+    leaning = ROBOT.with_gravity(gravity).inverse_dynamics(BODIES, *states)
+    return (leaning - samples.effort)[:, 1]
+
+
+def of_channel(factor: float) -> dict[str, Cause]:
+    """Return the causes where the second joint's effort is measured with another factor."""
+    rng = np.random.default_rng(8)
+    effort = SAMPLES.effort + 0.05 * SAMPLES.effort.std(axis=0) * rng.standard_normal(
+        SAMPLES.effort.shape
+    )
+    effort[:, 1] *= factor
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit))
+
+
+@pytest.mark.parametrize(("factor", "kind"), [(-1.0, "sign"), (0.1, "scale"), (1.7, "scale")])
+def test_a_wrong_sign_or_scale_of_the_effort_is_no_missing_effect(factor: float, kind: str) -> None:
+    found = of_channel(factor)
+    assert {name: each.kind for name, each in found.items()} == {ROBOT.joint_names[1]: kind}
+    assert found[ROBOT.joint_names[1]].share > 0.9
+
+
+def test_what_constraints_hold_back_has_no_shape_of_an_effect() -> None:
+    shape = SHAPES["acceleration"](SAMPLES)
+    second = ROBOT.joint_names[1]
+    size = 0.5 * SAMPLES.effort[:, 1].std()
+    effort = np.array(SAMPLES.effort)
+    effort[:, 1] += size * shape / shape.std()
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    for left, expected in ((0.9, ("acceleration",)), (0.3, ())):
+        less = effort + left * (SAMPLES.effort - effort)
+        free = Validation.of_prediction(ROBOT.joint_names, samples, less)
+        found = find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), free)
+        assert tuple(each.kind for each in found.values()) == expected
+        assert held_back(fit, free) == (() if expected else (second,))
+    # Nor has an error beside which the mean predicts better.
+    effort[:, 1] += 20.0 * SAMPLES.effort[:, 1].std()
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    assert find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit)) == {}
+
+
+SHAPES: dict[str, Callable[[Samples], Array]] = {
+    "direction": lambda s: np.sign(s.velocity[:, 1]),
+    "velocity": lambda s: s.velocity[:, 1],
+    "speed": lambda s: np.cos(0.6 * s.velocity[:, 1]),
+    "acceleration": lambda s: s.acceleration[:, 1],
+    "load": lambda s: np.abs(s.effort[:, 1]) * np.sign(s.velocity[:, 1]),
+    "gravity": tilted,
+    "position": lambda s: np.sin(s.position[:, 1] + 1.0),
+    "frequency": lambda s: np.sin(2.0 * np.pi * 15.0 * np.asarray(s.time)),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_the_cause_of_an_error_is_named(kind: str) -> None:
+    found = causes(SHAPES[kind](SAMPLES))
+    second = ROBOT.joint_names[1]
+    # The others have noise alone.
+    assert list(found) == [second]
+    assert found[second].kind == kind
+    assert found[second].share > 0.5
+    if kind == "frequency":
+        assert found[second].frequency == pytest.approx(15.0, abs=0.1)
+
+
+def test_noise_has_no_cause() -> None:
+    rng = np.random.default_rng(1)
+    assert causes(rng.standard_normal(SAMPLES.n_samples)) == {}
+    # Neither has noise that is alike for a second, however well it fits some shape by chance.
+    smooth = np.convolve(rng.standard_normal(SAMPLES.n_samples), np.ones(50), "same")
+    assert causes(smooth) == {}
+
+
+def test_a_robot_without_gravity_or_motion_has_no_cause() -> None:
+    floating = ROBOT.with_gravity([0.0, 0.0, 0.0])
+    still = {name: np.zeros_like(SAMPLES.velocity) for name in ("velocity", "acceleration")}
+    samples = replace(SAMPLES, **still)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    assert find_causes(floating, BODIES, samples, fit, joint_errors(samples, fit)) == {}
+
+
+# ---- Friction terms that a recording cannot tell apart are named; the prior shares between them.
+
+
+LINKS = random_links(np.random.default_rng(3), 2)
+
+
+def alike(spread: float) -> Problem:
+    """Return a problem whose second joint moves at speeds that differ by a share of one."""
+    rng = np.random.default_rng(1)
+    q, v, a = random_states(rng, 2, 300)
+    v[:, 1] = np.where(v[:, 1] > 0.0, 1.0, -1.0) * (1.0 + spread * rng.uniform(-1.0, 1.0, 300))
+    effort = ARM.inverse_dynamics(LINKS.ravel(), q, v, a) + 0.5 * np.sign(v) + 0.5 * v
+    effort += 0.01 * rng.standard_normal(effort.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    terms = ("coulomb", "viscous", "offset")
+    prior = Prior(bodies=LINKS)
+    return build_problem(ARM, samples, friction=terms, weighting="residual", prior=prior)
+
+
+def test_speeds_that_never_vary_are_told() -> None:
+    (pair,) = collinear_friction(alike(0.01))
+    assert (pair.joint, pair.first, pair.second) == (ARM.joint_names[1], "Fs2", "Fv2")
+    assert pair.correlation > 0.999
+    note = in_words((pair,))
+    assert "Fs2 and Fv2 of" in note
+
+
+def test_speeds_that_vary_are_not() -> None:
+    assert collinear_friction(alike(0.9)) == ()
+    assert in_words(()) is None
+
+
+def test_the_prior_keeps_them_from_being_torn_apart() -> None:
+    """What the data leave open is shared: either term gets half of what both make."""
+    theta = solve_sdp(alike(0.0)).named_theta()
+    np.testing.assert_allclose([theta["Fs2"], theta["Fv2"]], 0.5, atol=0.02)
+
+
+# ---- The worst mass matrix: found by search, bounded by proof, and able to be bad.
+
+
+# Sums of a few hundred products of order one.
+ROUNDING = 1e-11
+
+
+@cache
+def robot(source: str) -> RobotModel:
+    """Return a robot by its description, or an arm by its number of joints."""
+    return small_arm(int(source)) if source.isdigit() else load_robot(source)
+
+
+URDFS = {name: small.urdf for name, small in SMALL.items()}
+ROBOTS = (TREE, TREE_MIMIC, "2", "4", "denso_vp6242", *URDFS.values())
+NAMES = ("tree", "mimic", "arm2", "arm4", "denso", *URDFS)
+
+
+@pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
+def test_velocities_of_links_make_the_mass_matrix(source: str) -> None:
+    arm, rng = robot(source), np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, (3, arm.n))
+    theta = rng.standard_normal((arm.n_links, 10))
+    J = link_jacobians(arm, q)
+    M = np.einsum("klai,lab,klbj->kij", J, spatial_inertia(theta), J)
+    np.testing.assert_allclose(M, arm.mass_matrix(theta, q), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
+def test_joint_velocities_are_read_off_the_links_at_every_position(source: str) -> None:
+    arm, rng = robot(source), np.random.default_rng(1)
+    q = rng.uniform(-3.0, 3.0, (4, arm.n))
+    V = link_jacobians(arm, q).reshape(4, -1, arm.n)
+    shown = np.broadcast_to(arm.expansion, (4, *arm.expansion.shape))
+    np.testing.assert_allclose(joint_rates(arm) @ V, shown, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
+@given(seed=SEEDS)
+def test_no_position_goes_below_the_proven_bound(source: str, seed: int) -> None:
+    arm, rng = robot(source), np.random.default_rng(seed)
+    theta = random_links(rng, arm.n_links)
+    least = proven_bound(arm, theta)
+    assert least > 0.0
+    M = arm.mass_matrix(theta, rng.uniform(-3.2, 3.2, (4, arm.n)))
+    assert np.linalg.eigvalsh(M).min() >= least
+
+
+def test_a_floating_base_counts_and_its_place_does_not() -> None:
+    flying = load_robot(TREE, root="free_flyer")
+    rng = np.random.default_rng(2)
+    theta = random_links(rng, flying.n_links)
+    least = proven_bound(flying, theta)
+    J = link_jacobians(flying, rng.uniform(-1.0, 1.0, (20, flying.n - 6)))
+    M = np.einsum("klai,lab,klbj->kij", J, spatial_inertia(theta), J)
+    assert np.linalg.eigvalsh(M).min() >= least > 0.0
+
+
+@cache
+def estimate_of(consistency: str, margin: float) -> Estimate:
+    """Return an estimate that its constraints press on."""
+    problem = arm_problem(consistency=consistency, margin=margin)  # type: ignore[arg-type]
+    return sdpid.solve_sdp(problem)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@given(q=st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=2))
+def test_constrained_estimates_stay_positive_definite(consistency: str, q: list[float]) -> None:
+    estimate = estimate_of(consistency, 1e-3)
+    assert smallest_eigenvalues(estimate, [q])[0] > 0.0
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_the_search_finds_the_worst_and_the_bound_is_below(consistency: str) -> None:
+    estimate = estimate_of(consistency, 1e-3)
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
+    grid = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 181)] * 2), axis=-1).reshape(-1, 2)
+    assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
+    assert smallest_eigenvalues(estimate, worst.q[None])[0] == pytest.approx(worst.value)
+    assert 0.0 < worst.lower_bound <= worst.value
+    assert worst.positive_definite
+    assert sdpid.smallest_mass_eigenvalue(estimate).value == worst.value
+    assert worst.to_dict()["lower_bound"] == worst.lower_bound
+
+
+def test_a_box_limits_the_search() -> None:
+    estimate = estimate_of("pseudo_inertia", 1e-3)
+    anywhere = sdpid.smallest_mass_eigenvalue(estimate)
+    box = np.column_stack([anywhere.q + 1.0, anywhere.q + 1.2])
+    inside = sdpid.smallest_mass_eigenvalue(estimate, bounds=box)
+    assert np.all((box[:, 0] <= inside.q) & (inside.q <= box[:, 1]))
+    assert inside.value >= anywhere.value
+    refuses(DataError, "bounds", sdpid.smallest_mass_eigenvalue, estimate, bounds=[[0.0, 1.0]])
+
+
+# Three joints whose far limits, or whose slide, a search within half a turn would miss.
+LIMITED = """<robot name="limited"><link name="base"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+ <limit lower="0.5" upper="{upper}" velocity="1" effort="1"/></joint>
+<link name="a"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0"
+ izz="0.1"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+ <origin xyz="0.5 0 0"/><limit lower="0.5" upper="{upper}" velocity="1" effort="1"/></joint>
+<link name="b"><inertial><origin xyz="0.4 0.4 0" rpy="0 0 0"/><mass value="2"/>
+ <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="1 0 0"/>
+ {limit}</joint>
+<link name="c"><inertial><mass value="0.5"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
+ izz="0.01"/></inertial></link></robot>"""
+
+
+def estimate_from_description(source: str) -> Estimate:
+    arm, rng = load_robot(source), np.random.default_rng(0)
+    theta = np.concatenate([arm.prior.ravel(), np.ones(2 * arm.n)])
+    return sdpid.solve_sdp(build_problem(arm, make_samples(arm, theta, rng)))
+
+
+def test_the_box_is_the_description_s_limits() -> None:
+    slide = '<limit lower="-5" upper="-4" velocity="1" effort="1"/>'
+    estimate = estimate_from_description(LIMITED.format(upper=6.2, limit=slide))
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
+    np.testing.assert_array_equal(worst.bounds, [[0.5, 6.2], [0.5, 6.2], [-5.0, -4.0]])
+    grid = np.stack(
+        np.meshgrid(*[np.linspace(low, high, 41) for low, high in worst.bounds]), axis=-1
+    ).reshape(-1, 3)
+    assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
+    # Where it is least is beyond half a turn.
+    half = sdpid.smallest_mass_eigenvalue(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
+    assert worst.value < half.value
+
+
+@pytest.mark.parametrize("ends", ['lower="-1e9" upper="1e9"', ""])
+def test_without_limits_a_joint_turns_once_or_slides_a_meter(ends: str) -> None:
+    slide = f'<limit {ends} velocity="1" effort="1"/>'
+    estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
+    turn = [0.5, 0.5 + 2.0 * np.pi]
+    np.testing.assert_allclose(worst.bounds, [turn, turn, [-1.0, 1.0]])
+
+
+@pytest.mark.parametrize("mass", [-10.0, 0.0, 1e-320])
+def test_links_without_mass_prove_nothing_and_overflow_nowhere(mass: float) -> None:
+    theta = random_links(np.random.default_rng(5), ARM.n_links)
+    theta[0] = [mass, 0.0, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, -10.0]
+    with np.errstate(all="raise"):
+        assert proven_bound(ARM, theta) is None
+
+
+@pytest.mark.parametrize("column", ["wls", "cwls"])
+def test_published_parameters_can_fail(denso: RobotModel, column: str) -> None:
+    rng = np.random.default_rng(3)
+    problem = build_problem(denso, make_samples(denso, random_theta(denso, rng), rng))
+    with (bundled_folder("denso_vp6242") / "table_iv.csv").open(encoding="utf-8") as file:
+        values = {row["parameter"]: float(row[column]) for row in csv.DictReader(file)}
+    base = np.array([values[name] for name in problem.base.names])
+    published = replace(sdpid.solve_wls(problem), base=base)
+    worst = sdpid.smallest_mass_eigenvalue(published)
+    # Without constraints far from it, with constraints after rounding to two digits.
+    assert worst.value < (-0.5 if column == "wls" else 0.0)
+    assert worst.lower_bound is None
+    assert not worst.positive_definite
+    # Any links with these base parameters have this mass matrix.
+    matrix = problem.base.matrix
+    free = np.linalg.svd(matrix)[2][problem.base.count :]
+    other = np.linalg.pinv(matrix) @ base + free.T @ rng.standard_normal(len(free))
+    M = denso.mass_matrix(other, worst.q)
+    assert np.linalg.eigvalsh(M)[0] == pytest.approx(worst.value, abs=1e-8)

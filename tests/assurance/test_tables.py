@@ -1,0 +1,449 @@
+"""Audits of base parameters: bodies that exist pass, others are refuted, tampering shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import sdpid
+from sdpid import RobotModel, Samples, cli, load_robot
+from sdpid._common.arrays import Array
+from sdpid.assurance.tables.audit import BaseAudit
+from sdpid.assurance.tables.csv_table import half_unit, read_base_table
+from sdpid.assurance.tables.facial_reduction import find_face
+from sdpid.assurance.tables.question import base_question
+from sdpid.assurance.tables.refutation import Refutation
+from sdpid.assurance.tables.witness import exact
+from sdpid.errors import DataError
+from sdpid.output.tables.parameter_tables import base_table
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
+from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.verifier.decimals import decimal_text, rounded
+from sdpid.verifier.realizable import coefficient_matrices
+from sdpid.verifier.tables import check, load, require_form
+from tests.helpers.data import make_samples, random_theta
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE, pendulum, small_arm
+from tests.helpers.strategies import SEEDS, bodies, links, random_states
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+TERMS = ("coulomb", "viscous")
+TABLE_IV = bundled_folder("denso_vp6242") / "table_iv.csv"
+
+
+@cache
+def arm(name: str) -> tuple[RobotModel, BaseParameters]:
+    robots: dict[str, Callable[[], RobotModel]] = {
+        "arm": lambda: small_arm(3),
+        "tree": lambda: load_robot(TREE),
+        "denso": lambda: load_robot("denso_vp6242"),
+    }
+    robot = robots[name]()
+    model = FrictionModel.from_terms(TERMS, robot.joint_names, first=robot.n_base)
+    return robot, structural_base(robot, model)
+
+
+def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> BaseAudit:
+    robot, base = arm(name)
+    values = dict(zip(base.names, (base.matrix @ theta).tolist(), strict=True))
+    found = sdpid.audit_base_parameters(robot, values, half, consistency=kind, base=base, **more)
+    if found.verdict != "undecided":
+        assert found.holds()
+    assert (found.witness is not None) == (found.verdict == "realisable")
+    assert (found.refutation is not None) == (found.verdict == "not realisable")
+    assert (found.certificate is None) == (found.verdict == "undecided")
+    if found.certificate is not None:
+        checked = check(require_form(json.loads(json.dumps(found.certificate.to_dict()))))
+        assert checked.passed, checked.problems
+    if found.margin is not None and found.margin_bound is not None:
+        assert found.margin <= found.margin_bound + 1e-9 * max(1.0, abs(found.margin))
+    return found
+
+
+def whole_theta(name: str, of_links: Array, friction: float = 0.5) -> Array:
+    robot, _ = arm(name)
+    return np.concatenate([of_links.ravel(), np.full(2 * robot.n, friction)])
+
+
+# -------------------------------------------------------------------- bodies that exist
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_point_masses_are_realisable(kind: Consistency, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(["arm", "denso", "tree"]))
+    robot, base = arm(name)
+    theta = whole_theta(name, data.draw(links(robot.n_links)))
+    half = data.draw(st.sampled_from([0.0, 1e-4, 0.005, 0.1]))
+    found = audit(name, theta, half, kind)
+    assert found.verdict == "realisable"
+    # No less interior than the bodies that the table was made of.
+    least = margin(theta[: 10 * robot.n_links].reshape(-1, 10), kind).min()
+    assert found.margin >= least - 1e-6
+    assert np.abs(base.matrix @ found.witness - base.matrix @ theta).max() <= half + 1e-9
+
+
+@pytest.mark.parametrize("half", [0.0, 1e-4, 0.005])
+def test_the_largest_margin_is_no_less_than_one_that_exists(half: float) -> None:
+    robot, _ = arm("tree")
+    body = [0.3, 0.0, 0.0, 0.0, 5e-4, 0.0, 5e-4, 0.0, 0.0, 5e-4]
+    theta = whole_theta("tree", np.tile(body, (robot.n_links, 1)))
+    found = audit("tree", theta, half, "spatial_inertia")
+    assert found.margin >= 5e-4 - 1e-6
+
+
+def test_bodies_without_thickness_are_on_the_boundary() -> None:
+    # Exactly known numbers of point masses: no room at all, and nothing to refute.
+    robot, _ = arm("arm")
+    point = point_masses(np.ones(1), np.array([[0.1, 0.2, 0.3]]))
+    found = audit("arm", whole_theta("arm", np.tile(point, (robot.n_links, 1))), 0.0, BOTH[0])
+    assert found.verdict in ("realisable", "undecided")
+    assert abs(found.margin) < 1e-4
+
+
+def test_undecided_is_near_the_boundary() -> None:
+    """Along a line of tables the verdict changes once, and is open at most next to there."""
+    robot, base = arm("arm")
+    start = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    row = base.matrix[base.names.index("zz3")]
+    edge = 0.0
+    for k in range(30):
+        found = audit("arm", start - 2.0**-k * row, 1e-3, BOTH[0])
+        if found.verdict == "realisable":
+            edge = max(edge, 2.0**-k)
+        else:
+            assert found.verdict == "not realisable" or abs(found.margin) < 1e-6
+    assert edge > 0.0
+
+
+# -------------------------------------------------------------------- bodies that do not
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@settings(max_examples=6, deadline=None)
+@given(data=st.data())
+def test_impossible_bodies_are_refuted(kind: Consistency, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(["arm", "denso", "tree"]))
+    robot, _ = arm(name)
+    theta = whole_theta(name, data.draw(links(robot.n_links)))
+    # The last link with the sign turned, and more of it than all the others could hide.
+    theta[10 * (robot.n_links - 1) : 10 * robot.n_links] = -100.0 * data.draw(bodies())
+    found = audit(name, theta, 0.005, kind)
+    assert found.verdict == "not realisable"
+    proof = found.refutation
+    assert found.margin_bound is None or found.margin_bound < 0.0
+    assert found.blamed
+    # The inequality is true of bodies that exist, whatever they are.
+    weights = np.array([float(proof.weights.get(n, 0)) for n in proof.question.names])
+    good = whole_theta(name, data.draw(links(robot.n_links)))
+    value = float(weights @ arm(name)[1].matrix @ good)
+    assert value >= float(proof.least) - 1e-9 * float(np.abs(weights).max()) * 100
+    # As much change as was proven to be needed, and no more.
+    assert 0.0 < found.change_bound <= found.change * (1.0 + 1e-9)
+    assert found.change <= 1.05 * found.change_bound + 0.05
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=SEEDS)
+def test_triangle_inequality_separates_the_two(seed: int) -> None:
+    """A plate heavier about its normal than physics has it: an I_g, but no mass distribution."""
+    rng = np.random.default_rng(seed)
+    robot, _ = arm("arm")
+    links_ = np.tile(
+        point_masses(np.ones(4), 0.01 * rng.uniform(-1, 1, (4, 3))), (robot.n_links, 1)
+    )
+    links_[-1] = [1.0, 0, 0, 0, 0.1, 0, 0.5, 0, 0, 0.1]
+    theta = whole_theta("arm", links_)
+    assert audit("arm", theta, 1e-3, "spatial_inertia").verdict == "realisable"
+    assert audit("arm", theta, 1e-3, "pseudo_inertia").verdict == "not realisable"
+
+
+def test_negative_friction_is_refuted_by_itself() -> None:
+    robot, _ = arm("arm")
+    theta = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    theta[-1] = -1.0
+    found = audit("arm", theta, 0.5, BOTH[0])
+    assert found.verdict == "not realisable"
+    assert list(found.refutation.weights) == ["Fv3"]
+    assert audit("arm", theta, 0.5, BOTH[0], friction_nonnegative=False).verdict == "realisable"
+
+
+def test_a_mass_bound_is_used_only_where_it_must_be() -> None:
+    robot, base = arm("denso")
+    # A first moment that gravity shows can be had with any inertia if the link is heavy enough.
+    values: dict[str, float | str] = {"mxr2": "10", "my2": "0", "zzr2": "0.5", "zz6": "0.001"}
+    found = sdpid.audit_base_parameters(robot, values, 0.01, mass_max=20, base=base)
+    assert found.verdict == "not realisable"
+    assert found.needs_mass_bound
+    assert found.refutation.holds
+    # The proof does not hold without the multipliers of the masses.
+    bare = Refutation(question=found.question, weights=found.refutation.weights)
+    assert not bare.holds
+    assert (
+        sdpid.audit_base_parameters(robot, values, 0.01, mass_max=1000, base=base).verdict
+        == "realisable"
+    )
+
+
+def test_unknown_parameters_are_free() -> None:
+    robot, base = arm("denso")
+    found = sdpid.audit_base_parameters(robot, {"zz6": -1.0}, 0.5, base=base)
+    assert found.verdict == "not realisable"
+    found = sdpid.audit_base_parameters(robot, {"zz6": 1.0}, 0.5, base=base)
+    assert found.verdict == "realisable"
+
+
+# -------------------------------------------------------------------- the paper
+
+
+@pytest.mark.parametrize(
+    ("column", "kind", "most"),
+    [("cwls", "pseudo_inertia", 4), ("wls", "pseudo_inertia", 4), ("wls", "spatial_inertia", 4)],
+)
+def test_the_paper_is_refuted_by_few_numbers(column: str, kind: Consistency, most: int) -> None:
+    robot, base = arm("denso")
+    table = read_base_table(TABLE_IV, value=column)
+    found = sdpid.audit_base_parameters(
+        robot, table.values, table.halfwidths, consistency=kind, base=base
+    )
+    assert found.verdict == "not realisable"
+    assert found.refutation.holds
+    assert len(found.refutation.weights) <= most
+    assert found.needs_mass_bound is False
+
+
+def test_the_constrained_column_has_links_but_not_with_the_stated_margin() -> None:
+    robot, base = arm("denso")
+    table = read_base_table(TABLE_IV, value="cwls")
+    verdicts = [
+        sdpid.audit_base_parameters(
+            robot,
+            table.values,
+            table.halfwidths,
+            consistency="spatial_inertia",
+            margin=least,
+            base=base,
+        ).verdict
+        for least in ("0", "0.003", "0.005", "0.01")
+    ]
+    assert verdicts == ["realisable", "realisable", "not realisable", "not realisable"]
+
+
+def test_by_hand() -> None:
+    """The proofs of the paper's columns, in numbers: no package needed to follow them."""
+    table = read_base_table(TABLE_IV, value="wls")
+    assert table.values["zzr4"] + table.halfwidths["zzr4"] < 0  # zz_4 + yy_5
+    table = read_base_table(TABLE_IV, value="cwls")
+    # zz_6 + xx_6 - yy_6 is twice the second moment along y.
+    largest = sum(table.values[n] + table.halfwidths[n] for n in ("zz6", "xxr6"))
+    assert largest == Fraction("-0.06")
+
+
+# -------------------------------------------------------------------- what a proof says
+
+
+@settings(max_examples=50, deadline=None)
+@given(body=bodies(), seed=SEEDS)
+def test_what_a_link_adds(body: Array, seed: int) -> None:
+    """c·theta = <C, I_g> + m·q(r), and = <Q, J>; both matrices as the proofs have them."""
+    c = [Fraction(int(x)) for x in np.random.default_rng(seed).integers(-9, 10, 10)]
+    C, Q = (np.array(m, dtype=float) for m in coefficient_matrices(c))
+    expected = float(np.array(c, dtype=float) @ body)
+    assert np.isclose(np.sum(Q * matrix_of(body, "pseudo_inertia")), expected)
+    r = np.append(body[1:4] / body[0], 1.0)
+    about = sdpid_inertia(body)
+    assert np.isclose(np.sum(C * about) + body[0] * r @ Q @ r, expected)
+
+
+def sdpid_inertia(body: Array) -> Array:
+    from sdpid.robot.inertia import physical_parameters
+
+    return np.asarray(physical_parameters(body)[2])
+
+
+def test_face_of_masses_that_nothing_shows() -> None:
+    # Mass at the origin of link 2 adds nothing: first moments of it prove nothing without a bound.
+    robot, base = arm("denso")
+    question = base_question(robot, {"mxr2": 1, "my2": 1, "zzr2": 1}, 0, base=base)
+    assert find_face(question, range(3), mass_bound=False).free == (2,)
+    assert find_face(question, range(3), mass_bound=True).free == (0, 1, 2)
+
+
+# -------------------------------------------------------------------- numbers and tables
+
+
+def test_numbers_are_read_as_printed() -> None:
+    assert exact(7.1) == exact(np.float64(7.1)) == exact("7.10") == Fraction(71, 10)
+    assert exact(Decimal("0.013")) == Fraction(13, 1000)
+    assert exact("2/3") == exact(Fraction(2, 3)) == Fraction(2, 3)
+    for wrong in ("x", "1/x", "1/2/3", float("nan"), float("inf"), "Infinity", None):
+        refuses(DataError, "finite number", exact, wrong)
+    refuses(DataError, "division by zero", exact, "1/0")
+    long = ("1e400", "1e-999999999", 1e300, "9" * 500, "1/1e400", Fraction(1, 10**600))
+    for wrong in long:
+        refuses(DataError, "digits", exact, wrong)
+    assert decimal_text(Fraction(10) ** 400) == "1e+400"
+    for text, half in (("7.10", "0.005"), ("-1", "0.5"), ("1.2e-3", "0.00005"), ("20", "0.5")):
+        assert half_unit(text) == Fraction(half)
+    with pytest.raises(DataError):
+        half_unit("1..2")
+
+
+@given(value=st.fractions(max_denominator=10**6), digits=st.integers(1, 12))
+def test_rounding_keeps_claims_true(value: Fraction, digits: int) -> None:
+    below, above = rounded(value, digits, up=False), rounded(value, digits, up=True)
+    assert below <= value <= above
+    assert above - below <= abs(value) * Fraction(10) ** (1 - digits)
+
+
+def test_tables(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("\ufeffparameter, value, halfwidth\nzz6, 0.05,\nmx6, 0.1, 0.2\nmy6,,\n")
+    table = read_base_table(path)
+    assert table.values == {"zz6": Fraction("0.05"), "mx6": Fraction("0.1")}
+    assert table.halfwidths == {"zz6": Fraction("0.005"), "mx6": Fraction("0.2")}
+    assert set(read_base_table(path, halfwidth=0.5).halfwidths.values()) == {Fraction(1, 2)}
+    for text, word in (
+        ("a,b\n", "name"),
+        ("name,b\nzz6,1\n", "value"),
+        ("name,value\nzz6,x\n", "not a finite number"),
+        ("name,value\nzz6,1\nzz6,1\n", "twice"),
+        ("name,value\n", "no values"),
+    ):
+        path.write_text(text)
+        refuses(DataError, word, read_base_table, path)
+    refuses(DataError, "halfwidths", read_base_table, TABLE_IV, value="wls", halfwidth="other")
+
+
+@pytest.mark.parametrize(
+    ("values", "halfwidths", "more", "word"),
+    [
+        ({}, 0.1, {}, "no values"),
+        ({"zz9": 1.0}, 0.1, {}, "zz9"),
+        ({"zz6": 1.0}, {}, {}, "no halfwidth"),
+        ({"zz6": 1.0}, {"zz6": 0.1, "mx6": 0.1}, {}, "without a value"),
+        ({"zz6": 1.0}, -0.1, {}, "least is 0"),
+        ({"zz6": float("nan")}, 0.1, {}, "finite"),
+        ({"zz6": 1.0}, 0.1, {"consistency": "none"}, "consistency"),
+        ({"zz6": 1.0}, 0.1, {"margin": -1.0}, "margin"),
+        ({"zz6": 1.0}, 0.1, {"mass_min": 0.0}, "mass_min"),
+        ({"zz6": 1.0}, 0.1, {"mass_max": 1e9}, "theta_max"),
+    ],
+)
+def test_bad_input(values: Any, halfwidths: Any, more: Any, word: str) -> None:
+    robot, base = arm("denso")
+    with pytest.raises(DataError, match=word):
+        sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **more)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_tables_of_ones_own_estimates_are_realisable(kind: Consistency, tmp_path: Path) -> None:
+    """The file that `identify` writes names its friction by itself, whatever the terms are."""
+    rng = np.random.default_rng(0)
+    robot, terms = small_arm(2), ("coulomb", "viscous", "offset", "rotor_inertia")
+    friction = (*terms, SigmoidFriction(0.1), Coupling(*robot.joint_names))
+    theta = random_theta(robot, rng, friction)
+    samples = make_samples(robot, theta, rng, friction=friction, noise=0.05)
+    problem = sdpid.build_problem(robot, samples, friction=friction, consistency=kind)
+    table = tmp_path / "base_parameters.csv"
+    base_table(sdpid.solve_sdp(problem)).write(table)
+    (tmp_path / "arm.urdf").write_text(robot.urdf or "", encoding="utf-8")
+    arguments = ["audit", str(table), "--robot", str(tmp_path / "arm.urdf"), "--consistency", kind]
+    done = CliRunner().invoke(cli.app, arguments)
+    assert done.exit_code == 0, done.output
+    assert ": realisable" in done.output
+
+
+def test_a_table_with_effects_is_audited_by_the_description(tmp_path: Path) -> None:
+    """Tilt and friction of the load were taken at links that a table does not hold."""
+    rng = np.random.default_rng(0)
+    robot = load_robot("ur5_robot")
+    links_ = 1.1 * robot.prior
+    bodies = tuple(tuple(map(float, body)) for body in links_)
+    posed = (Coulomb(), Viscous(), LoadFriction(bodies), Tilt(bodies))
+    model = FrictionModel.from_terms(posed, robot.joint_names)
+    q, v, a = random_states(rng, robot.n, 150)
+    motion = Motion(position=q, velocity=v, acceleration=a, robot=robot)
+    values = np.repeat([2.0, 1.0, 0.1, 0.02], [6, 6, 6, 2])
+    effort = robot.inverse_dynamics(links_, q, v, a) + model.columns_in(motion) @ values
+    effort += 0.05 * rng.standard_normal(effort.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    estimate = sdpid.solve_sdp(sdpid.build_problem(robot, samples, friction=posed))
+    table = tmp_path / "base_parameters.csv"
+    base_table(estimate).write(table)
+    assert {"Gx", "Gy", "Fl1", "Fl6"} <= set(read_base_table(table).values)
+    done = CliRunner().invoke(cli.app, ["audit", str(table), "--robot", "ur5_robot"])
+    assert done.exit_code == 0, done.output
+    assert ": realisable" in done.output
+
+
+def test_a_tilt_that_folds_into_a_link_needs_that_link() -> None:
+    """Gravity turned about the only joint's axis is the link's mass elsewhere."""
+    robot = replace(pendulum(), prior=np.array([[2.0, 0.3, 0.1, 0.0, 0.1, 0, 0.1, 0, 0, 0.1]]))
+    with pytest.raises(DataError, match=r"depends on the links.*Tilt\(bodies"):
+        base_question(robot, {"Gx": 0, "mxr1": 1}, 0.1)
+
+
+def test_command(tmp_path: Path) -> None:
+    def run(*arguments: Any) -> Any:
+        return CliRunner().invoke(cli.app, ["audit", *map(str, arguments)])
+
+    how = ("--robot", "denso_vp6242", "--value", "cwls", "--consistency")
+    done = run(TABLE_IV, *how, "spatial_inertia", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["verdict"] == "realisable"
+    path = tmp_path / "proof.json"
+    done = run(TABLE_IV, *how, "pseudo_inertia", "--proof", path)
+    assert done.exit_code == 3
+    assert "not realisable" in done.stdout
+    assert ">= 0 for links that can exist" in done.stdout
+    assert check(load(path.read_bytes())).passed
+    done = run(TABLE_IV, *how, "spatial_inertia", "--proof", path)
+    assert done.exit_code == 0
+    assert any("table_iv.csv" in line for line in check(load(path.read_bytes())).statements)
+    for wrong in (
+        (TABLE_IV,),
+        (TABLE_IV, "--robot", "denso_vp6242"),
+        (tmp_path / "missing.csv", "--robot", "denso_vp6242"),
+        (TABLE_IV, *how, "none"),
+        (TABLE_IV, "--robot", "denso_vp6242", "--repair", tmp_path / "out.urdf"),
+    ):
+        done = run(*wrong)
+        assert done.exit_code == 2, done.output
+        assert done.stderr.startswith("sdpid: ")
+
+
+def test_a_table_to_fill_in(tmp_path: Path) -> None:
+    """It has the names of the robot, is never written over a file, and is read once filled in."""
+    table = tmp_path / "mine.csv"
+    arguments = ["audit", str(table), "--robot", "denso_vp6242"]
+    done = CliRunner().invoke(cli.app, [*arguments, "--template"])
+    assert (done.exit_code, "48 base parameters" in done.output) == (0, True)
+    lines = table.read_text().splitlines()
+    assert lines[0] == "name,unit,value,halfwidth,regrouping"
+    assert [line.split(",")[0] for line in lines[1:]] == list(arm("denso")[1].names)
+    assert "column 'value' has no values" in CliRunner().invoke(cli.app, arguments).stderr
+    again = CliRunner().invoke(cli.app, [*arguments, "--template"])
+    assert (again.exit_code, "is there already" in again.stderr) == (2, True)
+    filled = table.read_text().replace("zz6,kg.m2,,", "zz6,kg.m2,0.00,")
+    table.write_text(filled.replace("xxr6,kg.m2,,", "xxr6,kg.m2,-0.07,"))
+    done = CliRunner().invoke(cli.app, arguments)
+    assert (done.exit_code, "xxr6 + zz6 >= 0" in done.output) == (3, True)

@@ -1,0 +1,431 @@
+"""Conic programs: solutions, attempts, and the derivative of a fit."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sdpid._common.arrays import Array
+from sdpid.estimation.conic import solve as conic
+from sdpid.estimation.conic.fit_response import FitResponse
+from sdpid.estimation.conic.retry import solve_with_retries
+from sdpid.estimation.conic.solve import (
+    ConicFamily,
+    ConicProgram,
+    ConicSolution,
+    Matrix,
+    solve_conic,
+)
+from sdpid.estimation.conic.standard_form import symmetric_basis
+
+# Solutions of problems of order one: an interior-point method ends at some 1e-9, and where the
+# optimum is flat at its square root.
+SOLVED = 1e-6
+
+
+def program(
+    M: Array,
+    m: Array,
+    *,
+    C: Array | None = None,
+    lower: Array | float = -np.inf,
+    upper: Array | float = np.inf,
+    **rest: object,
+) -> ConicProgram:
+    """Return a program, by default without linear inequalities."""
+    C = np.zeros((0, M.shape[1])) if C is None else C
+    low, high = (np.broadcast_to(np.asarray(side, float), (len(C),)) for side in (lower, upper))
+    return ConicProgram(M=M, m=m, C=C, lower=low, upper=high, **rest)  # type: ignore[arg-type]
+
+
+def whole(size: int) -> Matrix:
+    """Return the matrix whose coordinates in the symmetric basis are x."""
+    basis = symmetric_basis(size)
+    return Matrix(np.arange(len(basis)), basis, np.zeros((size, size)))
+
+
+def coordinates(matrix: Array) -> Array:
+    return np.asarray(np.einsum("aij,ij->a", symmetric_basis(len(matrix)), matrix))
+
+
+def matrix_of(x: Array, size: int) -> Array:
+    return np.asarray(np.einsum("a,aij->ij", x, symmetric_basis(size)))
+
+
+def symmetric(rng: np.random.Generator, size: int) -> Array:
+    root = rng.standard_normal((size, size))
+    return root + root.T
+
+
+def positive(rng: np.random.Generator, size: int) -> Array:
+    root = rng.standard_normal((size, size))
+    return root @ root.T + np.eye(size)
+
+
+@pytest.mark.parametrize("size", [2, 3, 4, 6])
+def test_the_nearest_positive_semidefinite_matrix(size: int) -> None:
+    """Every entry has its place and its weight, in the point and in the multiplier."""
+    A = symmetric(np.random.default_rng(size), size)
+    count = len(symmetric_basis(size))
+    found = solve_conic(program(np.eye(count), -coordinates(A), blocks=(whole(size),)))
+    values, vectors = np.linalg.eigh(A)
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    np.testing.assert_allclose(matrix_of(found.x, size), nearest, atol=SOLVED)
+    # The gradient 2·(X − A) is the multiplier.
+    np.testing.assert_allclose(found.blocks[0], 2.0 * (nearest - A), atol=SOLVED)
+
+
+def test_constants_and_several_blocks() -> None:
+    """Blocks of different sizes that each see some of the variables, moved by their constants."""
+    rng = np.random.default_rng(1)
+    A, B, D, E = symmetric(rng, 3), symmetric(rng, 2), symmetric(rng, 3), symmetric(rng, 2)
+    first = Matrix(3 + np.arange(6), symmetric_basis(3), D)
+    second = Matrix(np.arange(3), symmetric_basis(2), E)
+    target = np.concatenate([coordinates(B), coordinates(A)])
+    found = solve_conic(program(np.eye(9), -target, blocks=(first, second)))
+
+    def nearest(goal: Array, constant: Array) -> Array:
+        values, vectors = np.linalg.eigh(goal + constant)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T - constant)
+
+    np.testing.assert_allclose(matrix_of(found.x[3:], 3), nearest(A, D), atol=SOLVED)
+    np.testing.assert_allclose(matrix_of(found.x[:3], 2), nearest(B, E), atol=SOLVED)
+    for dual, goal, constant in zip(found.blocks, (A, B), (D, E), strict=True):
+        np.testing.assert_allclose(dual, 2.0 * (nearest(goal, constant) - goal), atol=SOLVED)
+
+
+def test_signs_of_multipliers_and_infinite_limits() -> None:
+    """Of ``(x − a)²`` within limits: the gradient at the end, positive at a lower one."""
+    goal = np.array([-3.0, 3.0, 0.5, -3.0, 3.0, 7.0])
+    lower = np.array([-1.0, -1.0, -1.0, -np.inf, 1.0, -np.inf])
+    upper = np.array([1.0, 1.0, 1.0, 1.0, np.inf, np.inf])
+    found = solve_conic(program(np.eye(6), -goal, C=np.eye(6), lower=lower, upper=upper))
+    x = np.clip(goal, lower, upper)
+    np.testing.assert_allclose(found.x, x, atol=SOLVED)
+    np.testing.assert_allclose(found.rows, 2.0 * (x - goal), atol=SOLVED)
+    assert found.rows[0] > 0.0 > found.rows[1]
+
+
+def test_multipliers_are_derivatives() -> None:
+    """Of the optimal cost, with respect to each limit of random rows."""
+    rng = np.random.default_rng(2)
+    M, m, C = rng.standard_normal((8, 5)), rng.standard_normal(8), rng.standard_normal((4, 5))
+    lower = np.array([0.3, -np.inf, -0.2, -5.0])
+    upper = np.array([np.inf, -0.4, 0.1, 5.0])
+
+    def optimum(shift: Array) -> tuple[float, Array]:
+        found = solve_conic(program(M, m, C=C, lower=lower + shift, upper=upper + shift))
+        return float(np.sum((M @ found.x + m) ** 2)), found.rows
+
+    rows = optimum(np.zeros(4))[1]
+    assert np.count_nonzero(np.abs(rows) > SOLVED) >= 2
+    step = 1e-3
+    for k in range(4):
+        shift = step * np.eye(4)[k]
+        slope = (optimum(shift)[0] - optimum(-shift)[0]) / (2.0 * step)
+        # A quadratic program is piecewise quadratic: central differences are exact.
+        assert slope == pytest.approx(rows[k], abs=1e-4)
+
+
+@pytest.mark.parametrize(("size", "weight"), [(1, 0.7), (2, 3.0), (4, 0.2)])
+def test_log_det(size: int, weight: float) -> None:
+    """``⟨C, X⟩ − w·log det X`` is least at ``w·C^(-1)``."""
+    C = positive(np.random.default_rng(size), size)
+    count = len(symmetric_basis(size))
+    cost, log_dets = coordinates(C), (whole(size),)
+    nothing = np.zeros((0, count)), np.zeros(0)
+    found = solve_conic(program(*nothing, cost=cost, log_dets=log_dets, weight=weight))
+    X = matrix_of(found.x, size)
+    np.testing.assert_allclose(X, weight * np.linalg.inv(C), atol=1e-4 * weight)
+    # The point is known to the square root of what the cost is known to.
+    cost = np.sum(C * X) - weight * np.linalg.slogdet(X)[1]
+    best = weight * size - weight * np.linalg.slogdet(weight * np.linalg.inv(C))[1]
+    assert cost == pytest.approx(best, abs=SOLVED * weight)
+
+
+def test_log_dets_beside_squares_and_blocks() -> None:
+    """``‖X − A‖² − w·Σ log det`` of two matrices, one with a constant, eigenvalue by eigenvalue."""
+    rng = np.random.default_rng(5)
+    A, B = symmetric(rng, 3), symmetric(rng, 2)
+    shift = symmetric(rng, 2)
+    first = Matrix(np.arange(6), symmetric_basis(3), np.zeros((3, 3)))
+    second = Matrix(6 + np.arange(3), symmetric_basis(2), shift)
+    weight = 0.4
+    target = np.concatenate([coordinates(A), coordinates(B)])
+    # Matrices with a log-determinant are inside; another block changes nothing.
+    both = {"blocks": (first,), "log_dets": (first, second)}
+    found = solve_conic(program(np.eye(9), -target, **both, weight=weight))
+
+    def best(goal: Array) -> Array:
+        # 2·(x − a) = w/x.
+        values, vectors = np.linalg.eigh(goal)
+        values = 0.5 * (values + np.sqrt(values**2 + 2.0 * weight))
+        return np.asarray((vectors * values) @ vectors.T)
+
+    np.testing.assert_allclose(matrix_of(found.x[:6], 3), best(A), atol=1e-5)
+    np.testing.assert_allclose(matrix_of(found.x[6:], 2), best(B + shift) - shift, atol=1e-5)
+    np.testing.assert_allclose(found.blocks[0], 0.0, atol=1e-5)
+
+
+def test_the_linear_cost_counts_once() -> None:
+    """``‖x‖² + c·x`` is least at −c/2."""
+    cost = np.array([2.0, -4.0])
+    found = solve_conic(program(np.eye(2), np.zeros(2), cost=cost))
+    np.testing.assert_allclose(found.x, -0.5 * cost, atol=SOLVED)
+
+
+def test_what_has_no_solution_says_so() -> None:
+    one = np.eye(1)
+    lower, upper = np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+    apart = program(one, np.zeros(1), C=np.ones((2, 1)), lower=lower, upper=upper)
+    assert "infeasible" in solve_conic(apart).status.lower()
+    endless = program(np.zeros((0, 1)), np.zeros(0), cost=np.ones(1), C=one, upper=0.0)
+    status = solve_conic(endless).status.lower()
+    assert "dualinfeasible" in status or "unbounded" in status
+
+
+def family_member(rng: np.random.Generator) -> ConicProgram:
+    """Return one of a family: the matrix (a, b; b, c) nearest to a target in some norm."""
+    units = np.array([[[1.0, 0], [0, 0]], [[0, 1.0], [1.0, 0]], [[0, 0], [0, 1.0]]])
+    M, m = np.triu(rng.standard_normal((3, 3))) + 2.0 * np.eye(3), rng.standard_normal(3)
+    lower, block = np.array([-np.inf, -np.inf, 0.1]), Matrix(np.arange(3), units, np.zeros((2, 2)))
+    return program(M, m, C=np.eye(3), lower=lower, upper=4.0, blocks=(block,))
+
+
+def test_a_family_solves_each_as_if_it_were_alone() -> None:
+    rng = np.random.default_rng(5)
+    members = [family_member(rng) for _ in range(5)]
+    family = ConicFamily(members[0], pattern=np.triu(np.ones((3, 3), dtype=bool)))
+    found = [family.solve(squares=(each.M, each.m)) for each in members]
+    for each, solution in zip(members, found, strict=True):
+        expected = solve_conic(each)
+        np.testing.assert_allclose(solution.x, expected.x, atol=SOLVED)
+        np.testing.assert_allclose(solution.rows, expected.rows, atol=SOLVED)
+        # Nearly singular multipliers are less well determined, by processors' rounding to 2e-6.
+        np.testing.assert_allclose(solution.blocks[0], expected.blocks[0], atol=10.0 * SOLVED)
+        np.testing.assert_allclose(solution.residual, each.M @ solution.x + each.m, atol=1e-8)
+        assert solution.error < 1e-9
+    # The same bits in another order, after a trip elsewhere, and without other squares.
+    elsewhere = pickle.loads(pickle.dumps(family))
+    for each, solution in reversed(list(zip(members, found, strict=True))):
+        for other in (family, elsewhere):
+            again = other.solve(squares=(each.M, each.m))
+            np.testing.assert_array_equal(again.x, solution.x)
+    np.testing.assert_array_equal(family.solve().x, found[0].x)
+
+
+def test_a_family_serves_several_threads() -> None:
+    rng = np.random.default_rng(6)
+    members = [family_member(rng) for _ in range(40)]
+    family = ConicFamily(members[0], pattern=np.triu(np.ones((3, 3), dtype=bool)))
+
+    def solve(program: ConicProgram) -> Array:
+        x = family.solve(squares=(program.M, program.m)).x
+        assert x is not None
+        return x
+
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(solve, members))
+    for program, x in zip(members, found, strict=True):
+        np.testing.assert_array_equal(x, solve(program))
+
+
+def test_a_family_without_updates_of_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(7)
+    members = [family_member(rng) for _ in range(3)]
+    pattern = np.triu(np.ones((3, 3), dtype=bool))
+    expected = ConicFamily(members[0], pattern=pattern)
+    made: list[Any] = []
+
+    class Old:
+        """A Clarabel that takes no other numbers."""
+
+        def __init__(self, solver: Any) -> None:
+            made.append(self)
+            self.solve = solver.solve
+
+    new = conic._clarabel_solver
+    monkeypatch.setattr(conic, "_clarabel_solver", lambda *a, **k: Old(new(*a, **k)))
+    family = ConicFamily(members[0], pattern=pattern)
+    found = [family.solve(squares=(each.M, each.m)) for each in members]
+    assert len(made) == 3
+    monkeypatch.undo()
+    for each, solution in zip(members, found, strict=True):
+        again = expected.solve(squares=(each.M, each.m))
+        np.testing.assert_allclose(solution.x, again.x, atol=1e-9)
+
+
+# ---- Attempts end with the first solution that is good enough; otherwise the best is kept.
+
+
+ERRORS = st.lists(
+    st.one_of(st.none(), st.floats(0.0, 1.0), st.sampled_from([np.inf, np.nan])), max_size=6
+)
+
+
+def scripted(errors: Sequence[float | None]) -> list[ConicSolution]:
+    """Return solutions of given errors, without a point for None, that took a second each."""
+    return [
+        ConicSolution("NumericalError", None, seconds=1.0)
+        if error is None
+        else ConicSolution(f"number {i}", np.array([float(i)]), seconds=1.0, error=error)
+        for i, error in enumerate(errors)
+    ]
+
+
+def by_error(x: Array, solution: ConicSolution) -> tuple[int, float]:
+    return int(x[0]), solution.error
+
+
+@given(ERRORS, st.floats(0.0, 1.0))
+def test_the_first_that_is_good_enough_or_the_best_is_returned(
+    errors: list[float | None], enough: float
+) -> None:
+    solutions = scripted(errors)
+    found = solve_with_retries(solutions.__getitem__, range(len(errors)), by_error, enough=enough)
+    sizes = [np.inf if error is None or np.isnan(error) else error for error in errors]
+    good = [i for i, size in enumerate(sizes) if size <= enough]
+    with_point = [i for i, error in enumerate(errors) if error is not None]
+    assert found.accepted == bool(good)
+    assert found.solves == found.seconds == (good[0] + 1 if good else len(errors))
+    expected = good[0] if good else min(with_point, key=sizes.__getitem__, default=None)
+    assert found.value == expected
+    if expected is not None:
+        assert found.status == f"number {expected}"
+
+
+def test_without_a_usable_solution_the_last_status_says_why() -> None:
+    solutions = [
+        ConicSolution("PrimalInfeasible", np.zeros(1)),
+        ConicSolution("MaxIterations", None),
+    ]
+    found = solve_with_retries(solutions.__getitem__, (0, 1), lambda x, solution: None)
+    assert (found.value, found.accepted, found.status) == (None, False, "MaxIterations")
+    assert solve_with_retries(solutions.__getitem__, (), by_error).status == "not attempted"
+
+
+def test_all_attempts_are_made_where_none_is_ever_enough() -> None:
+    solutions = scripted([0.5, 0.0, 0.25])
+    found = solve_with_retries(solutions.__getitem__, range(3), by_error, enough=-np.inf)
+    assert (found.value, found.accepted, found.solves) == (1, False, 3)
+
+
+def test_a_program_is_solved_at_the_first_regularization() -> None:
+    nearest = program(np.eye(2), -np.array([3.0, 1.0]), C=np.eye(2), upper=2.0)
+    tried = []
+
+    def solve(regularization: float) -> ConicSolution:
+        tried.append(regularization)
+        return solve_conic(nearest, regularization=regularization)
+
+    found = solve_with_retries(
+        solve, (1e-10, 1e-8), lambda x, solution: (x, 0.0 if solution.solved else solution.error)
+    )
+    assert found.accepted
+    assert tried == [1e-10]
+    # An interior-point method ends at some 1e-9 for a problem of order one.
+    assert found.value == pytest.approx([2.0, 1.0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("status", "solved"),
+    [
+        ("Solved", True),
+        ("AlmostSolved", True),
+        ("solved", True),
+        ("Unsolved", False),
+        ("MaxIterations", False),
+        ("PrimalInfeasible", False),
+        ("unfinished", False),
+    ],
+)
+def test_what_a_solver_calls_solved(status: str, solved: bool) -> None:
+    assert ConicSolution(status, np.zeros(1)).solved is solved
+
+
+# ---- The derivative of a constrained fit against differences, and projections whose own is known.
+
+
+# Where constraints are strictly active or not at all, an interior point's derivative is that of
+# the optimum up to the root of its tolerance.
+EXACT = 1e-4
+
+# Differences over 1e-4 of solutions that are good to some 1e-9.
+DIFFERENCES = 1e-3
+STEP = 1e-4
+
+
+def projection(h: Array, size: int) -> ConicProgram:
+    """Return the projection of symmetric matrices, as vectors, onto the semidefinite ones."""
+    return program(np.eye(len(h)), -h, blocks=(whole(size),))
+
+
+def response(program: ConicProgram) -> Array:
+    """Return the derivative at the optimum."""
+    found = solve_conic(program)
+    return FitResponse(program).at(found.x, found.rows, found.blocks)
+
+
+@pytest.mark.parametrize("eigenvalues", [(2.0, 1.0, 0.5), (2.0, 1.0, -0.5), (1.0, -0.3, -2.0)])
+def test_the_trace_is_that_of_the_projection_onto_semidefinite_matrices(
+    eigenvalues: tuple[float, ...],
+) -> None:
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    matrix = turn @ np.diag(eigenvalues) @ turn.T
+    h = np.einsum("kij,ij->k", symmetric_basis(3), matrix)
+    # A pair of eigenvalues moves with the share of the positive one in their distance.
+    up = [value for value in eigenvalues if value > 0.0]
+    down = [-value for value in eigenvalues if value < 0.0]
+    expected = len(up) * (len(up) + 1) / 2 + sum(a / (a + b) for a in up for b in down)
+    assert np.trace(response(projection(h, 3))) == pytest.approx(expected, abs=EXACT)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_derivative_is_that_of_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    M, h = rng.standard_normal((4, 3)), 2.0 * rng.standard_normal(4)
+
+    def fitted(h: Array) -> tuple[ConicProgram, Array]:
+        matrix = Matrix(np.arange(3), symmetric_basis(2), 0.3 * np.eye(2))
+        own = program(M, -h, C=np.eye(3)[:1], lower=-0.2, upper=0.5, blocks=(matrix,))
+        return own, M @ solve_conic(own).x
+
+    numbers = [
+        (fitted(h + STEP * unit)[1] - fitted(h - STEP * unit)[1]) / (2.0 * STEP)
+        for unit in np.eye(4)
+    ]
+    found = response(fitted(h)[0])
+    # Where the active constraints change within the step there is no derivative to compare with.
+    if np.abs(np.array(numbers) - np.array(numbers).T).max() < DIFFERENCES:
+        assert np.abs(found - np.array(numbers).T).max() < 30.0 * DIFFERENCES
+    values = np.linalg.eigvalsh(found)
+    assert values[0] > -EXACT
+    assert values[-1] < 1.0 + EXACT
+
+
+def test_a_held_function_costs_one_degree_inside_and_all_at_an_apex() -> None:
+    inside = projection(np.array([3.0, 1.0, 0.5, 0.2, 0.1, 2.0]), 3)
+    trace = np.einsum("kii->k", symmetric_basis(3))
+    for program, lost in ((inside, 1.0), (projection(-inside.m, 3), 6.0)):
+        # With its squares in a ball instead of the cost.
+        free, family = response(program), ConicFamily(replace(program, radius=1.0))
+        # The least trace within a ball: a little smaller than the point's, or none.
+        radius = 0.1 if lost == 1.0 else 10.0
+        found = family.solve(trace, radius)
+        held = FitResponse(program).at(
+            found.x, found.rows, found.blocks, weight=2.0 * radius / found.ball[0], held=trace
+        )
+        if lost == 1.0:
+            assert np.trace(free - held) == pytest.approx(1.0, abs=EXACT)
+        else:
+            # Nothing is left but what the rim of the ball holds.
+            assert np.trace(held) < 0.1

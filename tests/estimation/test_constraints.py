@@ -1,0 +1,1011 @@
+"""Every condition against bodies made of point masses, and optima under it."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from collections import Counter
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
+
+import sdpid
+from sdpid import RobotModel, certify, load_robot, solve_sdp, verify
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    Condition,
+    Cone,
+    EqualFriction,
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    Layout,
+    MassInEllipsoid,
+    MirrorPair,
+    MirrorSymmetry,
+    Row,
+    TotalMass,
+    equal_friction,
+    mirror_pairs,
+)
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.hull import hull_facets
+from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.inertia import (
+    Consistency,
+    margin,
+    physical_parameters,
+    point_masses,
+    pseudo_inertia,
+)
+from sdpid.robot.model.geometry import collision_points, link_placements
+from tests.helpers.arm import (
+    ARM,
+    BODIES,
+    BOTH,
+    CONDITIONS,
+    CUBE,
+    FIRST,
+    LAST,
+    LIGHT,
+    MASS,
+    REFLECTION,
+    TURNED,
+    arm_problem,
+    body_of,
+    limited,
+)
+from tests.helpers.data import FRICTION, random_links
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE, small_arm
+from tests.helpers.strategies import SEEDS, bodies, reals, rotations
+from tests.helpers.tolerances import SAME_OPTIMUM
+
+# Rows are sums of ten products of numbers of order ten.
+ROUNDING = 1e-12
+ROBOT = load_robot(TREE)
+LINK = "left_arm"
+
+
+def layout_of(robot: RobotModel) -> Layout:
+    return Layout(robot, FrictionModel.from_terms(FRICTION, robot.joint_names))
+
+
+def compiled(condition: Condition, robot: RobotModel = ROBOT) -> list[Row | Cone]:
+    return list(condition.compile(layout_of(robot)))
+
+
+def rows_of(condition: Condition, robot: RobotModel = ROBOT) -> list[Row]:
+    return [row for row in compiled(condition, robot) if isinstance(row, Row)]
+
+
+def excess(condition: Condition, theta: Array, robot: RobotModel = ROBOT) -> float:
+    """Return by how much theta violates the worst row or cone, negative inside."""
+    worst = -np.inf
+    for part in compiled(condition, robot):
+        if isinstance(part, Row):
+            value = part.coefficients @ theta
+            worst = max(worst, part.lower - value, value - part.upper)
+        else:
+            body = theta[10 * part.link : 10 * part.link + 10]
+            worst = max(worst, np.linalg.norm(part.vectors @ body) - part.axis @ body)
+    return float(worst)
+
+
+def satisfied(
+    condition: Condition, theta: Array, *, robot: RobotModel = ROBOT, tol: float = ROUNDING
+) -> bool:
+    return excess(condition, theta, robot) <= tol
+
+
+def theta_with(changes: dict[str, Array], *, seed: int = 0, robot: RobotModel = ROBOT) -> Array:
+    """Return random links and friction, some links replaced."""
+    rng = np.random.default_rng(seed)
+    links = random_links(rng, robot.n_links)
+    for name, body in changes.items():
+        links[robot.link_names.index(name)] = body
+    count = layout_of(robot).count - links.size
+    return np.concatenate([links.ravel(), rng.uniform(0.0, 1.0, count)])
+
+
+def center(body: Array) -> Array:
+    return physical_parameters(body)[1]
+
+
+def ball_points(rng: np.random.Generator, count: int, low: float, high: float) -> Array:
+    points = rng.normal(size=(count, 3))
+    radii = rng.uniform(low, high, (count, 1))
+    return np.asarray(radii * points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+@st.composite
+def ellipsoids(draw: st.DrawFn) -> dict[str, Array]:
+    rng = np.random.default_rng(draw(SEEDS))
+    return {
+        "center": rng.uniform(-0.3, 0.3, 3),
+        "semi_axes": rng.uniform(0.05, 0.5, 3),
+        "rotation": draw(rotations()),
+    }
+
+
+def in_frame(y: Array, ellipsoid: dict[str, Array]) -> Array:
+    """Return points of the unit ball's space in the ellipsoid's."""
+    return (y * ellipsoid["semi_axes"]) @ ellipsoid["rotation"].T + ellipsoid["center"]
+
+
+def weighed(points: Array, seed: int) -> Array:
+    masses = np.random.default_rng(seed).uniform(0.01, 2.0, len(points))
+    return point_masses(masses, points)
+
+
+def mirrored(points: Array, normal: Sequence[float], point: Sequence[float]) -> Array:
+    n = np.asarray(normal) / np.linalg.norm(normal)
+    return points - 2.0 * np.outer((points - np.asarray(point)) @ n, n)
+
+
+class TestTotalMass:
+    @given(SEEDS, reals(0.0, 2.0), reals(-4.0, 4.0))
+    def test_exactly_within_its_tolerance(self, seed: int, tolerance: float, off: float) -> None:
+        assume(abs(abs(off) - tolerance) > 1e-9)
+        theta = theta_with({}, seed=seed)
+        masses = theta[: 10 * ROBOT.n_links : 10]
+        total = masses.sum() + off
+        assume(total > 0.0)
+        condition = TotalMass(total, tolerance=tolerance)
+        assert satisfied(condition, theta) == (abs(off) < tolerance)
+
+    def test_of_a_group(self) -> None:
+        theta = theta_with({})
+        group = ("thumb", "column")
+        masses = [theta[10 * ROBOT.link_names.index(name)] for name in group]
+        condition = TotalMass(sum(masses), links=group)
+        assert satisfied(condition, theta)
+        assert not satisfied(TotalMass(sum(masses) + 0.1, links=group), theta)
+        (row,) = rows_of(condition)
+        assert row.name == "total mass of thumb, column"
+        assert row.lower == row.upper
+
+
+class TestCenterOfMass:
+    @given(bodies(), SEEDS)
+    def test_box(self, body: Array, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        lower, upper = np.sort(rng.uniform(-0.6, 0.6, (2, 3)), axis=0)
+        inside = bool(((lower < center(body)) & (center(body) < upper)).all())
+        condition = CenterOfMassInBox(LINK, lower, upper)
+        assert len(rows_of(condition)) == 6
+        assert satisfied(condition, theta_with({LINK: body})) == inside
+        around = CenterOfMassInBox(LINK, center(body) - 0.01, center(body) + 0.01)
+        assert excess(around, theta_with({LINK: body})) < 0.0
+
+    def test_box_open_and_closed(self) -> None:
+        body = point_masses([1.0, 1.0], [[0.2, 0.1, 0.0], [0.2, 0.3, 1.0]])
+        theta = theta_with({LINK: body})
+        condition = CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
+        assert [row.name for row in rows_of(condition)] == [
+            "center of mass of left_arm, x known",
+            "center of mass of left_arm, y at least",
+            "center of mass of left_arm, z at most",
+        ]
+        assert satisfied(condition, theta)
+        assert not satisfied(CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)
+
+    @given(bodies(), ellipsoids())
+    def test_ellipsoid(self, body: Array, ellipsoid: dict[str, Array]) -> None:
+        y = (center(body) - ellipsoid["center"]) @ ellipsoid["rotation"] / ellipsoid["semi_axes"]
+        assume(abs(np.linalg.norm(y) - 1.0) > 1e-9)
+        condition = CenterOfMassInEllipsoid(LINK, **ellipsoid)
+        theta = theta_with({LINK: body})
+        assert satisfied(condition, theta) == (np.linalg.norm(y) < 1.0)
+        around = CenterOfMassInEllipsoid(LINK, center(body) + 0.01, (0.02, 0.03, 0.04))
+        assert excess(around, theta) < 0.0
+        (cone,) = compiled(condition)
+        assert isinstance(cone, Cone)
+        assert cone.axis @ body == body[0]
+
+    @given(SEEDS, st.integers(4, 30))
+    def test_hull_of_points(self, seed: int, count: int) -> None:
+        rng = np.random.default_rng(seed)
+        corners = rng.uniform(-0.4, 0.4, (count, 3))
+        condition = CenterOfMassInHull(LINK, corners)
+        inside = weighed(corners[rng.integers(0, count, 8)], seed)
+        assert satisfied(condition, theta_with({LINK: inside}))
+        # One corner moved out along a direction in which it is the farthest.
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        outside = corners[np.argmax(corners @ direction)] + 0.01 * direction
+        body = point_masses([1.0, 1.0], outside + 0.2 * np.array([[1, 0, 0], [-1, 0, 0]]))
+        assert not satisfied(condition, theta_with({LINK: body}))
+
+    @given(SEEDS, st.sampled_from([1e-3, 1e-2, 0.1]))
+    def test_fewer_facets_contain_the_hull(self, seed: int, tolerance: float) -> None:
+        rng = np.random.default_rng(seed)
+        points = ball_points(rng, 80, 0.2, 0.3) + rng.uniform(-1.0, 1.0, 3)
+        normals, offsets = hull_facets(points, "ball")
+        few, limits = hull_facets(points, "ball", tolerance=tolerance)
+        assert (points @ few.T - limits).max() <= ROUNDING
+        tried = points.mean(axis=0) + ball_points(rng, 500, 0.0, 0.7)
+        allowed = tried[(tried @ few.T <= limits).all(axis=1)]
+        assert (allowed @ normals.T - offsets).max() <= tolerance + ROUNDING
+        if tolerance == 0.1:
+            assert len(few) < len(normals)
+
+    def test_a_cube_has_six_facets(self) -> None:
+        corners = np.stack(np.meshgrid(*[[1.0, 3.0]] * 3), axis=-1).reshape(-1, 3)
+        rng = np.random.default_rng(0)
+        points = np.concatenate([corners, corners, rng.uniform(1.0, 3.0, (50, 3))])
+        assert len(rows_of(CenterOfMassInHull(LINK, points))) == 6
+
+    @pytest.mark.parametrize("name", ["ur5_robot", "panda"])
+    def test_hull_of_a_real_link(self, name: str) -> None:
+        robot = load_robot(name)
+        link = robot.link_names[2]
+        points = collision_points(robot, link)
+        for tolerance in (0.0, 1e-3):
+            condition = CenterOfMassInHull(link, tolerance=tolerance)
+            inside = theta_with({link: weighed(points, 1)}, robot=robot)
+            assert excess(condition, inside, robot) < 0.0
+            for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+                farthest = points[np.argmax(points @ axis)]
+                corner = theta_with({link: point_masses([2.0], [farthest])}, robot=robot)
+                beyond = point_masses([2.0], [farthest + 2e-3 * axis])
+                assert satisfied(condition, corner, robot=robot)
+                out = theta_with({link: beyond}, robot=robot)
+                assert not satisfied(condition, out, robot=robot)
+        exact = len(rows_of(CenterOfMassInHull(link), robot))
+        assert exact <= len(ConvexHull(points).equations)
+        assert len(rows_of(condition, robot)) < exact
+
+    def test_what_is_fixed_to_a_link_is_in_its_hull(self) -> None:
+        text = TREE.replace(
+            '<link name="bracket">',
+            '<link name="bracket"><collision><geometry><box size="0.2 0.2 0.2"/></geometry>'
+            "</collision>",
+        )
+        robot = load_robot(text)
+        condition = CenterOfMassInHull("right_arm")
+        at = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.1]])}
+        assert satisfied(condition, theta_with(at, robot=robot), robot=robot)
+        off = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.21]])}
+        assert not satisfied(condition, theta_with(off, robot=robot), robot=robot)
+        refuses(ModelError, "no collision geometry", compiled, CenterOfMassInHull("column"), robot)
+
+
+class TestMassInEllipsoid:
+    @given(ellipsoids(), SEEDS, st.integers(1, 12))
+    def test_sign(self, ellipsoid: dict[str, Array], seed: int, count: int) -> None:
+        rng = np.random.default_rng(seed)
+        condition = MassInEllipsoid(LINK, **ellipsoid)
+        inside = weighed(in_frame(ball_points(rng, count, 0.0, 0.999), ellipsoid), seed)
+        outside = weighed(in_frame(ball_points(rng, count, 1.001, 3.0), ellipsoid), seed)
+        assert excess(condition, theta_with({LINK: inside})) < 0.0
+        assert excess(condition, theta_with({LINK: outside})) > 0.0
+        surface = weighed(in_frame(ball_points(rng, count, 1.0, 1.0), ellipsoid), seed)
+        assert abs(excess(condition, theta_with({LINK: surface}))) < 1e-10
+
+    def test_unit_is_kilograms(self) -> None:
+        center = np.array([0.1, 0.2, 0.3])
+        (row,) = rows_of(MassInEllipsoid(LINK, center, (0.1, 0.2, 0.3)))
+        theta = theta_with({LINK: point_masses([2.5], [center])})
+        assert row.coefficients @ theta == pytest.approx(2.5)
+        theta = theta_with({LINK: point_masses([2.5], [center + 0.2 * np.eye(3)[0]])})
+        assert row.coefficients @ theta == pytest.approx(2.5 * (1 - 4))
+
+    @given(bodies(), ellipsoids())
+    def test_whatever_passes_is_a_body_inside(
+        self, body: Array, ellipsoid: dict[str, Array]
+    ) -> None:
+        """Four point masses with the body's moments, found by turning a square root of J."""
+        T = np.eye(4)
+        T[:3] = MassInEllipsoid(LINK, **ellipsoid).to_ball()
+        # Grown until the condition just holds; some of the body's own masses may be outside.
+        y2 = np.trace((T @ pseudo_inertia(body) @ T.T)[:3, :3]) / body[0]
+        ellipsoid = {**ellipsoid, "semi_axes": ellipsoid["semi_axes"] * np.sqrt(1.01 * y2)}
+        condition = MassInEllipsoid(LINK, **ellipsoid)
+        assert satisfied(condition, theta_with({LINK: body}))
+        T[:3] = condition.to_ball()
+        J = T @ pseudo_inertia(body) @ T.T
+        Q = np.diag([-1.0, -1.0, -1.0, 1.0])
+        V = np.linalg.cholesky(J)
+        # Rotate pairs of columns until every column v has the same v^T Q v = tr(Q J)/4 > 0.
+        wanted = np.trace(Q @ J) / 4.0
+        for k in range(3):
+            H = V.T @ Q @ V
+            d = np.diag(H)[k:] - wanted
+            i, j = k + int(np.argmax(d)), k + int(np.argmin(d))
+            if H[i, i] - H[j, j] > 1e-14:
+                a, b, c = H[j, j] - wanted, 2.0 * H[i, j], H[i, i] - wanted
+                t = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
+                V[:, [i, j]] = V[:, [i, j]] @ np.array([[1, -t], [t, 1]]) / np.hypot(1.0, t)
+            V[:, [k, i]] = V[:, [i, k]]
+        masses, y = V[3] ** 2, (V[:3] / V[3]).T
+        assert (np.linalg.norm(y, axis=1) < 1.0).all()
+        np.testing.assert_allclose(
+            point_masses(masses, in_frame(y, ellipsoid)), body, atol=1e-9 * np.abs(body).max()
+        )
+
+
+class TestEquations:
+    def test_fixed(self) -> None:
+        theta = theta_with({})
+        names = layout_of(ROBOT).names
+        values = {name: theta[names.index(name)] for name in ("m_3", "xy_2", "Fv2")}
+        assert satisfied(Fixed(values), theta)
+        for name in values:
+            assert not satisfied(Fixed({**values, name: values[name] + 1e-6}), theta)
+        assert [row.name for row in rows_of(Fixed(values))] == [
+            "m_3 fixed",
+            "xy_2 fixed",
+            "Fv2 fixed",
+        ]
+
+    @given(bodies(), st.integers(0, 9))
+    def test_fixed_link(self, body: Array, entry: int) -> None:
+        condition = FixedLink(LINK, body)
+        assert satisfied(condition, theta_with({LINK: body}))
+        assert not satisfied(condition, theta_with({LINK: body + 1e-6 * np.eye(10)[entry]}))
+        prior = ROBOT.prior[ROBOT.link_names.index(LINK)]
+        assert satisfied(FixedLink(LINK), theta_with({LINK: prior}))
+        assert not satisfied(FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
+
+    @given(bodies(), st.integers(0, 9))
+    def test_equal_links(self, body: Array, entry: int) -> None:
+        condition = EqualLinks("finger", "thumb")
+        assert satisfied(condition, theta_with({"finger": body, "thumb": body}))
+        other = body + 1e-6 * np.eye(10)[entry]
+        assert not satisfied(condition, theta_with({"finger": body, "thumb": other}))
+
+    @given(SEEDS, st.integers(1, 6))
+    def test_mirror_symmetry(self, seed: int, count: int) -> None:
+        rng = np.random.default_rng(seed)
+        normal, point = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
+        half = rng.uniform(-0.4, 0.4, (count, 3))
+        whole = weighed(half, seed) + weighed(mirrored(half, normal, point), seed)
+        condition = MirrorSymmetry(LINK, normal, point)
+        assert satisfied(condition, theta_with({LINK: whole}))
+        n = normal / np.linalg.norm(normal)
+        lopsided = whole + point_masses([0.5], [point + 0.1 * n])
+        assert excess(condition, theta_with({LINK: lopsided})) == pytest.approx(0.05)
+
+    @given(SEEDS)
+    def test_mirror_symmetry_says_all_and_says_it_once(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        normal, point = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
+        n = normal / np.linalg.norm(normal)
+        M = np.eye(4)
+        M[:3, :3] -= 2.0 * np.outer(n, n)
+        M[:3, 3] = 2.0 * (n @ point) * n
+        rows = rows_of(MirrorSymmetry(LINK, 3.0 * normal, point))
+        start = 10 * ROBOT.link_names.index(LINK)
+        A = np.stack([row.coefficients for row in rows])[:, start : start + 10]
+        assert np.linalg.matrix_rank(A) == len(A) == 3
+        # Any parameters that satisfy the rows, a body's or not, are their own mirror image.
+        free = np.linalg.svd(A)[2][3:]
+        J = pseudo_inertia(free)
+        np.testing.assert_allclose(M @ J @ M.T, J, atol=1e-12)
+
+    @given(SEEDS, rotations(), st.integers(1, 6))
+    def test_mirror_pair_from_frame_to_frame(self, seed: int, R: Array, count: int) -> None:
+        rng = np.random.default_rng(seed)
+        points = rng.uniform(-0.4, 0.4, (count, 3))
+        reflection = np.eye(4)
+        reflection[:3, :3], reflection[:3, 3] = -R, rng.uniform(-0.3, 0.3, 3)
+        image = weighed(points @ reflection[:3, :3].T + reflection[:3, 3], seed)
+        condition = MirrorPair("finger", "thumb", reflection=reflection)
+        body = weighed(points, seed)
+        assert satisfied(condition, theta_with({"finger": body, "thumb": image}))
+        wrong = image + point_masses([1e-3], [[0.1, 0.2, 0.3]])
+        assert not satisfied(condition, theta_with({"finger": body, "thumb": wrong}))
+
+    @given(SEEDS, st.booleans(), st.booleans())
+    def test_mirror_pair_in_the_base_frame(self, seed: int, moved: bool, floats: bool) -> None:
+        robot = load_robot(TREE, root="free_flyer") if floats else ROBOT
+        rng = np.random.default_rng(seed)
+        normal, point = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
+        position = None
+        if moved:
+            joints = rng.uniform(-1.0, 1.0, ROBOT.n)
+            base = [0.3, -0.2, 0.5, 0.0, 0.0, np.sin(0.4), np.cos(0.4)]
+            # A continuous joint of a floating robot is given as cosine and sine.
+            position = np.concatenate([base, ROBOT.configuration(joints[None])[0]])
+            position = position if floats else joints
+        first, second = "left_arm", "right_arm"
+        placements = dict(zip(robot.link_names, link_placements(robot, position), strict=True))
+        world = rng.uniform(-0.4, 0.4, (5, 3))
+
+        def body(points: Array, link: str) -> Array:
+            P = placements[link]
+            return weighed((points - P[:3, 3]) @ P[:3, :3], seed)
+
+        other = mirrored(world, normal, point)
+        condition = MirrorPair(first, second, normal, point, position=position)
+        right = {first: body(world, first), second: body(other, second)}
+        assert satisfied(condition, theta_with(right, robot=robot), robot=robot)
+        wrong = {first: body(world, first), second: body(world, second)}
+        assert not satisfied(condition, theta_with(wrong, robot=robot), robot=robot)
+
+    @pytest.mark.parametrize("name", ["a1", "go2"])
+    def test_the_legs_of_a_quadruped_are_mirror_images(self, name: str) -> None:
+        robot = load_robot(name)
+        theta = theta_with({}, robot=robot)
+        theta[: robot.prior.size] = robot.prior.ravel()
+        legs = [link for link in robot.link_names if link.startswith("FL_")]
+        assert len(legs) == 3
+        for link in legs:
+            other = link.replace("FL", "FR")
+            assert satisfied(MirrorPair(link, other, (0, 1, 0)), theta, robot=robot)
+            assert not satisfied(MirrorPair(link, other, (1, 0, 0)), theta, robot=robot)
+
+    @pytest.mark.parametrize(
+        ("condition", "count"),
+        [
+            (Fixed({"m_1": 1.0, "Fs1": 0.1}), 2),
+            (FixedLink(LINK), 10),
+            (EqualLinks("finger", "thumb"), 10),
+            (MirrorSymmetry(LINK, (0, 1, 0)), 3),
+            (MirrorPair("finger", "thumb", (0, 1, 0)), 10),
+        ],
+    )
+    def test_equations_are_independent(self, condition: Condition, count: int) -> None:
+        rows = rows_of(condition)
+        matrix = np.stack([row.coefficients for row in rows])
+        assert len(rows) == np.linalg.matrix_rank(matrix) == count
+        assert len({row.name for row in rows}) == count
+        assert all(row.lower == row.upper for row in rows)
+
+
+BOX = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+ALL: tuple[Condition, ...] = (
+    TotalMass(3.0, tolerance=0.1, links=["finger"]),
+    CenterOfMassInBox(LINK, (-0.1,) * 3, (0.1,) * 3),
+    CenterOfMassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    CenterOfMassInHull(LINK, BOX),
+    MassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    Fixed({"m_1": 2.0}),
+    FixedLink(LINK),
+    EqualLinks(LINK, "finger"),
+    MirrorSymmetry(LINK, (0, 1, 0)),
+    MirrorPair(LINK, "right_arm", (0, 1, 0)),
+)
+
+
+@pytest.mark.parametrize("condition", ALL, ids=lambda c: type(c).__name__)
+def test_each_is_named_read_only_and_travels(condition: Condition) -> None:
+    parts = compiled(condition)
+    assert len({part.name for part in parts}) == len(parts)
+    for part in parts:
+        assert LINK in part.name or "finger" in part.name or "m_1" in part.name
+        arrays = [part.coefficients] if isinstance(part, Row) else [part.axis, part.vectors]
+        assert not any(array.flags.writeable for array in arrays)
+    # Workers of joblib get their problems by pickle.
+    again = compiled(pickle.loads(pickle.dumps(condition)))
+    assert [part.name for part in again] == [part.name for part in parts]
+    with pytest.raises(AttributeError):
+        condition.link = "other"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("condition", "message"),
+    [
+        (TotalMass(1.0, links=("nose",)), "no link 'nose'"),
+        (CenterOfMassInBox("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (CenterOfMassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (CenterOfMassInHull("nose"), "no link 'nose'"),
+        (MassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (Fixed({"m_99": 1.0}), "m_99"),
+        (FixedLink("nose"), "no link 'nose'"),
+        (EqualLinks("finger", "nose"), "no link 'nose'"),
+        (MirrorSymmetry("nose", (0, 1, 0)), "no link 'nose'"),
+        (MirrorPair("nose", "finger", (0, 1, 0)), "no link 'nose'"),
+    ],
+)
+def test_links_and_parameters_that_the_robot_does_not_have(
+    condition: Condition, message: str
+) -> None:
+    refuses(ModelError, message, compiled, condition)
+
+
+def test_a_description_without_inertias_fixes_nothing(denso: RobotModel) -> None:
+    with pytest.raises(ModelError, match=r"mass of 0\.0 kg; give the body"):
+        compiled(FixedLink(denso.link_names[0]), denso)
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        ("TotalMass", {"mass": 0.0}, r"0\.0 kg; give a positive"),
+        ("TotalMass", {"mass": np.nan}, "nan kg"),
+        ("TotalMass", {"mass": 1.0, "tolerance": -1.0}, r"-1\.0 kg"),
+        ("TotalMass", {"mass": 1.0, "links": "arm"}, r"\('arm',\)"),
+        ("TotalMass", {"mass": 1.0, "links": ()}, "at least one"),
+        ("TotalMass", {"mass": 1.0, "links": ("a", "a")}, "each link once"),
+        ("CenterOfMassInBox", {"lower": (1, 1, 1), "upper": (0, 2, 2)}, "above the upper"),
+        ("CenterOfMassInBox", {"lower": (1, 1), "upper": (2, 2)}, "give 3"),
+        ("CenterOfMassInBox", {"lower": ("a",) * 3, "upper": (2, 2, 2)}, "not numbers"),
+        ("CenterOfMassInBox", {"lower": (np.nan,) * 3, "upper": (2, 2, 2)}, "lower is"),
+        ("CenterOfMassInBox", {"lower": (np.inf,) * 3, "upper": (np.inf,) * 3}, "lower is"),
+        ("CenterOfMassInBox", {"lower": (-np.inf,) * 3, "upper": (np.inf,) * 3}, "says nothing"),
+        ("MassInEllipsoid", {"center": (0, 0), "semi_axes": (1, 1, 1)}, "center: 2 numbers"),
+        ("MassInEllipsoid", {"center": (0, 0, 0), "semi_axes": (1, 0, 1)}, "give positive"),
+        ("CenterOfMassInEllipsoid", {"center": (0, 0, np.inf), "semi_axes": (1, 1, 1)}, "finite"),
+        (
+            "CenterOfMassInEllipsoid",
+            {"center": (0, 0, 0), "semi_axes": (1, 1, 1), "rotation": 2 * np.eye(3)},
+            "no rotation matrix.*by 3",
+        ),
+        (
+            "MassInEllipsoid",
+            {"center": (0, 0, 0), "semi_axes": (1, 1, 1), "rotation": np.eye(2)},
+            "no rotation matrix",
+        ),
+        ("CenterOfMassInHull", {"points": BOX[:3]}, "at least 4"),
+        ("CenterOfMassInHull", {"points": BOX * (1, 1, 0)}, "in a plane or on a line"),
+        ("CenterOfMassInHull", {"points": BOX * (0, 0, 0) + 3.0}, "in a plane or on a line"),
+        ("CenterOfMassInHull", {"points": BOX[:, :2]}, r"shape \(8, 2\)"),
+        ("CenterOfMassInHull", {"points": BOX, "tolerance": -1.0}, r"-1\.0 m"),
+        ("CenterOfMassInHull", {"package_dirs": "folder"}, r"\('folder',\)"),
+        ("FixedLink", {"body": np.zeros(10)}, r"0\.0 kg"),
+        ("FixedLink", {"body": np.ones(9)}, "9 numbers, give 10"),
+        ("MirrorSymmetry", {"normal": (0, 0, 0)}, "normal is zero"),
+        ("MirrorSymmetry", {"normal": (0, 1, 0), "point": (0, 0)}, "point: 2 numbers"),
+        ("Fixed", {"values": {}}, "give a mapping"),
+        ("Fixed", {"values": {"m_1": np.nan}}, "m_1 is nan"),
+        ("Fixed", {"values": {"m_1": "heavy"}}, "'heavy'"),
+        ("EqualLinks", {"second": "a"}, "named twice"),
+        ("MirrorPair", {"second": "a", "normal": (0, 1, 0)}, "named twice.*MirrorSymmetry"),
+        ("MirrorPair", {}, "either the normal"),
+        ("MirrorPair", {"reflection": np.eye(4)}, "determinant is 1 and must be -1"),
+        ("MirrorPair", {"reflection": np.diag([1.0, -2.0, 1.0, 1.0])}, "by 3"),
+        ("MirrorPair", {"reflection": np.eye(3)}, r"\(3, 3\)"),
+        ("MirrorPair", {"reflection": REFLECTION, "point": (0, 0, 1)}, "no point"),
+        ("MirrorPair", {"reflection": REFLECTION, "normal": (0, 1, 0)}, "either"),
+    ],
+)
+def test_what_makes_no_sense(kind: str, arguments: dict[str, Any], message: str) -> None:
+    named = {
+        "TotalMass": {},
+        "Fixed": {},
+        "EqualLinks": {"first": "a"},
+        "MirrorPair": {"first": "a", "second": "b"},
+    }.get(kind, {"link": LINK})
+    refuses(DataError, message, getattr(sdpid.constraints, kind), **{**named, **arguments})
+
+
+def test_flat_collision_geometry_says_so() -> None:
+    plate = '<link name="column"><collision><geometry><box size="1 1 0"/></geometry></collision>'
+    robot = load_robot(TREE.replace('<link name="column">', plate))
+    refuses(DataError, "hull has no volume", compiled, CenterOfMassInHull("column"), robot)
+
+
+def test_the_bodies_of_these_tests_exist() -> None:
+    theta = theta_with({})
+    links = theta[: 10 * ROBOT.n_links].reshape(-1, 10)
+    assert (margin(links, "pseudo_inertia") > 0.0).all()
+
+
+def test_every_constraint_is_a_named_object() -> None:
+    """Each once, with what it is about: nobody needs to read it out of a name."""
+    problem = arm_problem(TotalMass(2.0, tolerance=0.5), TotalMass(1.0, links=(LAST,)))
+    feasible = problem.feasible
+    found = feasible.named
+    assert len({c.name for c in found}) == len(found)
+    assert Counter(c.kind for c in found) == {
+        "consistency": 2,
+        "mass": 4,
+        "sign": 4,
+        "theta_max": 2 * problem.n_theta - 8,
+        "row": 3,
+    }
+    total = [c for c in found if c.name.startswith("total mass, ")]
+    assert [(c.side, c.limit, c.link) for c in total] == [("least", 1.5, None), ("most", 2.5, None)]
+    (equation,) = (c for c in found if c.kind == "row" and c.side is None)
+    assert (equation.limit, feasible.row_names[equation.index]) == (1.0, f"total mass of {LAST}")
+    heavy = [c for c in found if c.kind == "mass" and c.side == "most"]
+    assert [(c.link, c.limit, c.unit) for c in heavy] == [
+        (link, problem.constraints.mass_max, "kg") for link in problem.robot.link_names
+    ]
+    theta = np.array(solve_sdp(problem).theta)
+    for c in found:
+        if c.kind in ("mass", "sign", "theta_max"):
+            assert c.sign * (theta[c.index] - c.limit) >= -FEASIBLE
+
+
+@given(SEEDS, st.data())
+def test_one_constraint_is_left_out_and_no_other(seed: int, data: st.DataObject) -> None:
+    def key(constraint: Constraint) -> tuple[object, ...]:
+        # Cones after one that is taken out move up.
+        where = constraint.name if constraint.kind == "cone" else constraint.index
+        return constraint.kind, where, constraint.side
+
+    problem = _every_kind()
+    feasible = problem.feasible
+    left_out = data.draw(st.sampled_from(feasible.named))
+    rest = feasible.without(left_out)
+    expected = {key(constraint) for constraint in feasible.named} - {key(left_out)}
+    if left_out.kind in ("mass", "sign"):
+        expected.add(("theta_max", left_out.index, left_out.side))
+    assert {key(constraint) for constraint in rest.named} == expected
+    theta = 3.0 * np.random.default_rng(seed).standard_normal(problem.n_theta)
+    assert rest.violation(theta) <= feasible.violation(theta)
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "value"),
+    [
+        ("consistency", 4, 0.0),  # Ixx of the first link
+        ("sign", 20, -0.5),
+        ("row", 0, 1.8),  # its mass: 2.8 kg in all
+        ("cone", 11, 0.05),  # 5 cm from the center, where 2 cm are allowed and 10 cm
+    ],
+)
+def test_what_one_constraint_alone_excludes_is_inside_without_it(
+    kind: str, place: int, value: float
+) -> None:
+    feasible = _every_kind().feasible
+    ball = [1.0, 0.0, 0.01, 0.0, 0.2, 0.0, 0.2, 0.0, 0.0, 0.2]
+    theta = np.concatenate([ball, ball, np.ones(len(feasible.lower) - 20)])
+    assert feasible.violation(theta) == 0.0
+    theta[place] = value
+    assert feasible.violation(theta) > FEASIBLE
+    inside = [each for each in feasible.named if feasible.without(each).violation(theta) == 0.0]
+    assert [each.kind for each in inside] == [kind]
+
+
+@cache
+def _every_kind() -> Problem:
+    """Return a problem with constraints of each kind, two cones among them."""
+    cone = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03))
+    wide = CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1))
+    return arm_problem(TotalMass(2.0, tolerance=0.5), cone, wide, TotalMass(1.0, links=(LAST,)))
+
+
+# ---- Optima under every kind of condition: obeyed by matter, proven, and never cheaper.
+
+
+# Positions of matter are ratios of moments that are known to within FEASIBLE (kg·m) and masses of
+# a fifth of a kilogram or more.
+PLACE = 1e-7
+
+# Much weaker than what the optimum does anyway.
+LOOSE: dict[str, Condition] = {
+    "total": TotalMass(20.0, tolerance=19.9),
+    "group": TotalMass(10.0, tolerance=9.99, links=(LAST,)),
+    "box": CenterOfMassInBox(LAST, (-9.0, -9.0, -np.inf), (9.0, 9.0, 9.0)),
+    "ellipsoid": CenterOfMassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 8.0, 7.0)),
+    "all mass": MassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 9.0, 9.0)),
+    "hull": CenterOfMassInHull(LAST, 300.0 * CUBE),
+}
+
+
+def matter(body: Array, Q: Array) -> tuple[Array, Array]:
+    """Return masses (4,) and positions (4, 3) of point masses that make up a body.
+
+    With ⟨Q, J⟩ ≥ 0 each of them has ``x^T·Q·x ≥ 0`` of its own (x homogeneous): factors of J are
+    turned two by two until all of them have the same (Sturm and Zhang, 2003).
+    """
+    values, vectors = np.linalg.eigh(pseudo_inertia(body))
+    factors = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    share = float(np.sum(Q * (factors.T @ factors))) / 4.0
+    for _ in range(3):
+        sizes = np.einsum("ki,ij,kj->k", factors, Q, factors)
+        i, j = int(np.argmin(sizes)), int(np.argmax(sizes))
+        if sizes[j] - sizes[i] <= 1e-15 * abs(sizes).max():
+            break
+        # The turn (1, t) of the pair that has the share: a quadratic equation in t.
+        a, c = sizes[j] - share, sizes[i] - share
+        b = float(factors[i] @ Q @ factors[j])
+        t = (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
+        one, other = factors[i] + t * factors[j], -t * factors[i] + factors[j]
+        factors[i], factors[j] = np.array([one, other]) / np.sqrt(1.0 + t * t)
+    masses = factors[:, 3] ** 2
+    used = masses > 1e-12 * masses.sum()
+    return masses[used], factors[used, :3] / factors[used, 3:]
+
+
+def obeys_total(estimate: Estimate) -> None:
+    mass = sum(matter_mass(body_of(estimate, link)) for link in ARM.link_names)
+    assert abs(mass - MASS) <= 0.1 + 10.0 * FEASIBLE
+
+
+def matter_mass(body: Array) -> float:
+    return float(matter(body, np.diag([0.0, 0.0, 0.0, 1.0]))[0].sum())
+
+
+def obeys_group(estimate: Estimate) -> None:
+    assert matter_mass(body_of(estimate, LAST)) == pytest.approx(0.2, abs=10.0 * FEASIBLE)
+
+
+def center_of(estimate: Estimate) -> Array:
+    masses, points = matter(body_of(estimate, LAST), np.diag([0.0, 0.0, 0.0, 1.0]))
+    return np.asarray(masses @ points / masses.sum())
+
+
+def obeys_box(estimate: Estimate) -> None:
+    c = center_of(estimate)
+    assert abs(c[0]) <= 0.02 + PLACE
+    assert abs(c[1]) <= PLACE
+    assert c[2] <= 0.01 + PLACE
+
+
+def obeys_ellipsoid(estimate: Estimate) -> None:
+    inside = TURNED.T @ (center_of(estimate) - [0, 0.01, 0]) / [0.02, 0.05, 0.03]
+    assert np.linalg.norm(inside) <= 1.0 + PLACE / 0.02
+
+
+def obeys_all_mass(estimate: Estimate) -> None:
+    """Matter wholly inside the ellipsoid has these ten parameters."""
+    to_ball = np.zeros((4, 4))
+    to_ball[:3, :3] = (TURNED / [0.1, 0.2, 0.3]).T
+    to_ball[:3, 3] = -to_ball[:3, :3] @ [0, 0.1, 0]
+    to_ball[3, 3] = 1.0
+    Q = to_ball.T @ np.diag([-1.0, -1.0, -1.0, 1.0]) @ to_ball
+    body = body_of(estimate, LAST)
+    masses, points = matter(body, Q)
+    np.testing.assert_allclose(point_masses(masses, points), body, atol=1e-12)
+    inside = (points - [0, 0.1, 0]) @ TURNED / [0.1, 0.2, 0.3]
+    # The roots of what cancels to rounding.
+    assert np.linalg.norm(inside, axis=1).max() <= 1.0 + 1e-6
+
+
+def obeys_hull(estimate: Estimate) -> None:
+    # A combination of the corners, with the masses of matter that sits in them.
+    combined = np.vstack([CUBE.T, np.ones(len(CUBE))])
+    assert nnls(combined, np.append(center_of(estimate), 1.0))[1] <= PLACE
+
+
+def obeys_fixed(estimate: Estimate) -> None:
+    values = estimate.named_theta()
+    assert values["m_2"] == pytest.approx(0.4, abs=FEASIBLE)
+    assert values["Fv1"] == pytest.approx(0.5, abs=FEASIBLE)
+
+
+def obeys_fixed_link(estimate: Estimate) -> None:
+    np.testing.assert_allclose(body_of(estimate, LAST), BODIES[0], atol=FEASIBLE)
+
+
+def obeys_equal(estimate: Estimate) -> None:
+    masses, points = matter(body_of(estimate, FIRST), np.diag([0.0, 0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(
+        point_masses(masses, points), body_of(estimate, LAST), atol=2.0 * FEASIBLE
+    )
+
+
+def obeys_symmetric(estimate: Estimate) -> None:
+    body = body_of(estimate, LAST)
+    masses, points = matter(body, np.diag([0.0, 0.0, 0.0, 1.0]))
+    n = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)
+    image = points - 2.0 * np.outer((points - [0, 0.02, 0]) @ n, n)
+    np.testing.assert_allclose(point_masses(masses, image), body, atol=10.0 * FEASIBLE)
+
+
+def obeys_pair(estimate: Estimate) -> None:
+    masses, points = matter(body_of(estimate, FIRST), np.diag([0.0, 0.0, 0.0, 1.0]))
+    image = point_masses(masses, points * [1.0, -1.0, 1.0])
+    np.testing.assert_allclose(image, body_of(estimate, LAST), atol=2.0 * FEASIBLE)
+
+
+def obeys_friction(estimate: Estimate) -> None:
+    found = estimate.named_theta()
+    for symbol in ("Fs", "Fv"):
+        one, two = found[f"{symbol}1"], found[f"{symbol}2"]
+        assert abs(one - two) <= 0.1 * (one + two) + FEASIBLE
+
+
+OBEYS = {name: globals()[f"obeys_{name.replace(' ', '_')}"] for name in CONDITIONS}
+
+
+@given(SEEDS)
+def test_matter_is_found_where_it_may_be(seed: int) -> None:
+    """The decomposition of these tests, of bodies made of points in the unit ball."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(6, 3))
+    points *= rng.uniform(0.2, 1.0, (6, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
+    body = point_masses(rng.uniform(0.1, 2.0, 6), points)
+    masses, found = matter(body, np.diag([-1.0, -1.0, -1.0, 1.0]))
+    np.testing.assert_allclose(point_masses(masses, found), body, atol=1e-12)
+    assert np.linalg.norm(found, axis=1).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", list(CONDITIONS))
+def test_the_optimum_obeys_a_condition_and_is_proven(name: str, tmp_path: Path) -> None:
+    estimate = solve_sdp(arm_problem(*CONDITIONS[name]))
+    assert estimate.feasible
+    OBEYS[name](estimate)
+    certificate = certify(estimate)
+    assert certificate.passed
+    certificate.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    assert again.passed, again.problems
+    assert again.lower_bound == pytest.approx(certificate.lower_bound, rel=1e-9)
+    # It costs something.
+    free = solve_sdp(limited(estimate.problem))
+    assert estimate.cost > free.cost * (1.0 + 10.0 * SAME_OPTIMUM)
+    assert certificate.lower_bound > free.cost
+
+
+@pytest.mark.parametrize("name", [n for n in CONDITIONS if n != "all mass"])
+def test_the_same_with_spatial_inertias(name: str) -> None:
+    estimate = solve_sdp(arm_problem(*CONDITIONS[name], consistency="spatial_inertia"))
+    assert estimate.feasible
+    assert certify(estimate).passed
+    free = solve_sdp(limited(estimate.problem))
+    assert estimate.cost >= free.cost * (1.0 - SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("name", list(LOOSE))
+def test_what_does_not_bind_does_not_cost(name: str, consistency: Consistency) -> None:
+    problem = arm_problem(LOOSE[name], consistency=consistency)
+    estimate = solve_sdp(problem)
+    free = solve_sdp(limited(problem))
+    assert estimate.cost == pytest.approx(free.cost, rel=SAME_OPTIMUM)
+    assert certify(estimate).passed
+    for state in constraint_states(estimate)[len(constraint_states(free)) :]:
+        assert state.slack > 0.0
+        assert not state.active
+        assert state.multiplier == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_more_conditions_never_cost_less(consistency: Consistency) -> None:
+    chosen = [LIGHT, *(CONDITIONS[name][-1] for name in ("ellipsoid", "symmetric", "all mass"))]
+    costs = [
+        solve_sdp(arm_problem(*chosen[:k], consistency=consistency)).cost
+        for k in range(len(chosen) + 1)
+    ]
+    assert all(b >= a * (1.0 - SAME_OPTIMUM) for a, b in itertools.pairwise(costs))
+    assert costs[-1] > costs[0]
+
+
+# ---- Friction of left and right joints: which terms, which way, and how much they may differ.
+
+
+TERMS = ("asymmetric_coulomb", "viscous", "offset", "rotor_inertia", "stribeck", "load", "tilt")
+
+
+def layout_with(robot: sdpid.RobotModel, *terms: object) -> Layout:
+    """Return where parameters are."""
+    return Layout(robot, FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base))
+
+
+@pytest.mark.parametrize("name", ["solo12", "talos_reduced"])
+def test_mirrored_motions_meet_the_same_friction(name: str) -> None:
+    """The image of a rotation is the other joint's, by Pinocchio's Jacobians, or its reverse."""
+    robot = sdpid.load_robot(name, root="free_flyer")
+    model, mirror = robot.pin_model, np.diag([1.0, -1.0, 1.0])
+    data = model.createData()
+    J = pin.computeJointJacobians(model, data, pin.neutral(model))
+    turns = dict(zip(robot.joint_names[robot.n_base :], J[3:, robot.n_base :].T, strict=True))
+    for pair in equal_friction(robot):
+        image, other = -mirror @ turns[pair.first], turns[pair.second]
+        assert np.allclose(image, -other if pair.opposite else other, atol=1e-6)
+
+
+def test_terms_of_a_pair() -> None:
+    robot = small_arm(3)
+    layout = layout_with(robot, *TERMS, sdpid.friction.Coupling("joint_2", "joint_3"))
+    for opposite in (False, True):
+        rows = list(EqualFriction("joint_1", "joint_3", opposite=opposite).compile(layout))
+        found = {
+            frozenset(np.array(layout.names)[np.flatnonzero(row.coefficients)]) for row in rows
+        }
+        sides = [("Fsp", "Fsn"), ("Fsn", "Fsp")] if opposite else [("Fsp",) * 2, ("Fsn",) * 2]
+        pairs = [*sides, ("Fv", "Fv"), ("Ia", "Ia"), ("Fst", "Fst"), ("Fl", "Fl")]
+        names = {frozenset((f"{a}1", f"{b}3")) for a, b in pairs}
+        assert found <= names
+        assert {pair for pair in names if pair <= set(layout.names)} == found
+        assert all(row.lower == row.upper == 0.0 for row in rows)
+        assert all(row.coefficients.sum() == 0.0 for row in rows)
+
+
+@pytest.mark.parametrize(("left", "right", "holds"), [(1.0, 1.2, True), (1.0, 1.25, False)])
+def test_a_share_is_of_the_mean(left: float, right: float, holds: bool) -> None:
+    layout = layout_with(small_arm(2), "viscous")
+    theta = np.zeros(layout.count)
+    for values in ((left, right), (right, left)):
+        theta[-2:] = values
+        rows = EqualFriction("joint_1", "joint_2", within=0.2).compile(layout)
+        assert all(row.coefficients @ theta >= row.lower for row in rows) is holds
+
+
+def test_refused() -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    with pytest.raises(ModelError, match=r"'FL_hip' is .* m away from that of 'RR_hip'"):
+        equal_friction(robot, [("FL_hip_joint", "RR_hip_joint")])
+    with pytest.raises(ModelError, match=r"equal_friction: 'a1.*' has no joint knee"):
+        equal_friction(robot, [("knee", "RR_hip_joint")])
+    refuses(DataError, "no two joints of", equal_friction, sdpid.load_robot("ur5_robot"))
+    refuses(DataError, "within is 2; give a share", EqualFriction, "a", "b", within=2)
+    refuses(DataError, "within is True; give a share", EqualFriction, "a", "b", within=True)
+    refuses(DataError, "within is nan; give a share", EqualFriction, "a", "b", within=np.nan)
+    refuses(DataError, "name two joints", EqualFriction, "a", "a")
+    with pytest.raises(ModelError, match="has no joint 'a'"):
+        list(EqualFriction("a", "joint_1").compile(layout_with(small_arm(2), "viscous")))
+
+
+# ---- Pairs of left and right links, found by their names, and what they say of described robots.
+
+
+@pytest.mark.parametrize(("name", "count"), [("a1", 6), ("go2", 6), ("talos_reduced", 14)])
+def test_pairs_are_found_by_name(name: str, count: int) -> None:
+    robot = sdpid.load_robot(name, root="free_flyer")
+    pairs = mirror_pairs(robot)
+    assert len(pairs) == count
+    assert len({link for pair in pairs for link in (pair.first, pair.second)}) == 2 * count
+
+
+def test_legs_that_are_described_as_mirror_images_obey() -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    friction = FrictionModel.from_terms((), robot.joint_names, first=robot.n_base)
+    layout, theta = Layout(robot, friction), robot.prior.reshape(-1)
+    rows = [row for pair in mirror_pairs(robot) for row in pair.compile(layout)]
+    assert len(rows) == 60
+    assert max(abs(float(row.coefficients @ theta)) for row in rows) < 1e-12
+
+
+def test_what_are_no_mirror_images_is_refused() -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    with pytest.raises(ModelError, match=r"'FL_hip' is 0\.[0-9]+ m away from that of 'RR_hip'"):
+        mirror_pairs(robot, [("FL_hip", "RR_hip")])
+    refuses(ModelError, "has no link left_foot", mirror_pairs, robot, [("left_foot", "FR_hip")])
+    refuses(DataError, "differ in a word for a side", mirror_pairs, sdpid.load_robot("ur5_robot"))
+
+
+FRONT = ("FL_hip", "FR_hip")
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ("FL_hip", "pairs is 'FL_hip'; give"),
+        (3, "pairs is 3; give"),
+        ([], "pairs is empty"),
+        (["FL", "FR"], "pairs holds 'FL'; give"),
+        ([("FL_hip",)], r"pairs holds \('FL_hip',\); give"),
+        ([(*FRONT, "RL_hip")], "pairs holds .*'RL_hip'"),
+        ([("FL_hip", 1)], r"pairs holds \('FL_hip', 1\)"),
+        ([("FL_hip", "FL_hip")], "'FL_hip' twice in a pair"),
+        ([FRONT, FRONT], "'FL_hip' and 'FR_hip' is given twice"),
+        ([FRONT, FRONT[::-1]], "'FR_hip' and 'FL_hip' is given twice"),
+    ],
+)
+def test_pairs_that_are_none_are_refused(pairs: Any, message: str) -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    refuses(DataError, rf"mirror_pairs: .*{message}", mirror_pairs, robot, pairs)
+
+
+@pytest.mark.parametrize("asked", [mirror_pairs, equal_friction])
+@pytest.mark.parametrize(
+    ("normal", "message"),
+    [
+        ((0.0, 0.0, 0.0), " is zero"),
+        ((0.0, np.nan, 0.0), ": 1 of 3 values are not finite"),
+        ((0.0, 1.0), ": 2 numbers, give 3"),
+    ],
+)
+def test_a_normal_is_a_direction(asked: Any, normal: Any, message: str) -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    refuses(DataError, f"{asked.__name__}: normal{message}", asked, robot, normal=normal)
+
+
+@pytest.mark.parametrize("size", [1e-300, 3.0, 1e300])
+def test_a_normal_has_any_length(size: float) -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    pairs = mirror_pairs(robot, normal=(0.0, size, 0.0))
+    assert [list(np.asarray(pair.normal)) for pair in pairs] == [[0.0, 1.0, 0.0]] * 6

@@ -1,0 +1,576 @@
+"""x"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
+
+import sdpid
+from sdpid import RobotModel, Samples
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.rows_digest import samples_digest
+from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
+from sdpid.assurance.diagnostics.blocks import Block, predicted_by
+from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_noise import contact_noise
+from sdpid.estimation.compression.contact_rows import ContactRows
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import compress, weights, weights_and_shares, weights_of
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.plant.legged.model import build_legged
+from sdpid.experiment.preparation.several import without_efforts
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
+from sdpid.output.report.floating_verdict import _forces
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
+from tests.helpers.refusals import refuses
+from tests.helpers.studies import study
+
+SIGMA = np.diag(NOISE**2)
+
+
+def problem(samples: Samples, **given: Any) -> Problem:
+    settings: dict[str, Any] = {"friction": (), "weighting": "gls", "check_excitation": False}
+    return sdpid.build_problem(quadruped(), samples, **{**settings, **given})
+
+
+def gram(found: Problem) -> Array:
+    """Return the products of the whitened rows, scaled to be compared."""
+    rows = np.column_stack([found.A, found.rhs])
+    product = rows.T @ rows
+    product[-1, -1] += found.floor
+    return product
+
+
+def assert_alike(one: Problem, other: Problem, share: float = 1e-9) -> None:
+    a, b = gram(one), gram(other)
+    size = np.sqrt(np.diagonal(a))
+    np.testing.assert_allclose(a, b, atol=share * np.outer(size, size).max())
+
+
+def changed(samples: Samples, **given: Any) -> Samples:
+    assert samples.contacts is not None
+    return replace(samples, contacts=replace(samples.contacts, **given))
+
+
+def test_truth_leaves_nothing_without_noise() -> None:
+    made = gait()
+    contacts = made.samples.contacts
+    found = problem(replace(made.samples, covariance=SIGMA))
+    base = found.base_of(made.theta)
+    assert np.sqrt(found.cost(base) / found.n_rows) < 1e-8
+    assert found.n_rows == 18 * 240 - 3 * np.count_nonzero(contacts.down)
+    np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
+
+
+def test_the_information_is_that_of_a_dense_projection() -> None:
+    made = gait(12)
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(18, 18))
+    sigma, mask = root @ root.T + np.eye(18), rng.random((12, 18)) < 0.9
+    samples = changed(made.samples, kind=("point", "line", "plane", "point"))
+    samples = replace(samples, mask=mask)
+    robot, contacts = made.robot, samples.contacts
+    rows = problem(samples, weighting="gls").rows
+    assert isinstance(rows, RowSource)
+    T, index, shares = weights_and_shares(rows, slice(None), sigma)
+    touching = rows.contacts(slice(None))
+    bases = {k: N for some, Ns in touching.unforced(mask) for k, N in zip(some, Ns, strict=True)}
+    J = contact_jacobians(robot, samples.position, FEET, RADIUS)
+    axes = frame_axes(robot, samples.position, FEET)
+    for k in range(12):
+        lost = [np.zeros((0, 18))]
+        for i in np.flatnonzero(contacts.down[k]):
+            lost.append(J[k, i, :3])
+            across = {"point": [], "line": [0, 2], "plane": [0, 1, 2]}[contacts.kind[i]]
+            lost.append(axes[k, i].T[across] @ J[k, i, 3:])
+        lost.append(np.eye(18)[~mask[k]])
+        N = null_space(np.vstack(lost)) if np.vstack(lost).size else np.eye(18)
+        expected = N @ np.linalg.solve(N.T @ sigma @ N, N.T)
+        np.testing.assert_allclose(T[index[k]].T @ T[index[k]], expected, atol=1e-10)
+        assert shares[k].sum() == pytest.approx(N.shape[1])
+        np.testing.assert_allclose(bases[k] @ bases[k].T, N @ N.T, atol=1e-12)
+
+
+def test_samples_without_a_row_in_use_have_no_basis() -> None:
+    touching = ContactRows.of(quadruped(), gait(4).samples, slice(None))
+    mask = np.repeat([[True], [False], [True], [False]], 18, axis=1)
+    assert sorted(np.concatenate([some for some, _ in touching.unforced(mask)])) == [0, 2]
+
+
+def test_independent_rows_have_the_products_of_all() -> None:
+    samples = replace(gait(60).samples, covariance=SIGMA)
+    rows = problem(samples).rows
+    assert isinstance(rows, RowSource)
+    T, index = weights_of(rows, slice(None), SIGMA)
+    X = (T[index] @ rows.rows(slice(None))).reshape(-1, rows.base.count + 1)
+    triangle, count = compress(rows, SIGMA)
+    size = np.linalg.norm(X, axis=0)
+    np.testing.assert_allclose(
+        triangle.R.T @ triangle.R, X.T @ X, atol=1e-12 * np.outer(size, size).max()
+    )
+    assert count == np.linalg.matrix_rank(T).sum()
+
+
+def test_compiled_rows_have_the_same_products() -> None:
+    pytest.importorskip("numba")
+    contacts = gait(40).samples.contacts
+    again = ContactSamples(
+        frames=(*FEET, FEET[1]), offset=RADIUS, down=contacts.down[:, [0, 1, 2, 3, 1]]
+    )
+    samples = replace(gait(40).noisy(), contacts=again)
+    mask = np.ones((40, 18), dtype=bool)
+    mask[::3, 7] = False
+    rows = problem(replace(samples, mask=mask)).rows
+    assert isinstance(rows, RowSource)
+    powers, index = weights(SIGMA, mask)
+    found = []
+    for compiled in (False, True):
+        touching = ContactRows.of(quadruped(), samples, slice(None), compiled=compiled)
+        block = rows.rows(slice(None))
+        W, apart, lost = touching.independent(powers, index, block, rows.branches)
+        product = W.T @ W
+        for own, columns in zip(apart, rows.branches.columns, strict=True):
+            # Of the legs that are in the air, unless their rows are mixed by the compiled loop.
+            assert bool(len(own)) == compiled
+            product[np.ix_(columns, columns)] += own.T @ own
+        found.append((product, lost))
+    assert found[0][1] == found[1][1]
+    size = np.sqrt(np.diagonal(found[0][0]))
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-12 * np.outer(size, size).max())
+
+
+def test_rounding_decides_no_correlation_time() -> None:
+    # Beside masked rows of the base, forces take all of a leg's rows: rounding leaves them nothing,
+    # or next to nothing.
+    samples = gait(240).noisy()
+    mask = np.ones((240, 18), dtype=bool)
+    mask[::3, :6] = False
+    contacts = samples.contacts
+    turned = replace(contacts, frames=contacts.frames[::-1], down=contacts.down[:, ::-1])
+    rows = problem(replace(samples, mask=mask)).rows
+    assert isinstance(rows, RowSource)
+    others = rows.on(replace(rows.samples, contacts=turned))
+    found, same = contact_noise(rows), contact_noise(others)
+    np.testing.assert_allclose(same[0], found[0], rtol=1e-9)
+    assert same[1:] == pytest.approx(found[1:], rel=1e-9)
+
+
+@pytest.mark.parametrize("std", [0.05, 0.5, 2.0, 20.0, 1000.0])
+def test_measured_forces_are_generalized_least_squares(std: float) -> None:
+    """Forces are unknowns of a dense least squares beside their measurements, then eliminated."""
+    made = gait(12, seed=5)
+    rng = np.random.default_rng(1)
+    felt = made.forces + std * rng.normal(size=made.forces.shape)
+    samples = replace(made.measured(std**2 * np.eye(6), felt), covariance=SIGMA)
+    samples = replace(samples, effort=made.noisy().effort, mask=rng.random((12, 18)) < 0.9)
+    found, model = problem(samples), made.robot.pin_model
+    data, rows, columns = model.createData(), [], 12 * 12
+    for k, (down, used) in enumerate(zip(samples.contacts.down, samples.used, strict=True)):  # type: ignore[union-attr]
+        state = (each[k] for each in (samples.position, samples.velocity, samples.acceleration))
+        Y = pin.computeJointTorqueRegressor(model, data, *state)[:, found.base.kept]
+        pin.computeJointJacobians(model, data, samples.position[k])
+        pin.updateFramePlacements(model, data)
+        own = np.zeros((18 + 12, columns + found.base.count + 1))
+        own[:18, columns:] = np.column_stack([Y, samples.effort[k]]) / NOISE[:, None]
+        for i in np.flatnonzero(down):
+            frame = model.getFrameId(FEET[i])
+            J = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            J = J[:3] - pin.skew(np.array(RADIUS)) @ J[3:]
+            at = slice(12 * k + 3 * i, 12 * k + 3 * i + 3)
+            own[:18, at] = -J.T / NOISE[:, None]
+            own[18 + 3 * i : 21 + 3 * i, at] = np.eye(3) / std
+            own[18 + 3 * i : 21 + 3 * i, -1] = felt[k, i] / std
+        rows.append(np.vstack([own[:18][used], own[18:]]))
+    forces, others = np.split(np.vstack(rows), [columns], axis=1)
+    U, s, _ = np.linalg.svd(forces, full_matrices=True)
+    left = U[:, np.count_nonzero(s > 1e-12 * s[0]) :].T @ others
+    size = np.linalg.norm(left, axis=0)
+    np.testing.assert_allclose(gram(found), left.T @ left, atol=1e-10 * np.outer(size, size).max())
+
+
+def test_a_constant_error_beside_eliminated_forces_is_no_correlation() -> None:
+    made, rng = gait(600, seed=3), np.random.default_rng(6)
+    poses = [
+        pin.integrate(made.robot.pin_model, pin.neutral(made.robot.pin_model), step)
+        for step in 0.05 * rng.normal(size=(600, 18))
+    ]
+    stand = replace(made.samples, position=np.array(poses), velocity=np.zeros((600, 18)))
+    stand = changed(stand, down=np.ones((600, 4), dtype=bool))
+    found = problem(stand)
+    offset = NOISE * np.array([1.0] + [0.0] * 5 + [1.0, -1.0, 1.0] * 4)
+    effort = found.rows.regressor(slice(None)) @ found.base_of(made.theta)  # type: ignore[union-attr]
+    effort = effort + offset + NOISE * rng.normal(size=(600, 18))
+    assert contact_noise(problem(replace(stand, effort=effort)).rows)[1] < 1.5  # type: ignore[arg-type]
+
+
+def test_forces_that_are_hardly_known_are_eliminated() -> None:
+    made = gait()
+    plain = problem(replace(made.noisy(), covariance=SIGMA))
+    for std in (1e3, 1e6):
+        felt = made.measured(std**2 * np.eye(6))
+        vague = problem(replace(felt, effort=made.noisy().effort, covariance=SIGMA))
+        assert_alike(vague, plain, 1e-6)
+        assert vague.n_rows == 240 * 18 > plain.n_rows
+
+
+def test_what_a_sensor_shows_of_a_foot_in_the_air_changes_nothing() -> None:
+    made = gait(60)
+    contacts = made.samples.contacts
+    shown = np.where(contacts.down[:, :, None], made.forces, [3.0, -2.0, 5.0])
+    known, offset = (problem(made.measured(0.01 * np.eye(6), f)) for f in (made.forces, shown))
+    assert np.array_equal(gram(known), gram(offset))
+
+
+def test_fits_are_compared_with_forces_eliminated() -> None:
+    made = gait(60)
+    felt = replace(made.measured(4.0 * np.eye(6), 1.3 * made.forces), covariance=SIGMA)
+    found = problem(replace(felt, effort=made.noisy().effort))
+    base, fresh = found.base_of(made.theta), made.noisy(3)
+    alike = found.predict(base, replace(felt, effort=fresh.effort)), found.predict(base, fresh)
+    assert np.array_equal(*alike)
+    blocks = tuple(
+        Block(slices=(slice(a, a + 20),), estimate=sdpid.solve_wls(found)) for a in (0, 20, 40)
+    )
+    predicted = predicted_by(blocks, found, {"": lambda _: base})[""]
+    np.testing.assert_allclose(predicted, found.predict(base, made.noisy()), atol=1e-9)
+    # Without efforts, eliminated forces would leave nothing to compare.
+    alone = without_efforts(felt, made.robot, made.robot.joint_names[6:])
+    assert alone.judged is alone
+
+
+def test_forces_that_are_not_measured_along_an_axis_are_eliminated_there() -> None:
+    made = gait(60)
+    wrong = made.forces.copy()
+    wrong[:, :, 2] = 1e3
+    partly = problem(made.measured(np.diag([0.0, 0.0, np.inf, 0.0, 0.0, 0.0]), wrong))
+    contacts = made.samples.contacts
+    assert partly.cost(partly.base_of(made.theta)) < 1e-15
+    assert partly.n_rows == 60 * 18 - np.count_nonzero(contacts.down)
+
+
+def test_known_forces_are_efforts() -> None:
+    made = gait(60)
+    J = contact_jacobians(made.robot, made.samples.position, FEET, RADIUS)
+    effort = made.samples.effort + np.einsum("kcin,kci->kn", J[:, :, :3], made.forces)
+    without = replace(made.samples, effort=effort, contacts=None)
+    found = problem(made.measured(np.zeros((6, 6))))
+    assert_alike(found, problem(without))
+    assert found.n_rows == problem(without).n_rows
+    base = found.base_of(made.theta)
+    np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
+
+
+def test_flight_is_a_robot_without_contacts() -> None:
+    samples = gait(60).noisy()
+    flying = changed(samples, down=np.zeros((60, 4), dtype=bool))
+    assert_alike(problem(flying), problem(replace(samples, contacts=None)))
+
+
+def test_the_order_of_feet_and_repeated_feet_change_nothing() -> None:
+    samples = replace(gait(60).noisy(), covariance=SIGMA)
+    found, contacts = problem(samples), samples.contacts
+    order = [2, 0, 3, 1, 2]
+    again = ContactSamples(
+        frames=[FEET[i] for i in order], offset=RADIUS, down=contacts.down[:, order]
+    )
+    other = problem(replace(samples, contacts=again))
+    assert_alike(found, other)
+    assert found.n_rows == other.n_rows
+    base = found.base_of(gait(60).theta)
+    np.testing.assert_allclose(found.predict(base), other.predict(base), atol=1e-8)
+
+
+def test_a_masked_row_has_an_infinite_variance() -> None:
+    samples = gait(60).noisy()
+    mask = np.ones((60, 18), dtype=bool)
+    mask[:, [4, 9]] = False
+    vague = NOISE**2
+    vague[[4, 9]] *= 1e10
+    masked = problem(replace(samples, mask=mask, covariance=SIGMA))
+    assert_alike(masked, problem(replace(samples, covariance=np.diag(vague))), 1e-6)
+
+
+def test_variances_of_joints_base_forces_and_torques_are_found() -> None:
+    made = gait(900, seed=3)
+    found = problem(made.noisy(4), weighting="residual", prior=sdpid.Prior())
+    ratio = np.sqrt(np.diagonal(found.sigma)) / NOISE
+    assert 0.9 < ratio.min() < ratio.max() < 1.2
+    assert len(np.unique(found.sigma[np.arange(6), np.arange(6)])) == 2
+    estimate = sdpid.solve_sdp(found)
+    assert sdpid.certify(estimate).passed
+    mass = [estimate.theta[0:130:10].sum(), made.theta[0::10].sum()]  # type: ignore[index]
+    assert mass[0] == pytest.approx(mass[1], rel=0.01)
+
+
+@pytest.mark.parametrize("stated", [0.01, 0.1, 2.0, 1000.0])
+def test_errors_of_forces_are_found_beside_those_of_efforts(stated: float) -> None:
+    made = gait(900, seed=3)
+    felt = made.forces + 0.1 * np.random.default_rng(5).normal(size=made.forces.shape)
+    fused = replace(made.measured(stated**2 * np.eye(6), felt), effort=made.noisy(4).effort)
+    found = problem(fused, weighting="residual", prior=sdpid.Prior())
+    ratio = np.sqrt(np.diagonal(found.sigma)) / NOISE
+    assert 0.9 < ratio.min() < ratio.max() < 1.2
+    assert isinstance(found.rows, RowSource)
+    _, time, force = contact_noise(found.rows.with_force_scale(1.0))
+    assert stated * np.sqrt(force) == pytest.approx(0.1, rel=0.05)
+    # Smaller errors than stated are told, and not used.
+    assert found.rows.force_scale == pytest.approx(time * max(force, 1.0))
+    (told,) = _forces(found)
+    assert f"are off by {stated * np.sqrt(force):.2g} N" in told.text
+    assert told.level == ("caution" if stated < 0.05 else "good")
+
+
+def test_the_six_rows_of_the_base_alone_need_no_efforts() -> None:
+    made = gait(600, seed=2)
+    felt = made.forces + 0.1 * np.random.default_rng(3).normal(size=made.forces.shape)
+    known = replace(made.measured(0.01 * np.eye(6), felt), effort=np.zeros((600, 18)))
+    joints = made.robot.joint_names[6:]
+    alone = without_efforts(known, made.robot, joints)
+    found = problem(alone, weighting="residual", prior=sdpid.Prior())
+    assert found.n_rows == 600 * 6
+    estimate = sdpid.solve_sdp(found)
+    assert sdpid.certify(estimate).passed
+    assert estimate.theta[:130:10].sum() == pytest.approx(made.theta[::10].sum(), rel=2e-3)
+    with pytest.raises(DataError, match="need measured forces of contacts"):
+        without_efforts(made.samples, made.robot, joints)
+
+
+def test_refuses_what_has_no_meaning() -> None:
+    samples = gait(12).samples
+    refuses(DataError, "'eq18' takes powers of covariances", problem, samples, weighting="eq18")
+    refuses(DataError, "'HEEL' is no frame", problem, changed(samples, frames=(*FEET[:3], "HEEL")))
+    standing = changed(samples, kind="plane", down=np.ones((12, 4), dtype=bool))
+    with pytest.raises(DataError, match="forces of the contacts explain every row"):
+        problem(standing, weighting="residual")
+
+
+def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
+    made = gait(400, seed=6)
+    noisy = made.noisy(7)
+    found = problem(noisy, weighting="residual", prior=sdpid.Prior())
+    estimate = sdpid.solve_sdp(found)
+    certificate = sdpid.certify(estimate)
+    certificate.to_json(tmp_path / "certificate.json")
+    assert sdpid.verify(tmp_path / "certificate.json").passed
+    assert certificate.passed
+    other = changed(noisy, down=~noisy.contacts.down)  # type: ignore[union-attr]
+    assert samples_digest(other) != samples_digest(noisy)
+    errors = sdpid.validate(estimate, gait(200, seed=8).noisy(9))
+    # Forces explain a part of the noise of every row.
+    assert 0.4 < errors.floating.force / (np.sqrt(3.0) * 0.4) < 1.0
+    assert 0.4 < errors.floating.torque / (np.sqrt(3.0) * 0.05) < 1.0
+    assert np.all(errors.rows[:6] == 0)
+    assert np.all((errors.rmse[6:] / 0.02 > 0.4) & (errors.rmse[6:] / 0.02 < 1.1))
+    # What the parameters leave open of predicted efforts is what they move them by.
+    root, _ = parameter_root(estimate)
+    fresh = gait(20, seed=8).samples
+    moved = [found.predict(estimate.base + step, fresh) for step in root.T]
+    open_part = np.linalg.norm(moved - found.predict(estimate.base, fresh), axis=0)
+    np.testing.assert_allclose(_left_open(estimate, fresh), open_part, rtol=1e-6, atol=1e-9)
+    deviations = sdpid.solve_wls(found).standard_errors
+    z = (sdpid.solve_wls(found).base - found.base_of(made.theta)) / deviations
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
+    with pytest.raises(DataError, match="contacts tie the rows of a sample together"):
+        sdpid.cost_of_constraints(estimate)
+
+
+# ---- Rows of samples in contact beside MuJoCo: its own contact forces, and forces that it applies.
+
+
+# What true parameters may leave of the rows; rounding leaves 1e-12.
+EXACT = 1e-8
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_the_simulators_contact_forces_leave_nothing(turning: bool) -> None:
+    made = study("legged_rows").Beside("solo12", "trot", 0.3, turning=turning)
+    assert made.left("plane", known=True) < EXACT
+    assert made.left("plane") < EXACT
+    if turning:
+        # Feet that resist turning are planes.
+        assert made.left("point", offset="touched") > 1e-3
+        return
+    assert 0.3 < made.down.mean() < 0.9
+    assert made.left("point", offset="touched") < EXACT
+    # Balls sink in by tenths of a millimeter, so that their lowest point is not what is pushed.
+    assert EXACT < made.left("point", offset=(0.0, 0.0, -made.legs.radius)) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("kind", "moments"), [("point", []), ("line", [0, 2]), ("plane", [0, 1, 2])]
+)
+def test_what_a_kind_transmits_leaves_nothing_and_more_does(kind: Kind, moments: list[int]) -> None:
+    """Two feet of MuJoCo's robot in the air, which are pushed and twisted."""
+    robot, rng, K = quadruped(), np.random.default_rng(0), 8
+    legs = find_legs(robot)
+    theta = np.concatenate([robot.prior.ravel(), np.zeros(36)])
+    built = build_legged(legs, theta, held=False, timestep=1e-3, start=np.zeros(6))
+    data = mujoco.MjData(built.model)
+    q, v, a = np.zeros((K, 19)), np.zeros((K, 18)), np.zeros((K, 18))
+    for k in range(K):
+        turn = Rotation.random(random_state=k)
+        q[k, 2], q[k, 3:7], q[k, 7:] = 1.0, turn.as_quat(), rng.normal(size=12)
+        v[k] = rng.normal(size=18)
+        data.qpos[built.qpos], data.qvel[built.dof] = q[k, 7:], v[k, 6:]
+        data.qpos[:3], data.qpos[3:7] = q[k, :3], np.roll(q[k, 3:7], 1)
+        data.qvel[:3], data.qvel[3:6] = turn.apply(v[k, :3]), v[k, 3:6]
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_forward(built.model, data)
+        axes = frame_axes(robot, q[k : k + 1], FEET)[0]
+        for foot in range(2):
+            geom = built.feet[foot]
+            twist = axes[foot][:, moments] @ rng.normal(size=len(moments))
+            mujoco.mj_applyFT(
+                built.model, data, 10.0 * rng.normal(size=3), twist,
+                data.geom_xpos[geom] + RADIUS, built.model.geom_bodyid[geom], data.qfrc_applied,
+            )  # fmt: skip
+        mujoco.mj_forward(built.model, data)
+        a[k, :3] = turn.inv().apply(data.qacc[:3]) - np.cross(v[k, 3:6], v[k, :3])
+        a[k, 3:6], a[k, 6:] = data.qacc[3:6], data.qacc[built.dof]
+    friction = FrictionModel.from_terms((), robot.joint_names, first=6)
+    base = structural_base(robot, friction)
+    for said in get_args(Kind):
+        contacts = ContactSamples(
+            frames=FEET[:2], kind=said, offset=RADIUS, down=np.ones((K, 2), dtype=bool)
+        )
+        states = {"position": q, "velocity": v, "acceleration": a, "effort": np.zeros((K, 18))}
+        samples = sdpid.Samples(**states, contacts=contacts)
+        rows = RowSource(robot, friction, base, samples)
+        T, index = weights_of(rows, slice(None), np.eye(18))
+        needed = rows.regressor(slice(None)) @ (base.matrix @ theta[:130])
+        left, size = (
+            np.linalg.norm(T[index] @ each[..., None]) for each in (needed, np.ones((K, 18)))
+        )
+        carries = {"point": 0, "line": 2, "plane": 3}[said]
+        assert (left < EXACT * size) == (carries >= len(moments))
+
+
+# ---- A loop that closes is a contact of two links: a four-bar linkage beside MuJoCo.
+
+
+# Crank, coupler and rocker: length, mass, center of mass along the link and beside it, inertia.
+LINKS = {
+    "crank": (0.1, 0.5, 0.04, 0.01, 1e-3),
+    "coupler": (0.3, 0.8, 0.16, -0.02, 8e-3),
+    "rocker": (0.25, 0.6, 0.12, 0.015, 4e-3),
+}
+GROUND = 0.28
+
+
+def description() -> str:
+    """Return the URDF, cut where coupler and rocker meet; axes of all joints are -y."""
+    parts = ['<robot name="four_bar"><link name="ground"/>']
+    parents = {"crank": ("ground", 0.0), "coupler": ("crank", 0.1), "rocker": ("ground", GROUND)}
+    for name, (length, mass, x, z, inertia) in LINKS.items():
+        parent, at = parents[name]
+        parts.append(
+            f'<link name="{name}"><inertial><origin xyz="{x} 0 {z}"/><mass value="{mass}"/>'
+            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
+            f'</inertial></link><link name="{name}_end"/><joint name="{name}_fixed" type="fixed">'
+            f'<parent link="{name}"/><child link="{name}_end"/><origin xyz="{length} 0 0"/></joint>'
+            f'<joint name="{name}_joint" type="continuous"><parent link="{parent}"/>'
+            f'<child link="{name}"/><origin xyz="{at} 0 0"/><axis xyz="0 -1 0"/></joint>'
+        )
+    return "".join(parts) + "</robot>"
+
+
+def plant() -> Any:
+    """Return the same as MuJoCo has it, closed."""
+
+    def body(name: str, at: float, inside: str = "") -> str:
+        length, mass, x, z, inertia = LINKS[name]
+        return (
+            f'<body name="{name}" pos="{at} 0 0"><joint name="{name}" axis="0 -1 0"/>'
+            f'<inertial pos="{x} 0 {z}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
+            f'<site name="{name}_end" pos="{length} 0 0"/>{inside}</body>'
+        )
+
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.001" tolerance="1e-20"><flag contact="disable"/></option>'
+        f"<worldbody>{body('crank', 0.0, body('coupler', 0.1))}{body('rocker', GROUND)}</worldbody>"
+        '<equality><connect site1="coupler_end" site2="rocker_end" solref="0.005 1"/></equality>'
+        "</mujoco>"
+    )
+
+
+def closed() -> Array:
+    """Return joint positions where the loop is closed: by the cosine rule."""
+    crank = 1.0
+    tip = 0.1 * np.array([np.cos(crank), np.sin(crank)])
+    way = tip - [GROUND, 0.0]
+    size, turn = np.linalg.norm(way), np.arctan2(way[1], way[0])
+    rocker = turn - np.arccos((size**2 + 0.25**2 - 0.3**2) / (2.0 * size * 0.25))
+    end = [GROUND + 0.25 * np.cos(rocker), 0.25 * np.sin(rocker)]
+    return np.array([crank, np.arctan2(*(end - tip)[::-1]) - crank, rocker])
+
+
+def turning(K: int = 300) -> Samples:
+    """Return a run in which a motor drives the crank, and the other joints have none."""
+    model = plant()
+    data, states = mujoco.MjData(model), np.zeros((4, K, 3))
+    data.qpos[:] = closed()
+    for k in range(10 * K):
+        data.qfrc_applied[0] = 0.6 * np.sin(2e-3 * k) + 0.5 * np.sin(7e-3 * k) - 0.05 * data.qvel[0]
+        mujoco.mj_forward(model, data)
+        if k % 10 == 0:
+            states[:, k // 10] = data.qpos, data.qvel, data.qacc, data.qfrc_applied
+        mujoco.mj_step(model, data)
+    loop = ContactSamples(
+        frames=["coupler_end"], against=["rocker_end"], down=np.ones((K, 1), dtype=bool)
+    )
+    names = ("position", "velocity", "acceleration", "effort")
+    return Samples(**dict(zip(names, states, strict=True)), contacts=loop)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def linkage(tmp_path_factory: pytest.TempPathFactory) -> tuple[RobotModel, Samples]:
+    path = Path(tmp_path_factory.mktemp("loop")) / "four_bar.urdf"
+    path.write_text(description())
+    return sdpid.load_robot(path), turning()
+
+
+def test_truth_leaves_nothing_where_the_loop_is_told(linkage: tuple[RobotModel, Samples]) -> None:
+    robot, samples = linkage
+    settings: dict[str, Any] = {"friction": (), "weighting": "gls", "check_excitation": False}
+    found = sdpid.build_problem(robot, samples, **settings)
+    # The pin bears two forces in the plane; across it no joint can move.
+    assert found.n_rows == len(samples.effort)
+    base = found.base_of(robot.prior.ravel())
+    size = float(np.sum(samples.effort**2))
+    assert found.cost(base) < 1e-16 * size
+    open_chain = sdpid.build_problem(robot, replace(samples, contacts=None), **settings)
+    assert open_chain.cost(base) > 0.1 * size
+    np.testing.assert_allclose(found.predict(base), samples.effort, atol=1e-7)
+
+
+def test_a_linkage_is_identified(linkage: tuple[RobotModel, Samples]) -> None:
+    robot, samples = linkage
+    rng = np.random.default_rng(0)
+    noisy = replace(samples, effort=samples.effort + 1e-3 * rng.normal(size=samples.effort.shape))
+    found = sdpid.build_problem(robot, noisy, friction=(), prior=sdpid.Prior())
+    estimate = sdpid.solve_sdp(found)
+    assert sdpid.certify(estimate).passed
+    errors = sdpid.validate(estimate, samples)
+    assert errors.floating is None
+    assert errors.relative < 1e-2
+
+
+def test_refuses_a_loop_that_is_open(linkage: tuple[RobotModel, Samples]) -> None:
+    robot, samples = linkage
+    moved = samples.position + np.array([0.0, 0.0, 0.2])
+    with pytest.raises(DataError, match=r"coupler_end and rocker_end are up to .* mm apart"):
+        sdpid.build_problem(robot, replace(samples, position=moved), friction=())
+    with pytest.raises(DataError, match="expected a frame other than its own"):
+        ContactSamples(frames=["a"], against=["a"], down=np.ones((1, 1), dtype=bool))

@@ -1,0 +1,610 @@
+"""Effects of the drives and numbers of friction terms that the data choose."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+import sdpid
+import sdpid.estimation.effects.choose as profile_module
+from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp, solve_wls
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.compression.covariance import residual_covariance
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.effects.bending import Bending
+from sdpid.estimation.effects.choose import close_terms
+from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
+from sdpid.estimation.effects.variable_projection import OpenTerm, VariableProjection
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.problem import Problem, describe
+from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
+from sdpid.estimation.selection.trials import Trials
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
+from sdpid.robot.friction.terms import (
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    RotorInertia,
+    SigmoidFriction,
+    Stribeck,
+    Viscous,
+)
+from sdpid.robot.model.base_parameters import generic_states, structural_base
+from tests.helpers.arm import ARM
+from tests.helpers.data import (
+    friction_model,
+    full_regressor,
+    make_samples,
+    random_covariance,
+    random_links,
+    random_theta,
+)
+from tests.helpers.motions import slow_motion
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE, small_arm
+from tests.helpers.strategies import random_states
+from tests.helpers.tolerances import COST
+
+ARM3 = small_arm(3)
+NAMES = ARM3.joint_names
+
+# The search stops at 2 %; a second round about the same point does no worse.
+FOUND = 0.03
+
+
+def made(*terms: str | FrictionTerm, seed: int = 1, noise: float = 0.0, **fields: Any) -> Samples:
+    rng = np.random.default_rng(seed)
+    theta = random_theta(ARM3, rng, terms)
+    return make_samples(
+        ARM3, theta, rng, count=400, noise=noise, friction=terms, joint_names=NAMES, **fields
+    )
+
+
+@pytest.mark.parametrize(
+    ("truth", "asked"),
+    [
+        (Coulomb(width=(0.3, 0.6, 1.0)), Coulomb(width=None)),
+        (AsymmetricCoulomb(width=(0.3, 0.6, 1.0)), AsymmetricCoulomb(width=None)),
+        (Stribeck(velocity=(0.4, 0.8, 1.2)), Stribeck()),
+        (SigmoidFriction(velocity=(0.3, 0.6, 1.0)), SigmoidFriction()),
+        (Coupling(NAMES[1], NAMES[2], width=0.5), Coupling(NAMES[1], NAMES[2], width=None)),
+        (
+            Stribeck(velocity=(0.5, 0.9, 1.3), width=(0.2, 0.3, 0.4)),
+            Stribeck(velocity=None, width=None),
+        ),
+    ],
+)
+def test_true_values_are_found(truth: FrictionTerm, asked: FrictionTerm) -> None:
+    rest = ("viscous", "offset")
+    problem = build_problem(ARM3, made(truth, *rest), friction=(asked, *rest))
+    closed = problem.friction.terms[0]
+    assert type(closed) is type(truth)
+    for name in ("width", "velocity"):
+        if hasattr(truth, name):
+            found, expected = getattr(closed, name), getattr(truth, name)
+            np.testing.assert_allclose(found, expected, rtol=5 * FOUND if "wid" in name else FOUND)
+    assert all(p.lower <= p.flat_from <= p.value <= p.flat_to <= p.upper for p in problem.profiled)
+    assert all(p.determined for p in problem.profiled)
+
+
+def test_several_terms_with_noise() -> None:
+    """As good a fit as with the true numbers, which is all that the data can say."""
+    truth = (Coulomb(width=0.2), Stribeck(velocity=(0.5, 0.7, 0.9)), "viscous")
+    samples = made(*truth, noise=0.05)
+    asked = (Coulomb(width=None), "stribeck", "viscous")
+    problem = build_problem(ARM3, samples, friction=asked)
+    exact = build_problem(ARM3, samples, friction=truth)
+    assert problem.floor <= 1.001 * exact.floor
+    assert len(problem.profiled) == 6
+    again = build_problem(ARM3, samples, friction=asked)
+    assert again.profiled == problem.profiled
+    np.testing.assert_array_equal(again.A, problem.A)
+
+
+def search_of(samples: Samples, terms: tuple[FrictionTerm | str, ...], sigma: Array) -> Any:
+    """Return a search at the middle of the limits, and its rows."""
+    model = friction_model(ARM3, terms)
+    speeds = list(np.abs(samples.velocity).T)
+    opened = [
+        OpenTerm(k, t, p)
+        for k, t in enumerate(model.terms)
+        if (p := t.open_parameters(speeds, NAMES))
+    ]
+    closed = list(model.terms)
+    for each in opened:
+        closed[each.place] = each.closed
+    model = replace(model, terms=tuple(closed))
+    rows = RowSource(ARM3, model, structural_base(ARM3, model), samples)
+    return VariableProjection(rows, sigma, opened), opened, model
+
+
+@pytest.mark.parametrize("kind", ["one", "each"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool) -> None:
+    rng = np.random.default_rng(5)
+    mask = rng.random((400, 3)) < 0.7 if masked else None
+    terms = (Coulomb(width=0.3), Stribeck(0.6), "viscous")
+    samples = made(*terms, noise=0.1, mask=mask)
+    sigma = random_covariance(rng, 3, None if kind == "one" else 400)
+    asked = (Coulomb(width=None), Stribeck(), "viscous")
+    search, opened, _ = search_of(samples, asked, sigma)
+    search.run()
+    closed = (opened[0].closed, opened[1].closed, "viscous")
+    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
+    stacked, target = [], []
+    for k in range(400):
+        used = np.flatnonzero(np.ones(3) if mask is None else mask[k])
+        if used.size:
+            L = np.linalg.cholesky((sigma if kind == "one" else sigma[k])[np.ix_(used, used)])
+            stacked.append(np.linalg.solve(L, W[k][used]))
+            target.append(np.linalg.solve(L, samples.effort[k][used]))
+    matrix, rhs = np.concatenate(stacked), np.concatenate(target)
+    best = np.linalg.lstsq(matrix, rhs, rcond=1e-10)[0]
+    assert search.cost == pytest.approx(float(np.sum((matrix @ best - rhs) ** 2)), rel=1e-6)
+
+
+def test_a_negative_peak_does_not_imitate_a_smooth_sign() -> None:
+    """Unsigned, the peak would be the difference between an exact and a smooth sign."""
+    samples = made(Coulomb(width=0.4), "viscous")
+    rows = ("coulomb", "viscous", Stribeck())
+    search, _, _ = search_of(samples, rows, np.eye(3))
+    search.run()
+    without, _, _ = search_of(samples, ("coulomb", "viscous", Flat()), np.eye(3))
+    assert search.cost == pytest.approx(without.cost, rel=1e-6)
+
+
+@dataclass(frozen=True)
+class Flat(JointwiseTerm):
+    """A term without effect and with an open number."""
+
+    symbol: ClassVar[str] = "Fx"
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = True
+    velocity: float | tuple[float, ...] | None = None
+    speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        return np.zeros_like(velocity)
+
+
+def test_without_effect_the_middle_is_kept() -> None:
+    problem = build_problem(ARM3, made("viscous"), friction=("viscous", Flat()))
+    for p in problem.profiled:
+        assert p.value == pytest.approx(np.sqrt(p.lower * p.upper))
+        assert (p.flat_from, p.flat_to) == (p.lower, p.upper)
+        assert not p.determined
+
+
+@dataclass(frozen=True)
+class Power(FrictionTerm):
+    """sign(v)·|v|^e, with one exponent for the robot, chosen by the data."""
+
+    exponent: float | None = None
+
+    def parameters(self, joint_names: Sequence[str]) -> Any:
+        return Coulomb().parameters(joint_names)
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        shape = np.sign(velocity) * np.abs(velocity) ** self.exponent
+        return np.asarray(shape[:, :, None] * np.eye(len(joint_names)))
+
+    def open_parameters(
+        self, speeds: Sequence[Array], joint_names: Sequence[str]
+    ) -> tuple[OpenParameter, ...]:
+        return (OpenParameter("exponent", 0.1, 3.0, "1"),) if self.exponent is None else ()
+
+    def with_values(self, values: Sequence[float]) -> Power:
+        return Power(values[0])
+
+
+def test_a_term_of_ones_own_with_one_number_for_all_joints() -> None:
+    problem = build_problem(ARM3, made(Power(0.4), "offset"), friction=(Power(), "offset"))
+    (found,) = problem.profiled
+    assert (found.term, found.name, found.unit) == ("Power", "exponent", "1")
+    assert found.value == pytest.approx(0.4, rel=FOUND)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18", "residual"])
+def test_every_weighting(weighting: Any) -> None:
+    truth = Coulomb(width=(0.3, 0.6, 1.0))
+    sigma = random_covariance(np.random.default_rng(2), 3, 400)
+    samples = made(truth, "viscous", noise=0.01, covariance=sigma)
+    problem = build_problem(
+        ARM3, samples, friction=(Coulomb(width=None), "viscous"), weighting=weighting
+    )
+    np.testing.assert_allclose([p.value for p in problem.profiled], truth.width, rtol=0.1)
+
+
+def test_only_rows_in_use_count() -> None:
+    """Nobody measured the last joint, nor the efforts of a floating base."""
+    samples = made(Coulomb(width=0.5), "viscous")
+    mask = np.ones((400, 3), dtype=bool)
+    mask[:, 2] = False
+    wrong = samples.effort.copy()
+    wrong[:, 2] = 1e3
+    model = friction_model(ARM3, (Coulomb(width=None), "viscous"))
+    cases = (replace(samples, mask=mask, effort=effort) for effort in (samples.effort, wrong))
+    both = [close_terms(model, ARM3, each, lambda _: np.eye(3))[1] for each in cases]
+    assert both[0] == both[1]
+    assert [p.determined for p in both[0]] == [True, True, False]
+
+
+def test_a_floating_base() -> None:
+    robot = load_robot(TREE, root="free_flyer")
+    rng = np.random.default_rng(4)
+    terms = (Coulomb(width=2.0), "viscous")
+    q, v, a = generic_states(robot, 300, 9)
+    effort = full_regressor(robot, (q, v, a), terms) @ random_theta(robot, rng, terms)
+    mask = np.ones(effort.shape, dtype=bool)
+    mask[:, :6] = False
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort, mask=mask)
+    model = friction_model(robot, (Coulomb(width=None), "viscous"))
+    _, chosen = close_terms(model, robot, samples, lambda _: np.eye(robot.n))
+    np.testing.assert_allclose([p.value for p in chosen], 2.0, rtol=FOUND)
+
+
+def test_long_records_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
+    sigma = random_covariance(np.random.default_rng(2), 3, 400)
+    samples = made(Coulomb(width=0.5), "viscous", covariance=sigma)
+    asked = (Coulomb(width=None), "viscous")
+    whole = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
+    monkeypatch.setattr(profile_module, "_MOST_SAMPLES", 130)
+    thinned = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
+    for a, b in zip(whole.profiled, thinned.profiled, strict=True):
+        assert a.value == pytest.approx(b.value, rel=FOUND)
+    assert thinned.n_rows == whole.n_rows
+
+
+def test_closed_terms_are_left_alone() -> None:
+    samples = made("coulomb", "viscous")
+    problem = build_problem(ARM3, samples)
+    assert problem.profiled == ()
+    assert describe(problem)["profiled"] == []
+
+
+def test_the_choice_is_shown() -> None:
+    samples = made(Coulomb(width=0.5), "viscous", noise=0.01)
+    problem = build_problem(ARM3, samples, friction=(Coulomb(width=None), "viscous"))
+    shown = describe(problem)
+    assert json.loads(json.dumps(shown)) == shown
+    assert [t["term"] for t in shown["friction_terms"]] == ["Coulomb", "Viscous"]
+    assert shown["friction_terms"][0]["width"] == [p["value"] for p in shown["profiled"]]
+    assert {"term", "name", "value", "flat_from", "flat_to"} <= set(shown["profiled"][0])
+    # The estimate predicts other samples with the chosen values.
+    fresh = made(Coulomb(width=0.5), "viscous", seed=1)
+    error = problem.predict(solve_wls(problem).base, fresh) - fresh.effort
+    assert np.sqrt(np.mean(error**2)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_signed_fit_is_scipys(seed: int) -> None:
+    """Least cost over the open columns, none of them negative."""
+    rng = np.random.default_rng(seed)
+    # Efforts that pull both ways, so that signs matter.
+    samples = replace(made("viscous", seed=seed), effort=rng.normal(size=(400, 3)))
+    asked = (Coulomb(width=None), Stribeck(), SigmoidFriction(), "viscous", "offset")
+    search, opened, _ = search_of(samples, asked, np.eye(3))
+    closed = (*(each.closed for each in opened), "viscous", "offset")
+    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
+    matrix = W.reshape(-1, W.shape[2])
+    # Terms without an open number may take any sign: they and the links are projected out.
+    names = [p.name for p in friction_model(ARM3, closed).parameters]
+    fixed = np.r_[0:30, 30 + np.array([k for k, n in enumerate(names) if n[:2] in ("Fv", "Fo")])]
+    columns = np.delete(matrix, fixed, axis=1)
+    U, s, _ = np.linalg.svd(matrix[:, fixed], full_matrices=False)
+    Q = U[:, s > 1e-9 * s[0]]
+    effort = samples.effort.ravel()
+    rest = nnls(columns - Q @ (Q.T @ columns), effort - Q @ (Q.T @ effort))[1]
+    assert search.cost == pytest.approx(rest**2, rel=1e-6)
+
+
+# ---- Derivatives of friction by the speeds that the data chose, against the shapes themselves.
+
+
+CHOSEN = (sdpid.friction.SigmoidFriction(), "viscous", "offset")
+SPEEDS = np.array([0.3, 0.6])
+
+
+def simulated(rng: np.random.Generator, count: int = 400) -> tuple[Problem, np.ndarray]:
+    """Return a problem whose friction saturates at some speeds, and the truth."""
+    terms = (sdpid.friction.SigmoidFriction(velocity=tuple(SPEEDS)), *CHOSEN[1:])
+    theta = random_theta(ARM, np.random.default_rng(0), terms)
+    q, v, a = slow_motion(count)
+    effort = full_regressor(ARM, (q, v, a), terms) @ theta
+    effort += 0.05 * rng.standard_normal(effort.shape)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    return build_problem(ARM, samples, friction=CHOSEN), theta
+
+
+def test_derivatives_are_those_of_the_shape() -> None:
+    problem, theta = simulated(np.random.default_rng(1))
+    values = theta[20:]
+    found = Bending.of(problem.friction, problem.profiled, values)
+    v = np.linspace(-2.0, 2.0, 30)[:, None] * np.ones(2)
+    motion = Motion(position=v, velocity=v, acceleration=v, robot=ARM)
+    speeds = np.array([each.value for each in problem.profiled])
+    # d(tanh(v/w))/d(log w) = -(v/w)·sech²(v/w)
+    ratio = v / speeds
+    expected = -values[:2] * ratio / np.cosh(ratio) ** 2
+    columns = found.columns(motion)
+    assert columns.shape == (30, 2, 2)
+    np.testing.assert_allclose(np.einsum("kjj->kj", columns), expected, atol=2e-3)
+    assert not columns[:, [0, 1], [1, 0]].any()
+    limits = [np.log(each.upper / each.lower) / np.sqrt(12.0) for each in problem.profiled]
+    np.testing.assert_allclose(found.deviations, limits)
+
+
+def test_without_chosen_speeds_there_are_none() -> None:
+    problem, theta = simulated(np.random.default_rng(1))
+    found = Bending.of(problem.friction, (), theta[20:])
+    assert found.deviations.size == 0
+    assert NoiseSpectrum.of(problem).covariance.shape == (problem.base.count,) * 2
+
+
+def test_errors_count_the_speeds_that_the_data_chose() -> None:
+    """Friction scatters more for them, and the truth is within as often as stated."""
+    rng = np.random.default_rng(2)
+    alone, beside = [], []
+    for _ in range(15):
+        problem, theta = simulated(rng)
+        estimate = sdpid.solve_sdp(problem)
+        error = estimate.base - problem.base_of(theta)
+        at = [problem.base.names.index(name) for name in ("Fsg1", "Fsg2", "Fv1", "Fv2")]
+        for given, ratios in ((None, alone), (estimate.theta, beside)):
+            variance = np.diag(NoiseSpectrum.of(problem, given).covariance)
+            ratios.append(np.mean((error**2 / variance)[at]))
+    # Of 60 squares the mean scatters by a fifth; those of one joint are correlated.
+    assert np.mean(alone) > 1.8 * np.mean(beside)
+    assert np.mean(beside) == pytest.approx(1.0, abs=0.5)
+
+
+# ---- Where effects are made linear, and what they say.
+
+
+PAIR = random_links(np.random.default_rng(0), 2)
+PAIRS = tuple(tuple(float(x) for x in body) for body in PAIR)
+SATURATING = (Coulomb(width=0.005), SigmoidFriction((0.1, 0.4)), Viscous())
+
+
+def test_the_load_rubs_where_the_joint_does() -> None:
+    friction = {"Fs1": 3.0, "Fs2": 0.0, "Fsg1": 1.0, "Fsg2": 2.0, "Fv1": 1.0, "Fv2": 1.0}
+    term = next(each for each in EFFECTS if each.name == "load").term(ARM, SATURATING)
+    assert term == LoadFriction(width=0.005)
+    assert at_estimate(term, PAIR, friction, SATURATING) == LoadFriction(
+        PAIRS, width=0.005, share=(0.25, 1.0), velocity=(0.1, 0.4)
+    )
+    # Without a sigmoid it is the sign, and other terms are what they were.
+    assert at_estimate(term, PAIR, friction, SATURATING[:1]) == LoadFriction(PAIRS, width=0.005)
+    assert at_estimate(Tilt(), PAIR, friction, SATURATING) == Tilt(PAIRS)
+    assert at_estimate(RotorInertia(), PAIR, friction, SATURATING) == RotorInertia()
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_every_effect_says_what_it_is(effect: object) -> None:
+    (found,) = [each for each in EFFECTS if each is effect]
+    assert 0.0 < found.least_fall < 1.0
+    assert found.title
+    assert found.meaning
+    parameters = {"Gx": 0.01, "Gy": -0.02, "Fl1": 0.05, "Fl2": 0.1}
+    words = {"tilt": "0.57° about x and -1.15° about y", "load": "5.0 to 10.0 % of the load"}
+    assert words.get(found.name, "") in found.size(parameters)
+
+
+# ---- Effects are chosen where the data hold them, and not where they do not.
+
+
+ARM4 = small_arm(4)
+LINKS = random_links(np.random.default_rng(5), 4)
+BODIES = tuple(tuple(float(x) for x in body) for body in LINKS)
+TERMS = ("coulomb", "viscous", "offset")
+NOISE = 0.02
+
+# What is in the log, with the parameters of the effect.
+TRUTHS: dict[str, tuple[FrictionTerm, Array]] = {
+    "tilt": (Tilt(BODIES), np.radians([1.5, -0.5])),
+    "load": (LoadFriction(BODIES), np.full(4, 0.1)),
+    "rotor_inertia": (RotorInertia(), np.full(4, 0.2)),
+    "falling": (Stribeck(velocity=0.5), np.full(4, 0.5)),
+}
+
+
+def logged(*effects: str, seed: int = 1, count: int = 400, color: float = 0.0) -> Samples:
+    """Return samples of the arm with effects, and noise that remembers a share of itself."""
+    rng = np.random.default_rng(seed)
+    q, v, a = random_states(rng, ARM4.n, count)
+    motion = Motion(position=q, velocity=v, acceleration=a, robot=ARM4)
+    effort = ARM4.inverse_dynamics(LINKS.ravel(), q, v, a)
+    effort += 0.3 * np.sign(v) + 0.2 * v + 0.1
+    for name in effects:
+        term, values = TRUTHS[name]
+        effort += term.columns_in(motion, ARM4.joint_names) @ values
+    noise = NOISE * rng.standard_normal(effort.shape)
+    for k in range(1, count):
+        noise[k] += color * noise[k - 1]
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort + noise)
+
+
+def builder(samples: Samples, robot: RobotModel = ARM4, **options: Any) -> Any:
+    """Return what makes a problem of friction terms."""
+    return lambda terms: build_problem(robot, samples, friction=terms, **options)
+
+
+def chosen(samples: Samples, robot: RobotModel = ARM4) -> Problem:
+    prior = Prior(bodies=1.1 * LINKS)
+    build = builder(samples, robot, weighting="residual", prior=prior)
+    return with_chosen_effects(build(TERMS), TERMS, prior, build)
+
+
+def names(problem: Problem) -> set[str]:
+    return {each.name for each in problem.effects if each.chosen}
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [("tilt",), ("load",), ("rotor_inertia",), ("falling",), ("tilt", "rotor_inertia")],
+    ids="+".join,
+)
+def test_what_is_there_is_chosen(effects: tuple[str, ...]) -> None:
+    problem = chosen(logged(*effects))
+    assert names(problem) == set(effects)
+    estimate = solve_sdp(problem)
+    found = estimate.named_theta()
+    assert found is not None
+    if "tilt" in effects:
+        np.testing.assert_allclose(np.degrees([found["Gx"], found["Gy"]]), [1.5, -0.5], atol=0.05)
+    if "load" in effects:
+        np.testing.assert_allclose([found[f"Fl{j}"] for j in (2, 3, 4)], 0.1, atol=0.02)
+    for each in problem.effects:
+        if each.chosen:
+            assert each.fall >= each.least_fall
+            assert "lowers the cost by" in each.words
+    assert {each["name"] for each in describe(problem)["effects"]} >= set(effects)
+
+
+@pytest.mark.parametrize(("count", "color"), [(400, 0.0), (60, 0.0), (150, 0.8)])
+def test_what_is_absent_is_not_chosen(count: int, color: float) -> None:
+    for seed in range(3):
+        problem = chosen(logged(seed=10 + seed, count=count, color=color))
+        assert names(problem) == set()
+        assert {each.name for each in problem.effects} == {*TRUTHS}
+        assert all("would lower" in each.words for each in problem.effects)
+
+
+def test_records_too_short_to_tell_choose_nothing() -> None:
+    assert names(chosen(logged("tilt", count=12))) == set()
+
+
+def test_a_tilt_that_would_be_seen_is_doubted() -> None:
+    (effect,) = [each for each in EFFECTS if each.name == "tilt"]
+    assert not effect.doubt({"Gx": np.radians(3.0), "Gy": 0.0})
+    assert "load_robot(gravity" in effect.doubt({"Gx": np.radians(6.0), "Gy": 0.0})
+    # And is not chosen, however much it explains.
+    gravity = ARM4.gravity + np.cross([0.2, 0.0, 0.0], ARM4.gravity)
+    tilted = RobotModel.from_pinocchio(ARM4.pin_model, gravity=gravity.tolist())
+    problem = chosen(logged(), tilted)
+    (tilt,) = [each for each in problem.effects if each.name == "tilt"]
+    assert not tilt.chosen
+    assert tilt.fall > 0.5
+    assert "would be seen" in tilt.words
+
+
+def test_the_choice_is_the_same_every_time() -> None:
+    samples = logged("load")
+    first, second = chosen(samples), chosen(samples)
+    assert first.effects == second.effects
+    np.testing.assert_array_equal(first.A, second.A)
+
+
+def test_the_columns_are_those_of_the_estimate() -> None:
+    """Tilt and load multiply the links: their columns are taken at the links that are found."""
+    estimate = solve_sdp(chosen(logged("tilt")))
+    (term,) = [t for t in estimate.problem.friction.terms if isinstance(t, Tilt)]
+    assert term.bodies is not None
+    moved = Tilt(tuple(tuple(map(float, b)) for b in estimate.theta[:40].reshape(4, 10)))
+    q, v, a = random_states(np.random.default_rng(0), 4, 50)
+    motion = Motion(position=q, velocity=v, acceleration=a, robot=ARM4)
+    before, after = (t.columns_in(motion, ARM4.joint_names) for t in (term, moved))
+    # What is left of it is far below the noise.
+    change = (after - before) @ np.radians([1.5, -0.5])
+    assert np.abs(change).max() < 0.05 * NOISE
+
+
+def test_effects_by_name() -> None:
+    build = builder(logged())
+    problem = with_effects(build(TERMS), TERMS, ("rotor_inertia", "coupling", "tilt"), build)
+    kinds = {type(term) for term in problem.friction.terms}
+    assert {RotorInertia, Coupling, Tilt} <= kinds
+    assert LoadFriction not in kinds
+    assert {each.name for each in problem.effects} == {"rotor_inertia", "coupling", "tilt"}
+    assert all(each.fall is None for each in problem.effects)
+    assert with_effects(problem, TERMS, ("tilt",), build) is problem
+
+
+def test_a_coupling_by_name_brings_rotor_inertia_along() -> None:
+    build = builder(logged())
+    problem = with_effects(build(TERMS), TERMS, ("coupling",), build)
+    assert {RotorInertia, Coupling} <= {type(term) for term in problem.friction.terms}
+    told = {each.name: each.words for each in problem.effects}
+    assert told == {
+        "rotor_inertia": "rotor inertia: in the model with what was asked beside it",
+        "coupling": "a coupled wrist: in the model as asked",
+    }
+
+
+def test_an_effect_without_a_place_is_refused_by_name() -> None:
+    robot = small_arm(1)
+    q, v, a = random_states(np.random.default_rng(0), 1, 50)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=q)
+    build = builder(samples, robot)
+    words = r"coupling has no place on 'arm1'.*two joints"
+    refuses(DataError, words, with_effects, build(TERMS), TERMS, ("coupling",), build)
+
+
+def test_an_effect_has_no_place_twice_or_on_a_floating_base() -> None:
+    floating = load_robot(TREE, root="free_flyer")
+    for name in ("tilt", "load"):
+        (effect,) = [each for each in EFFECTS if each.name == name]
+        assert effect.term(floating, ()) is None
+    for effect in EFFECTS:
+        first = effect.term(ARM4, (RotorInertia(),) if effect.name == "coupling" else ())
+        assert first is not None
+        assert effect.term(ARM4, (RotorInertia(), first)) is None
+
+
+def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
+    samples = logged("rotor_inertia", seed=3)
+    prior = Prior(bodies=1.1 * LINKS)
+    problem = build_problem(ARM4, samples, friction=TERMS, weighting="residual", prior=prior)
+    terms = problem.friction.terms
+    every = (*terms, Tilt(BODIES), RotorInertia())
+    trials = Trials.of(problem, every, prior)
+    sigma = residual_covariance(trials.rows)
+    known = replace(samples, covariance=sigma)
+    rng = np.random.default_rng(0)
+    for some in (terms, (*terms, RotorInertia()), every):
+        trial = trials.with_terms(some)
+        whole = build_problem(ARM4, known, friction=some, weighting="gls", prior=prior)
+        theta = rng.uniform(0.0, 1.0, whole.n_theta)
+        assert trial.base.theta_names == whole.base.theta_names
+        assert trial.cost_of(theta) == pytest.approx(whole.cost_of(theta), rel=COST)
+        friction = FrictionModel.from_terms(some, ARM4.joint_names)
+        assert trial.friction.parameters == friction.parameters
+    assert trials.independent < samples.effort.size
+
+
+def test_rows_elsewhere_are_refused() -> None:
+    problem = build_problem(ARM4, logged(), friction=TERMS, weighting="residual")
+    refuses(DataError, "rows", Trials.of, problem.without_rows(), problem.friction.terms, None)
+
+
+def test_a_solver_that_fails_costs_the_choice_and_not_the_problem(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def failing(problem: Problem) -> Estimate:
+        raise SolverError("no optimum")
+
+    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", failing)
+    problem = chosen(logged("tilt"))
+    assert problem.effects == ()
+    assert Tilt not in {type(term) for term in problem.friction.terms}
+
+
+def test_what_was_found_without_a_proof_is_enough_to_compare(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unproven(problem: Problem) -> Estimate:
+        raise SolverError("gap", found=solve_sdp(problem))
+
+    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", unproven)
+    assert names(chosen(logged("tilt"))) == {"tilt"}

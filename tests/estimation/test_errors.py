@@ -1,0 +1,642 @@
+"""Errors of estimates against dense formulas and against what simulated estimates scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import t
+
+import sdpid
+from sdpid import Constraints, Prior, RobotModel, Samples, build_problem, solve_sdp, solve_wls
+from sdpid._common.arrays import Array
+from sdpid.assurance.intervals.intervals import confidence_intervals
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation import noise_spectrum
+from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.information import (
+    UNDETERMINED,
+    Excitation,
+    information_root,
+    information_rows,
+)
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.problem import Problem
+from sdpid.robot.friction.terms import SigmoidFriction
+from sdpid.robot.model.base_parameters import structural_base
+from tests.helpers.arm import ARM, CONDITIONS, arm_problem
+from tests.helpers.data import (
+    FRICTION,
+    friction_model,
+    full_regressor,
+    make_samples,
+    random_covariance,
+    random_links,
+    random_theta,
+    raw_rows,
+)
+from tests.helpers.motions import slow_motion
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
+
+RNG = np.random.default_rng(4)
+BODIES = random_links(RNG, 2)
+THETA = np.concatenate([BODIES.ravel(), RNG.uniform(0.5, 2.0, 4)])
+
+
+def estimated(noise: float, prior: sdpid.Prior | None, *, count: int = 40) -> sdpid.Estimate:
+    samples = make_samples(ARM, THETA, np.random.default_rng(1), count=count, noise=noise)
+    return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior))
+
+
+def test_without_a_prior_it_is_the_fit() -> None:
+    estimate = estimated(0.1, None)
+    expected = NoiseSpectrum.of(estimate.problem).covariance
+    size = np.sqrt(np.diag(expected))
+    found = estimate.covariance / np.outer(size, size)
+    np.testing.assert_allclose(found, expected / np.outer(size, size), atol=1e-6)
+
+
+class Known:
+    """Errors of unit variance: the weights are right."""
+
+    def __init__(self, root: Array) -> None:
+        self.root, self.scores = root, np.eye(root.shape[1])
+
+    def freedom(self, directions: Array) -> Array:
+        return np.full(len(directions), 10.0)
+
+
+@pytest.mark.parametrize("kind", ["pullback", "entropic"])
+def test_with_right_weights_it_is_bayes(kind: str) -> None:
+    estimate = estimated(0.1, sdpid.Prior(bodies=BODIES, kind=kind))  # type: ignore[arg-type]
+    problem = estimate.problem
+    rows = [term.curvature_rows(estimate.theta) for term in problem.prior.terms]
+    G = problem.A @ problem.base.matrix
+    expected = np.linalg.inv(G.T @ G + sum(R.T @ R for R in rows))
+    right = Posterior.about(estimate, Known(np.linalg.inv(problem.A)))
+    B = problem.base.matrix
+    size = np.sqrt(np.diag(B @ expected @ B.T))
+    np.testing.assert_allclose(
+        right.covariance(B) / np.outer(size, size), B @ expected @ B.T / np.outer(size, size),
+        atol=1e-6,
+    )  # fmt: skip
+    variance, share, freedom = right.spread(B)
+    np.testing.assert_allclose(np.sqrt(variance), size, rtol=1e-6)
+    # The prior's part of the variance is known, so that a function has the more freedom.
+    np.testing.assert_allclose(freedom, 10.0 / (1.0 - share) ** 2)
+
+
+def test_what_equations_fix_has_no_error() -> None:
+    estimate = sdpid.solve_sdp(arm_problem(*CONDITIONS["fixed"]))
+    names = estimate.problem.base.theta_names
+    unit = np.eye(len(names))
+    fixed, free = (Posterior.of(estimate).spread(unit[[names.index(n)]])[0] for n in ("Fv1", "Fv2"))
+    assert fixed[0] <= 1e-12 * free[0]
+
+
+def test_errors_of_estimates_with_a_prior_are_as_large_as_stated() -> None:
+    """Drawn are efforts' noise and, for what the prior says, the friction's truth."""
+    rng = np.random.default_rng(2)
+    belief = sdpid.Prior(bodies=BODIES, strength=1e6)
+    samples = make_samples(ARM, THETA, rng, count=30)
+    ratios = []
+    base = None
+    for _ in range(40):
+        theta = THETA.copy()
+        effort = samples.effort + 0.3 * rng.standard_normal(samples.effort.shape)
+        drawn = replace(samples, effort=effort)
+        problem = build_problem(ARM, drawn, prior=belief, weighting="residual", base=base)
+        base = problem.base
+        estimate = sdpid.solve_sdp(problem)
+        viscous = [base.names.index(name) for name in ("Fv1", "Fv2")]
+        errors = (estimate.base - problem.base_of(theta))[viscous]
+        stated = np.diag(estimate.covariance)[viscous]
+        ratios.append(errors**2 / stated)
+    # A chi² of 80 degrees of freedom over its mean scatters by 16 %.
+    assert 0.5 < np.mean(ratios) < 1.5
+
+
+def test_unseen_directions_are_open_up_to_limits() -> None:
+    """Friction of a joint without effort: neither data nor prior say a thing."""
+    rng = np.random.default_rng(3)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=30, noise=0.1)
+    mask = np.tile([True, False], (30, 1))
+    prior = sdpid.Prior(bodies=BODIES, friction=False)
+    masked = replace(samples, mask=mask)
+    problem = build_problem(ARM, masked, prior=prior, weighting="residual")
+    found = sdpid.confidence_intervals(
+        sdpid.solve_sdp(problem), method="gauss_markov", parameters=("Fv1", "Fv2", "xxr2", "zz2")
+    )
+    assert found.label[0] == "from data"
+    assert found.label[1] == "from the prior"
+    assert (found.lower[1], found.upper[1]) == (0.0, problem.constraints.friction_max)
+    assert np.isfinite(found.upper).all()
+
+
+# ---- Standard errors that hold what they promise, on white and on filtered noise.
+
+
+BASE = structural_base(ARM, friction_model(ARM, FRICTION))
+RUNS = 60
+
+# Of RUNS × 12 parameters at 95 %, correlated within a run: the share that is covered spreads by
+# some 0.02, and small-sample errors are a little short.
+COVERED = (0.89, 0.99)
+
+
+def coverage(
+    noise_of: object, *, count: int, block: int = 1, weighting: Weighting = "gls"
+) -> float:
+    """Return how often the truth lies within 1.96 standard errors."""
+    rng = np.random.default_rng(0)
+    inside = []
+    for _ in range(RUNS):
+        theta = random_theta(ARM, rng)
+        noise: Array = noise_of(rng, count)  # type: ignore[operator]
+        sigma = np.diag([1.0, 4.0])
+        samples = make_samples(
+            ARM, theta, rng, count=count, noise=noise, block=block, covariance=sigma
+        )
+        problem = build_problem(ARM, samples, weighting=weighting, base=BASE)
+        estimate = solve_wls(problem)
+        error = np.abs(estimate.base - problem.base_of(theta))
+        inside.append(error <= 1.96 * estimate.standard_errors)
+    return float(np.mean(inside))
+
+
+def white(rng: np.random.Generator, count: int) -> Array:
+    return np.array([1.0, 2.0]) * rng.standard_normal((count, 2))
+
+
+def filtered(rng: np.random.Generator, count: int) -> Array:
+    """Moving averages over ten samples: strongly correlated, zero beyond."""
+    long = rng.standard_normal((count + 9, 2))
+    sums = np.cumsum(np.vstack([np.zeros((1, 2)), long]), axis=0)
+    return np.asarray((sums[10:] - sums[:-10]) / np.sqrt(10.0))
+
+
+@pytest.mark.parametrize("weighting", ["gls", "eq9", "eq18", "residual"])
+def test_white_noise_is_covered(weighting: Weighting) -> None:
+    assert COVERED[0] <= coverage(white, count=300, weighting=weighting) <= COVERED[1]
+
+
+def test_a_wrong_weight_is_covered_too() -> None:
+    """The sandwich needs no true covariance, only independent blocks."""
+
+    def loud(rng: np.random.Generator, count: int) -> Array:
+        return np.array([5.0, 0.1]) * rng.standard_normal((count, 2))
+
+    assert COVERED[0] <= coverage(loud, count=300) <= COVERED[1]
+
+
+def slow_motion_coverage(block: int) -> float:
+    """Return the coverage where motion and noise both last: correlation counts then."""
+    rng = np.random.default_rng(1)
+    count = 2000
+    inside = []
+    for _ in range(RUNS):
+        theta = random_theta(ARM, rng)
+        samples = make_samples(ARM, theta, rng, count=count, block=block)
+        smooth = {
+            name: 2.0 * filtered(rng, count) for name in ("position", "velocity", "acceleration")
+        }
+        states = smooth["position"], smooth["velocity"], smooth["acceleration"]
+        effort = full_regressor(ARM, states) @ theta + filtered(rng, count)
+        problem = build_problem(ARM, replace(samples, effort=effort, **smooth), base=BASE)
+        error = np.abs(solve_wls(problem).base - problem.base_of(theta))
+        inside.append(error <= 1.96 * np.sqrt(np.diag(ScoreBlocks.of(problem).covariance)))
+    return float(np.mean(inside))
+
+
+def test_filtered_noise_needs_blocks() -> None:
+    assert COVERED[0] <= slow_motion_coverage(25) <= COVERED[1]
+    # Counting correlated samples as independent ones promises too much.
+    assert slow_motion_coverage(1) < 0.8
+
+
+def test_errors_shrink_with_the_root_of_the_samples() -> None:
+    rng = np.random.default_rng(2)
+    theta = random_theta(ARM, rng)
+    runs = (make_samples(ARM, theta, rng, count=count, noise=1.0) for count in (400, 6400))
+    errors = [solve_wls(build_problem(ARM, each, base=BASE)).standard_errors for each in runs]
+    np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.4)
+
+
+def test_the_covariance_is_one() -> None:
+    rng = np.random.default_rng(3)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=200, noise=1.0)
+    estimate = solve_wls(build_problem(ARM, samples, base=BASE))
+    covariance = np.asarray(estimate.covariance)
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-10)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    np.testing.assert_allclose(estimate.standard_errors**2, np.diag(covariance))
+    # White noise of unit variance: nearly the textbook's (W^T W)^(-1).
+    A = estimate.problem.A
+    textbook = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+    np.testing.assert_allclose(estimate.standard_errors, textbook, rtol=0.5)
+
+
+def test_too_few_blocks() -> None:
+    rng = np.random.default_rng(4)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=60, noise=1.0, block=30)
+    with pytest.raises(DataError, match="2 blocks of 30 samples, at least 8"):
+        ScoreBlocks.of(build_problem(ARM, samples, base=BASE))
+
+
+def test_what_holds_an_estimate_back_is_not_noise() -> None:
+    """Errors are those of the fit: pulling the estimate away from it adds none."""
+    rng = np.random.default_rng(5)
+    theta = random_theta(ARM, rng)
+    samples = make_samples(ARM, theta, rng, count=400, noise=0.1)
+    held = Constraints(mass_max=0.1 * float(theta[:20:10].min()))
+    problem = build_problem(ARM, samples, weighting="residual", base=BASE, constraints=held)
+    free, estimate = solve_wls(problem), solve_sdp(problem)
+    # It is held back by many times what noise moves it.
+    assert np.max(np.abs(estimate.base - free.base) / free.standard_errors) > 30.0
+    np.testing.assert_allclose(estimate.standard_errors, free.standard_errors, rtol=1e-6)
+    error = np.abs(free.base - problem.base_of(theta))
+    assert np.mean(error <= 1.96 * estimate.standard_errors) > 0.8
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("block", [10, 150], ids=["blocks", "too short for blocks"])
+def test_there_is_one_covariance(weighting: Weighting, block: int) -> None:
+    rng = np.random.default_rng(6)
+    sigma = np.diag([1.0, 4.0])
+    samples = make_samples(
+        ARM, random_theta(ARM, rng), rng, count=200, noise=1.0, covariance=sigma, block=block
+    )
+    estimate = solve_wls(build_problem(ARM, samples, weighting=weighting, base=BASE))
+    found = confidence_intervals(estimate, method="gauss_markov", parameters=BASE.names)
+    errors = NoiseSpectrum.of(estimate.problem)
+    quantiles = t.ppf(0.975, errors.freedom(errors.root))
+    half = 0.5 * (found.upper - found.lower)
+    np.testing.assert_allclose(half, quantiles * estimate.standard_errors, rtol=1e-9)
+
+
+# ---- Standard errors from the residuals' spectrum, against sums in time and simulated scatter.
+
+
+SLOW_THETA = random_theta(ARM, np.random.default_rng(0))
+DEVIATIONS = np.array([0.1, 0.3])
+Noise = Callable[[np.random.Generator, int], Array]
+
+
+def moving(count: int, noise: Array, **fields: object) -> sdpid.Samples:
+    """Return samples of a slow motion that does not repeat itself."""
+    q, v, a = slow_motion(count, 40.0)
+    effort = full_regressor(ARM, (q, v, a)) @ SLOW_THETA + noise
+    return sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort, **fields)  # type: ignore[arg-type]
+
+
+def white_noise(rng: np.random.Generator, count: int) -> Array:
+    return DEVIATIONS * rng.standard_normal((count, 2))
+
+
+def red(rng: np.random.Generator, count: int) -> Array:
+    """Noise with a memory of ten samples, as long as the fastest motion."""
+    long = rng.standard_normal((count + 100, 2))
+    return np.asarray(DEVIATIONS * lfilter([np.sqrt(0.19)], [1.0, -0.9], long, axis=0)[100:])
+
+
+@pytest.mark.parametrize("count", [60, 61])
+@pytest.mark.parametrize("together", [1 << 26, 20_000])
+def test_frequencies_hold_what_the_rows_hold(
+    count: int, together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(noise_spectrum, "_TOGETHER", together)
+    rng = np.random.default_rng(1)
+    mask = rng.uniform(size=(count, 2)) > 0.1
+    samples = make_samples(ARM, SLOW_THETA, rng, count=count, noise=0.1, mask=mask, starts=(0, 25))
+    problem = build_problem(ARM, samples, base=BASE)
+    found = NoiseSpectrum.of(problem)
+    np.testing.assert_allclose(found.information(), problem.A.T @ problem.A, rtol=1e-9, atol=1e-9)
+    W, effort, _ = raw_rows(problem)
+    residual = (effort - W @ sdpid.solve_wls(problem).base)[mask]
+    assert found.power.sum() == pytest.approx(residual @ residual)
+    assert found.room.sum() == pytest.approx(mask.sum() - BASE.count, rel=0.05)
+
+
+@pytest.mark.parametrize("noise", [white_noise, red], ids=["white", "red"])
+@pytest.mark.parametrize("count", [200, 1200])
+def test_errors_are_as_large_as_stated(noise: Noise, count: int) -> None:
+    rng = np.random.default_rng(2)
+    runs, held, squares = 40, [], []
+    for _ in range(runs):
+        problem = build_problem(ARM, moving(count, noise(rng, count)), base=BASE)
+        fit = sdpid.solve_wls(problem)
+        truth = problem.base_of(SLOW_THETA)
+        found = sdpid.confidence_intervals(fit, method="gauss_markov", parameters=BASE.names)
+        held.append(found.contains(truth).mean())
+        squares.append(
+            np.mean((fit.base - truth) ** 2 / np.diag(NoiseSpectrum.of(problem).covariance))
+        )
+    error = np.std(held) / np.sqrt(runs)
+    assert 0.92 - 2.0 * error < np.mean(held) < 0.98 + 2.0 * error
+    assert 0.7 < np.median(squares) < 1.5
+
+
+def test_white_errors_that_are_taken_for_independent_are_too_small() -> None:
+    """The red noise of these tests does harm where its spectrum is not looked at."""
+    rng, runs = np.random.default_rng(3), 40
+    ratios = []
+    for _ in range(runs):
+        problem = build_problem(ARM, moving(800, red(rng, 800)), base=BASE)
+        error = sdpid.solve_wls(problem).base - problem.base_of(SLOW_THETA)
+        naive = np.diag(np.linalg.inv(problem.A.T @ problem.A)) * problem.floor / problem.n_rows
+        ratios.append(np.mean(error**2 / naive))
+    assert np.median(ratios) > 3.0
+
+
+def short_problem() -> Problem:
+    noise = white_noise(np.random.default_rng(4), 60)
+    return build_problem(ARM, moving(60, noise, block=20), base=BASE)
+
+
+def test_records_too_short_for_blocks_have_errors() -> None:
+    problem = short_problem()
+    refuses(DataError, "blocks", ScoreBlocks.of, problem)
+    found = NoiseSpectrum.of(problem)
+    freedom = found.freedom(found.root)
+    assert np.all(freedom > 2.0)
+    assert np.all(freedom < problem.n_rows - BASE.count)
+
+
+def test_freedom_is_satterthwaites() -> None:
+    found = NoiseSpectrum.of(short_problem())
+    H = found.information()
+    c = np.eye(BASE.count)[3]
+    moved = np.linalg.solve(H, c)
+    parts = np.array([np.sum((R[:, :-1] @ moved[own]) ** 2) for own, R in found.groups])
+    parts *= found.density
+    assert found.covariance[3, 3] == pytest.approx(parts.sum())
+    expected = parts.sum() ** 2 / np.sum(parts**2 / found.room)
+    assert found.freedom(c[None] @ found.root)[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("weighting", ["eq9", "eq18", "gls", "residual"])
+def test_every_weighting_has_errors_of_its_own_fit(weighting: Weighting) -> None:
+    rng = np.random.default_rng(5)
+    squares = []
+    for _ in range(30):
+        samples = moving(300, white_noise(rng, 300), covariance=np.diag([4.0, 0.2]))
+        problem = build_problem(ARM, samples, base=BASE, weighting=weighting)
+        error = sdpid.solve_wls(problem).base - problem.base_of(SLOW_THETA)
+        squares.append(np.mean(error**2 / np.diag(NoiseSpectrum.of(problem).covariance)))
+    assert 0.7 < np.mean(squares) < 1.5
+
+
+@pytest.mark.parametrize("size", [1.0, 4.0])
+def test_a_believed_spectrum_takes_the_place_of_the_residuals(size: float) -> None:
+    samples = moving(200, white_noise(np.random.default_rng(1), 200))
+    problem = build_problem(ARM, samples, friction=FRICTION)
+    found = NoiseSpectrum.of(problem)
+    believed = NoiseSpectrum.of(problem, believed=lambda at: np.full((2, len(at)), size))
+    np.testing.assert_array_equal(believed.information(), found.information())
+    np.testing.assert_allclose(believed.density, size)
+    np.testing.assert_allclose(believed.densities, size)
+    exact = size * np.linalg.inv(problem.A.T @ problem.A)
+    scale = np.sqrt(np.diag(exact))
+    np.testing.assert_allclose((believed.covariance - exact) / np.outer(scale, scale), 0, atol=1e-6)
+
+
+# ---- Errors of gains against finite differences, and against estimates by gains that are off.
+
+
+GAIN_RNG = np.random.default_rng(7)
+GAIN_THETA = np.concatenate([random_links(GAIN_RNG, 2).ravel(), GAIN_RNG.uniform(0.5, 2.0, 4)])
+
+# Correlated, and with a common part.
+RELATIVE = np.array([[9.0, 4.0], [4.0, 25.0]]) * 1e-4
+GAINS = sdpid.DriveGains(
+    joint_names=ARM.joint_names,
+    gains=[10.0, 4.0],
+    covariance=RELATIVE * np.outer([10.0, 4.0], [10.0, 4.0]),
+)
+
+
+def samples_of(off: Array, *, noise: float = 0.1, seed: int = 1, count: int = 60) -> Samples:
+    """Return samples whose efforts were made by gains that are off by shares."""
+    samples = make_samples(ARM, GAIN_THETA, np.random.default_rng(seed), count=count, noise=noise)
+    return replace(samples, effort=samples.effort * (1.0 + off), gains=GAINS)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18"])
+def test_slopes_are_those_of_the_fit(weighting: str) -> None:
+    count = 40
+    covariance = random_covariance(np.random.default_rng(2), 2, count)
+    mask = np.random.default_rng(3).random((count, 2)) < 0.9
+
+    def fitted(off: Array) -> tuple[Problem, sdpid.Estimate]:
+        samples = replace(samples_of(off, count=count), covariance=covariance, mask=mask)
+        problem = build_problem(ARM, samples, weighting=weighting)  # type: ignore[arg-type]
+        return problem, sdpid.solve_wls(problem)
+
+    problem, estimate = fitted(np.zeros(2))
+    slopes = problem.base.matrix @ Posterior.of(estimate, "blocks").from_gains
+    size = np.abs(estimate.base) + 1e-3
+    for j in range(2):
+        moved = fitted(1e-3 * np.eye(2)[j])[1].base - estimate.base
+        np.testing.assert_allclose(slopes[:, j] / size, moved / 1e-3 / size, atol=1e-7)
+    # A common factor moves all parameters alike.
+    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-7)
+
+
+def test_slopes_of_an_instrumental_estimate() -> None:
+    def fitted(off: Array) -> sdpid.Estimate:
+        samples = samples_of(off, count=200)
+        rng = np.random.default_rng(8)
+        shaken = replace(samples, position=samples.position + 0.01 * rng.standard_normal((200, 2)))
+        return sdpid.solve_instrumental(
+            build_problem(ARM, samples), instruments=shaken, solver=sdpid.solve_wls
+        )
+
+    estimate = fitted(np.zeros(2))
+    slopes = estimate.problem.base.matrix @ Posterior.of(estimate, "blocks").from_gains
+    size = np.abs(estimate.base) + 1e-3
+    moved = (fitted(np.array([1e-3, 0.0])).base - estimate.base) / 1e-3
+    np.testing.assert_allclose(slopes[:, 0] / size, moved / size, atol=1e-6)
+    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-6)
+
+
+def test_a_prior_holds_against_gains() -> None:
+    """With a prior the parameters follow the gains as the estimate without inequalities does."""
+
+    def fitted(off: Array) -> sdpid.Estimate:
+        prior = sdpid.Prior(bodies=GAIN_THETA[:20].reshape(2, 10), strength=5.0)
+        samples = samples_of(off)
+        return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior, consistency="none"))
+
+    estimate = fitted(np.zeros(2))
+    slopes = Posterior.of(estimate).from_gains
+    moved = (fitted(np.array([1e-2, 0.0])).theta - fitted(np.array([-1e-2, 0.0])).theta) / 2e-2
+    size = np.abs(estimate.theta).max()
+    # What the prior says of friction follows the size of the efforts, which is not counted.
+    np.testing.assert_allclose(slopes[:, 0] / size, moved / size, atol=5e-3)
+
+
+def test_intervals_hold_the_truth_for_gains_drawn_from_their_covariance() -> None:
+    truth = build_problem(ARM, samples_of(np.zeros(2))).base_of(GAIN_THETA)
+    rng = np.random.default_rng(5)
+    root = np.linalg.cholesky(RELATIVE)
+    held = {True: [], False: []}  # type: dict[bool, list[Array]]
+    for seed in range(100):
+        samples = samples_of(root @ rng.standard_normal(2), noise=0.2, seed=seed, count=150)
+        for known in held:
+            problem = build_problem(ARM, samples if known else replace(samples, gains=None))
+            intervals = sdpid.confidence_intervals(
+                sdpid.solve_wls(problem), parameters=problem.base.names, method="gauss_markov"
+            )
+            held[known].append(intervals.contains(truth))
+    with_errors, without = (np.mean(held[known]) for known in (True, False))
+    # Of some independent 800: two standard deviations are 1.5 %.
+    assert 0.92 < with_errors < 0.98
+    assert without < 0.8
+
+
+def test_known_gains_change_nothing() -> None:
+    exact = replace(GAINS, covariance=None)
+    for gains in (None, exact):
+        problem = build_problem(ARM, replace(samples_of(np.zeros(2)), gains=gains))
+        errors = GainErrors.of(problem)
+        assert not errors.any
+        assert not errors.root.any()
+
+
+# ---- What the data do not show is named before anything is solved.
+
+
+ARM3 = small_arm(3)
+
+
+def plain_samples(robot: RobotModel = ARM3, count: int = 60, seed: int = 0) -> Samples:
+    rng = np.random.default_rng(seed)
+    return make_samples(robot, random_theta(robot, rng), rng, count=count)
+
+
+def still(samples: Samples, joint: int, **changes: Array) -> Samples:
+    """Return the samples with a joint that never moves."""
+    fields = {
+        name: np.array(getattr(samples, name)) for name in ("position", "velocity", "acceleration")
+    }
+    for values in fields.values():
+        values[:, joint] = 0.0
+    return replace(samples, **fields, **changes)
+
+
+def test_a_joint_that_stands_still_is_named() -> None:
+    with pytest.raises(IdentifiabilityError) as info:
+        build_problem(ARM3, still(plain_samples(), 2))
+    message = str(info.value)
+    assert "Fs3" in message
+    assert "Fv3" in message
+    assert "limit 1e-10" in message
+    assert "moves" in message
+
+
+def test_two_joints_that_move_as_one() -> None:
+    """Equal speeds leave the frictions apart, since they act on different joints."""
+    samples = plain_samples()
+    velocity = np.array(samples.velocity)
+    velocity[:, 2] = velocity[:, 1]
+    assert build_problem(ARM3, replace(samples, velocity=velocity)).base.count > 0
+
+
+def test_too_few_samples(denso: RobotModel) -> None:
+    with pytest.raises(IdentifiabilityError, match=r"excite (\d+) of 48"):
+        build_problem(denso, plain_samples(denso, count=5))
+    assert build_problem(denso, plain_samples(denso, count=20)).excitation.weak() == ()
+
+
+def test_a_coulomb_term_without_reversal_is_an_offset() -> None:
+    samples = plain_samples()
+    forward = replace(samples, velocity=np.abs(np.asarray(samples.velocity)))
+    with pytest.raises(IdentifiabilityError, match=r"Fo1 with Fs1|Fs1 with Fo1"):
+        build_problem(ARM3, forward, friction=("coulomb", "offset"))
+
+
+def test_masked_rows_do_not_excite() -> None:
+    samples = plain_samples()
+    mask = np.ones((60, 3), dtype=bool)
+    mask[1:, 2] = False
+    with pytest.raises(IdentifiabilityError):
+        build_problem(ARM3, replace(samples, mask=mask))
+
+
+def test_weak_directions_are_listed_but_not_refused() -> None:
+    samples = plain_samples()
+    slow = np.array(samples.velocity)
+    slow[:, 2] *= 1e-6
+    problem = build_problem(ARM3, replace(samples, velocity=slow))
+    # A column's length does not count, only its direction: Fv3 alone is still distinct.
+    assert problem.excitation.condition_number < 1e4
+    nearly = np.array(samples.velocity)
+    nearly[:, 2] = 1.0 + 1e-6 * nearly[:, 2]
+    problem = build_problem(ARM3, replace(samples, velocity=nearly))
+    (value, names), *rest = problem.excitation.weak()
+    assert not rest
+    assert 1e-10 < value < 1e-3
+    assert set(names) == {"Fs3", "Fv3"}
+
+
+def test_excitation_of_a_known_matrix() -> None:
+    A = np.array([[2.0, 2.0, 0.0], [0.0, 1e-5, 0.0], [0.0, 0.0, 7.0]])
+    excitation = Excitation.of(A, ("a", "b", "c"))
+    np.testing.assert_allclose(excitation.column_norms, [2.0, 2.0, 7.0])
+    assert excitation.singular_values[0] == pytest.approx(np.sqrt(2.0))
+    ((value, names),) = excitation.weak()
+    assert value == pytest.approx(5e-6 / np.sqrt(2.0), rel=1e-4)
+    assert names == ("a", "b")
+    assert excitation.condition_number == pytest.approx(np.sqrt(2.0) / value)
+
+
+def test_a_column_of_zeros() -> None:
+    excitation = Excitation.of(np.diag([1.0, 0.0]), ("a", "b"))
+    assert excitation.condition_number == float("inf")
+    assert excitation.weak() == ((0.0, ("b",)),)
+
+
+@pytest.mark.parametrize("speed", [1e-2, 3e-5])
+def test_errors_of_what_is_hardly_seen_are_large(speed: float) -> None:
+    """A slow joint's viscous and sigmoid friction are nearly one column."""
+    samples = plain_samples(count=400)
+    velocity = samples.velocity * [1.0, 1.0, speed]
+    effort = np.random.default_rng(1).standard_normal(samples.effort.shape)
+    samples = replace(samples, velocity=velocity, effort=effort)
+    terms = ("viscous", SigmoidFriction(velocity=(0.3,) * 3))
+    problem = build_problem(ARM3, samples, friction=terms)
+    found = problem.excitation
+    assert UNDETERMINED < found.singular_values[-1] < 50.0 * speed**2
+    expected = np.linalg.norm(found.root, axis=1)
+    np.testing.assert_allclose(solve_wls(problem).standard_errors, expected, rtol=0.2)
+    blocks = np.sqrt(np.diag(ScoreBlocks.of(problem).covariance))
+    np.testing.assert_allclose(blocks, expected, rtol=0.2)
+
+
+def test_what_nothing_shows_has_infinite_errors() -> None:
+    samples = still(plain_samples(), 2)
+    prior = Prior(bodies=np.tile([1.0, *np.zeros(3), 0.1, 0.0, 0.1, 0.0, 0.0, 0.1], (3, 1)))
+    problem = build_problem(ARM3, samples, prior=prior)
+    assert np.isfinite(solve_sdp(problem).standard_errors).all()
+    estimate = solve_wls(replace(problem, prior=None))
+    with pytest.raises(IdentifiabilityError, match="base parameter directions"):
+        _ = estimate.standard_errors
+    variance = Posterior.of(estimate).spread(problem.base.matrix)[0]
+    np.testing.assert_array_equal(np.isinf(variance), problem.excitation.column_norms == 0.0)
+
+
+def test_rows_of_an_information_have_no_column_where_it_has_none() -> None:
+    X = np.random.default_rng(0).standard_normal((200, 40))
+    X[:, [7, 23]], X[:, 30] = 0.0, X[:, 3]
+    H = X.T @ X
+    T = information_root(information_rows(H))
+    assert T.shape[1] == 37
+    np.testing.assert_allclose(T[[7, 23]], 0.0, atol=1e-12)
+    np.testing.assert_allclose(T.T @ H @ T, np.eye(37), atol=1e-9)

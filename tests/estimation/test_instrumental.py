@@ -1,0 +1,432 @@
+"""Instruments from a closed loop whose encoders are noisy, and two-stage least squares."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import fractional_matrix_power
+
+import sdpid
+from sdpid import Samples, Trajectory
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, IdentifiabilityError, SolverError
+from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.instrumental.hausman import Contrast, Hotelling
+from sdpid.estimation.instrumental.moments import Columns
+from sdpid.estimation.instrumental.second_stage import FirstStage, require_instrumentable
+from sdpid.estimation.problem import Problem
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.dynamics import RobotDynamics
+from tests.helpers.arm import ARM
+from tests.helpers.data import random_theta
+from tests.helpers.identified import FRICTION, arm_theta, moved
+from tests.helpers.motions import spline_motion
+
+VISCOUS = ("viscous",)
+THETA = random_theta(ARM, np.random.default_rng(7), VISCOUS)
+TRUTH = RobotDynamics(
+    robot=ARM, terms=FrictionModel.from_terms(VISCOUS, ARM.joint_names), theta=THETA
+)
+LAW = sdpid.controllers.PD(kp=np.array([400.0, 60.0]), kd=np.array([30.0, 5.0]))
+RATE = 200.0
+
+# Of the encoders, rad.
+NOISE = 5e-5
+
+# High enough to let the noise in.
+PROCESSING = sdpid.Processing(cutoff_hz=25.0, order=4, reversal_time=None, decimation=4)
+
+
+def motion(seconds: float = 20.0) -> Trajectory:
+    return spline_motion(ARM.joint_names, 3, duration=seconds, size=1.0, rate_hz=RATE)
+
+
+def recorded(noise: float, seed: int = 0, seconds: float = 20.0) -> sdpid.Recording:
+    """Return a log of a loop that feeds the noise of its encoders (rad) back."""
+    way, fed = motion(seconds), {}
+    if noise:
+        fed = {"position_noise": np.full(2, noise), "control_hz": 2000.0, "seed": seed}
+    moved = sdpid.simulate_closed_loop(TRUTH, way, LAW, **fed)
+    effort = moved.effort
+    effort = effort + 0.02 * np.random.default_rng(seed).standard_normal(effort.shape)
+    return sdpid.Recording(
+        time=moved.time,
+        position=moved.measured if noise else moved.position,
+        effort=effort,
+        joint_names=ARM.joint_names,
+        reference=way.sample()[0][: len(moved.time)],
+    )
+
+
+@pytest.fixture(scope="module")
+def felt() -> sdpid.Recording:
+    return recorded(NOISE)
+
+
+def problem_of(logs: Any) -> Problem:
+    return sdpid.build_problem(
+        ARM, logs, friction=VISCOUS, weighting="residual", processing=PROCESSING
+    )
+
+
+def off(base: np.ndarray, problem: Problem) -> float:
+    """Return the error of efforts on the motion without noise, as a share of them."""
+    samples = sdpid.process(recorded(0.0), PROCESSING)
+    truth = problem.predict(problem.base_of(THETA), samples)
+    return float(np.linalg.norm(problem.predict(base, samples) - truth) / np.linalg.norm(truth))
+
+
+def test_instruments_take_the_bias_of_a_noisy_loop_away(felt: sdpid.Recording) -> None:
+    problem = problem_of(felt)
+    options: dict[str, Any] = {"processing": PROCESSING}
+    least = sdpid.solve_sdp(problem)
+    right = sdpid.solve_instrumental(problem, felt, controller=LAW, **options)
+    assert right.feasible
+    assert right.rounds > 1
+    assert right.instruments == "the motion of the model in closed loop"
+    error = off(least.base, problem)
+    assert off(right.base, problem) < 0.3 * error
+    # A controller that is 5 % wrong hardly moves the estimate.
+    wrong = sdpid.controllers.PD(kp=1.05 * LAW.kp, kd=1.05 * LAW.kd)
+    other = sdpid.solve_instrumental(problem, felt, controller=wrong, **options)
+    assert off(other.base, problem) < 0.3 * error
+    # What was commanded may be given beside the log, as a trajectory too.
+    bare = replace(felt, reference=None)
+    again = sdpid.solve_instrumental(problem, bare, reference=motion(), controller=LAW, **options)
+    np.testing.assert_allclose(again.base, right.base, rtol=1e-3)
+    # The test says so, and so it does of the commanded motion.
+    for instruments in ("simulated", "reference"):
+        test = sdpid.check_bias(least, felt, controller=LAW, instruments=instruments, **options)
+        assert test.biased
+        assert test.verdict.startswith("Noise in the motion biases least squares: ")
+        assert "sdpid.solve_instrumental, or a lower cut-off" in test.verdict
+
+
+def test_several_recordings_have_one_estimate(felt: sdpid.Recording) -> None:
+    logs = [felt, recorded(NOISE, 1, 15.0)]
+    problem = problem_of(logs)
+    second = sdpid.solve_instrumental(problem, logs, processing=PROCESSING, controller=LAW)
+    assert off(second.base, problem) < 0.3 * off(sdpid.solve_sdp(problem).base, problem)
+
+
+def test_a_log_without_noise_shows_no_bias() -> None:
+    log = recorded(0.0)
+    test = sdpid.check_bias(
+        problem_of(log), log, processing=PROCESSING, instruments="reference", level=1e-3
+    )
+    assert not test.biased
+    assert test.shift < 1e-3
+    assert test.to_dict()["verdict"] == test.verdict
+    assert "does not bias" in test.verdict
+
+
+def test_identify_tells(felt: sdpid.Recording) -> None:
+    options: dict[str, Any] = {"friction": VISCOUS, "effects": "none", "prior": False}
+    settings = {"cutoff_hz": 25.0, "reversal_time": None, "decimation": 4}
+    result = sdpid.identify(ARM, felt, processing=settings, **options)
+    assert result.bias is not None, result.bias_note
+    assert result.bias.biased
+    assert result.bias.verdict in result.verdict
+    assert result.bias.verdict in result.summary()
+    assert result.to_dict()["bias"]["biased"] is True
+    silent = sdpid.identify(ARM, replace(felt, reference=None), processing=settings, **options)
+    assert silent.bias is None
+    assert "neither commanded positions nor two periods" in str(silent.bias_note)
+
+
+def test_a_robot_far_behind_its_commands_is_tested_by_its_model() -> None:
+    way = sdpid.paper_excitation("denso_vp6242", seed=0, periods=1, period=10.0)
+    log = sdpid.simulate(sdpid.load_robot("denso_vp6242"), way, seed=1)
+    processing = sdpid.Processing(cutoff_hz=15.0, decimation=60, covariance=None)
+    problem = sdpid.build_problem(
+        sdpid.load_robot("denso_vp6242"), log, weighting="residual", processing=processing
+    )
+    plain = sdpid.check_bias(problem, log, processing=processing, instruments="reference")
+    assert len(plain.weak) > 10
+    test = sdpid.check_bias(problem, log, processing=processing)
+    assert test.instruments == "the motion of the model in closed loop, its controller fitted"
+    assert not test.weak
+    assert not test.biased
+    # Where no controller can be fitted, it says why and what to give.
+    other = replace(log, effort=np.roll(log.effort, 3000, axis=0))
+    again = sdpid.check_bias(problem, other, processing=processing)
+    assert again.weak == plain.weak
+    assert "a fitted controller is no better instrument: " in str(again.note)
+    assert "Give it, as one of sdpid.controllers" in str(again.note)
+
+
+@pytest.mark.parametrize("late", [-8, 6])
+def test_commands_of_other_times_are_told(felt: sdpid.Recording, late: int) -> None:
+    shifted = np.roll(felt.reference, late, axis=0)
+    shifted[:late] = felt.reference[0] if late > 0 else shifted[:late]
+    problem = problem_of(felt)
+    options: dict[str, Any] = {"processing": PROCESSING, "controller": LAW}
+    found = sdpid.solve_instrumental(problem, felt, reference=shifted, **options)
+    told = re.search(r"(lags|runs) ([\d.]+) ms", found.message)
+    assert told[1] == ("runs" if late > 0 else "lags")
+    assert float(told[2]) == pytest.approx(1e3 * abs(late) / RATE, rel=0.4)
+    plain = sdpid.solve_instrumental(problem, felt, **options)
+    assert " ms " not in plain.message
+
+
+def test_rounds_that_do_not_settle_say_how_far_they_are(felt: sdpid.Recording) -> None:
+    options: dict[str, Any] = {"processing": PROCESSING, "controller": LAW, "max_iterations": 2}
+    with pytest.raises(SolverError, match=r"not settled after 2 rounds: .* changed by") as caught:
+        sdpid.solve_instrumental(problem_of(felt), felt, tolerance=1e-9, **options)
+    assert isinstance(caught.value.found, Estimate)
+
+
+@pytest.mark.parametrize(("count", "blocks"), [(3, 20), (6, 11)])
+def test_block_sums_without_a_mean_are_rejected_as_often_as_stated(count: int, blocks: int) -> None:
+    rng = np.random.default_rng(0)
+    mixed = rng.standard_normal((count, count))
+    found = [Hotelling.of(rng.standard_normal((blocks, count)) @ mixed) for _ in range(2000)]
+    rejected = np.mean([each.p < 0.05 for each in found if each is not None])
+    # Three standard deviations of a share of 5 % in 2000.
+    assert abs(rejected - 0.05) < 0.015
+    shifted = [Hotelling.of(rng.standard_normal((blocks, count)) + 2.0) for _ in range(50)]
+    assert all(each is not None and each.p < 0.05 for each in shifted)
+    assert Hotelling.of(np.ones((7, 2))) is None
+    assert Hotelling.of(np.zeros((20, 2))) is None
+
+
+def test_what_cannot_be_an_instrument_is_refused(felt: sdpid.Recording) -> None:
+    problem, bare = problem_of(felt), replace(felt, reference=None)
+
+    def refused(match: str, log: Any = felt, **options: Any) -> None:
+        with pytest.raises(DataError, match=match):
+            sdpid.solve_instrumental(problem, log, processing=PROCESSING, **options)
+
+    refused("neither commanded positions nor two periods", bare)
+    refused("instruments='reference' needs what was commanded", bare, instruments="reference")
+    refused("needs the controller that followed", instruments="simulated")
+    refused("controller is 'magic'", controller="magic")
+    refused(r"reference: has shape \(10, 2\), expected", bare, reference=np.zeros((10, 2)))
+    refused("reference: 2 for 1 recordings", bare, reference=[felt.reference] * 2)
+    refused("the trajectory ends after", bare, reference=motion(3.0))
+    others = spline_motion(("a", "b"), 3, duration=20.0, rate_hz=RATE)
+    refused("reference: moves a, b; the recording has", bare, reference=others)
+    runaway = sdpid.controllers.PD(kp=np.full(2, 1e7), kd=np.zeros(2))
+    refused("cannot make the model follow the reference", controller=runaway)
+    refused("start: is 'magic'", controller=LAW, start="magic")
+    with pytest.raises(DataError, match="same processing"):
+        sdpid.solve_instrumental(problem, felt, processing={"cutoff_hz": 5.0})
+
+
+# ---- Two-stage least squares as an ordinary problem, against its textbook form on dense rows.
+
+
+SIGMA = np.array([[1.0, 0.3], [0.3, 2.0]])
+PRIOR = sdpid.Prior(bodies=arm_theta()[:20].reshape(2, 10))
+USED = np.random.default_rng(0).random((1000, 2)) > 0.2
+
+
+def shaken(samples: Samples, seed: int, size: float = 0.02) -> Samples:
+    """Return the samples with noise on their states, the more on the higher derivatives."""
+    noise = size * np.random.default_rng(seed).standard_normal((3, *samples.effort.shape))
+    return replace(
+        samples,
+        position=samples.position + noise[0],
+        velocity=samples.velocity + 5.0 * noise[1],
+        acceleration=samples.acceleration + 20.0 * noise[2],
+    )
+
+
+@pytest.fixture(scope="module")
+def clean() -> Samples:
+    joined = [moved(arm_theta(), seed, noise=0.05, seconds=10.0) for seed in (1, 2)]
+    return replace(Samples.join(joined), block=20, mask=USED, covariance=SIGMA)
+
+
+@pytest.fixture(scope="module")
+def shaken_fit(clean: Samples) -> Problem:
+    return sdpid.build_problem(ARM, shaken(clean, 3), friction=FRICTION)
+
+
+def dense(shaken_fit: Problem, samples: Samples) -> Array:
+    """Return whitened rows (K n, b + 1), efforts last."""
+    rows = RowSource(ARM, shaken_fit.friction, shaken_fit.base, samples).rows(slice(None))
+    return whiten(rows, SIGMA, USED).reshape(-1, shaken_fit.base.count + 1)
+
+
+def fitted(problem: Problem, instruments: Samples) -> tuple[Array, Array, Array, Array]:
+    """Return whitened rows, efforts and instruments, and the fit of instrumental variables."""
+    own, Z = dense(problem, problem.samples), dense(problem, instruments)[:, :-1]
+    W, y = own[:, :-1], own[:, -1]
+    return W, y, Z, np.linalg.solve(Z.T @ W, Z.T @ y)
+
+
+def test_the_second_stage_is_two_stage_least_squares(shaken_fit: Problem, clean: Samples) -> None:
+    instruments = shaken(clean, 4)
+    stage = FirstStage.of_motion(Columns.of(shaken_fit), instruments).second("of a test")
+    found = stage.problem
+    W, y, Z, fit = fitted(shaken_fit, instruments)
+    X = Z @ np.linalg.lstsq(Z, W, rcond=None)[0]
+    np.testing.assert_allclose(sdpid.solve_wls(found).base, fit, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.A.T @ found.A, X.T @ X, rtol=1e-9, atol=1e-9)
+    # Its cost is that of the projected residuals, and the rest of the residuals' at its own fit.
+    for base in (fit, 1.1 * fit):
+        projected = np.sum((X @ np.linalg.solve(X.T @ X, X.T @ (y - W @ base))) ** 2)
+        expected = projected + np.sum((y - W @ fit) ** 2)
+        assert found.cost(base) == pytest.approx(expected, rel=1e-9)
+    # The sandwich of instruments and residuals; blocks do not cross from piece to piece.
+    scores = (X * (y - W @ fit)[:, None]).reshape(-1, 40, X.shape[1]).sum(axis=1)
+    inverse = np.linalg.inv(X.T @ X)
+    plain = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
+    errors = np.sqrt(np.diag(ScoreBlocks.of(found).covariance))
+    # Blocks of 20 samples; what is left over of the leverage correction is a few per cent.
+    assert np.all((errors > 0.9 * plain) & (errors < 1.5 * plain))
+    # Shea's partial R²: the variance of least squares over that with instruments.
+    ratio = np.diag(np.linalg.inv(W.T @ W)) / np.diag(inverse)
+    np.testing.assert_allclose(stage.relevance, ratio, rtol=1e-6)
+    assert stage.weak == ()
+
+
+def test_block_sums_of_the_test_of_bias_are_corrected_for_leverage(
+    shaken_fit: Problem, clean: Samples
+) -> None:
+    instruments = shaken(clean, 4)
+    first = FirstStage.of_motion(Columns.of(shaken_fit), instruments)
+    found = Contrast.of(first, 20).sums
+    W, y, Z, fit = fitted(shaken_fit, instruments)
+    rows = RowSource(ARM, shaken_fit.friction, shaken_fit.base, shaken_fit.samples)
+    unseen = rows.regressor(slice(None)) @ fit
+    others = rows.on(instruments).regressor(slice(None))
+    unseen -= others @ np.linalg.lstsq(Z, W, rcond=None)[0] @ fit
+    v = whiten(unseen[:, :, None] * np.eye(2), SIGMA, USED).reshape(-1, 2)
+    v -= W @ np.linalg.lstsq(W, v, rcond=None)[0]
+    hat = W @ np.linalg.pinv(W)
+    residual = y - hat @ y
+    plain, freed = [], []
+    for start in range(0, len(W), 40):
+        rows_of = slice(start, start + 40)
+        root = fractional_matrix_power(np.eye(40) - hat[rows_of, rows_of], -0.5).real
+        plain.append(v[rows_of].T @ residual[rows_of])
+        freed.append(v[rows_of].T @ root @ residual[rows_of])
+    np.testing.assert_allclose(found.sum(axis=0), np.sum(plain, axis=0), rtol=1e-6)
+    expected = np.array(freed) - np.mean(freed, axis=0)
+    np.testing.assert_allclose(found - found.mean(axis=0), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_two_halves_correct_least_squares_for_their_difference(
+    shaken_fit: Problem, clean: Samples
+) -> None:
+    halves = shaken(clean, 5), replace(shaken(clean, 6), effort=clean.effort[::-1])
+    mean = replace(
+        clean,
+        **{
+            name: 0.5 * (getattr(halves[0], name) + getattr(halves[1], name))
+            for name in ("position", "velocity", "acceleration", "effort")
+        },
+    )
+    whole = sdpid.build_problem(ARM, mean, friction=FRICTION, base=shaken_fit.base)
+    found = FirstStage.of_halves(Columns.of(whole), *halves).second("of a test").problem
+    A, B = (dense(shaken_fit, half) for half in halves)
+    cross = A[:, :-1].T @ B[:, :-1]
+    target = B[:, :-1].T @ A[:, -1] + A[:, :-1].T @ B[:, -1]
+    fit = np.linalg.solve(cross + cross.T, target)
+    np.testing.assert_allclose(sdpid.solve_wls(found).base, fit, rtol=1e-8, atol=1e-10)
+
+
+def test_exact_instruments_take_the_bias_away(clean: Samples) -> None:
+    truth = arm_theta()
+    errors = []
+    for seed in range(20):
+        measured = shaken(moved(truth, 1, noise=0.05, noise_seed=seed), 100 + seed, 0.05)
+        own = sdpid.build_problem(ARM, replace(measured, block=20), friction=("viscous", "offset"))
+        exact = moved(truth, 1, noise=0.0)
+        second = sdpid.solve_instrumental(own, instruments=exact, solver=sdpid.solve_wls)
+        least = sdpid.solve_wls(own)
+        j = own.base.names.index("zz2")
+        exactly = second.problem.base_of(_without_coulomb(truth))[j]
+        errors.append([each.base[j] - exactly for each in (least, second)])
+    bias = np.abs(np.mean(errors, axis=0))
+    assert bias[1] < 0.3 * bias[0]
+
+
+def _without_coulomb(theta: Array) -> Array:
+    bodies = 10 * ARM.n_links
+    return np.concatenate([theta[:bodies], theta[bodies + ARM.n :]])
+
+
+def test_constraints_prior_and_proof_are_those_of_any_problem(
+    shaken_fit: Problem, clean: Samples
+) -> None:
+    with_prior = sdpid.build_problem(
+        ARM, shaken_fit.samples, friction=FRICTION, weighting="residual", prior=PRIOR
+    )
+    second = sdpid.solve_instrumental(with_prior, instruments=shaken(clean, 4))
+    assert (second.method, second.rounds, second.status) == ("instrumental", 1, "optimal")
+    assert second.feasible
+    certificate = sdpid.certify(second)
+    assert certificate.passed
+    assert certificate.summary().startswith("of the problem of the last instruments (the motion")
+    assert certificate.to_dict()["compression"] is not None
+    again = sdpid.certify(sdpid.solve_instrumental(with_prior, instruments=shaken(clean, 5)))
+    digests = [each.to_dict()["origin"]["rows_sha256"] for each in (certificate, again)]
+    assert digests[0] != digests[1]
+    assert len(sdpid.confidence_intervals(second, method="gauss_markov")) > 0
+    assert second.compare_to(sdpid.solve_sdp(with_prior)).table()
+    assert "no more" in second.problem._repr_html_()
+
+
+def test_what_the_data_do_not_show_is_left_to_the_prior(clean: Samples) -> None:
+    mask = clean.used.copy()
+    mask[:, 1] = False
+    own = replace(shaken(clean, 3), mask=mask, covariance=None)
+    problem = sdpid.build_problem(ARM, own, friction=FRICTION, weighting="residual", prior=PRIOR)
+    second = sdpid.solve_instrumental(problem, instruments=shaken(clean, 4))
+    relevance = dict(zip(problem.base.names, second.relevance, strict=True))
+    assert relevance["Fv2"] == 0.0
+    assert relevance["Fv1"] > 0.8
+    assert second.weak == ()
+
+
+def test_instruments_that_do_not_move_with_the_robot_are_refused(
+    shaken_fit: Problem, clean: Samples
+) -> None:
+    rng = np.random.default_rng(0)
+    names = ("position", "velocity", "acceleration")
+    other = replace(clean, **{name: rng.standard_normal(clean.effort.shape) for name in names})
+    with pytest.raises(IdentifiabilityError, match="does not move with the measured motion"):
+        sdpid.solve_instrumental(shaken_fit, instruments=other)
+
+
+def test_weak_instruments_are_named(shaken_fit: Problem, clean: Samples) -> None:
+    second = sdpid.solve_instrumental(
+        replace(shaken_fit), instruments=shaken(clean, 7, size=0.6), solver=sdpid.solve_wls
+    )
+    assert second.weak
+    assert "weak for" in second.message
+
+
+@pytest.mark.parametrize("weighting", ["eq9", "eq18"])
+def test_problems_without_rows_are_refused(shaken_fit: Problem, weighting: str) -> None:
+    normal = sdpid.build_problem(ARM, shaken_fit.samples, friction=FRICTION, weighting=weighting)
+    with pytest.raises(DataError, match=f"check_bias: the cost of weighting '{weighting}'"):
+        sdpid.check_bias(normal, instruments=shaken_fit.samples)
+
+
+def test_other_problems_are_refused_before_a_solve(shaken_fit: Problem, clean: Samples) -> None:
+    with pytest.raises(DataError, match="instruments: the rows of the 1000 samples"):
+        require_instrumentable(shaken_fit.without_rows(), "instruments")
+    second = sdpid.solve_instrumental(shaken_fit, instruments=clean)
+    with pytest.raises(DataError, match="not that of the measured samples"):
+        sdpid.solve_instrumental(second.problem, instruments=clean)
+    with pytest.raises(DataError, match="robust loss"):
+        sdpid.solve_instrumental(sdpid.solve_robust(shaken_fit).problem, instruments=clean)
+    with pytest.raises(DataError, match="needs the recording that the problem was built of"):
+        sdpid.solve_instrumental(shaken_fit)
+    with pytest.raises(DataError, match="instruments: is 'magic'"):
+        sdpid.solve_instrumental(shaken_fit, instruments="magic")
+    with pytest.raises(DataError, match="do not stand beside"):
+        sdpid.solve_instrumental(shaken_fit, instruments=clean.between(0, 500))
+    with pytest.raises(DataError, match="max_iterations: is 0"):
+        sdpid.solve_instrumental(shaken_fit, instruments=clean, max_iterations=0)

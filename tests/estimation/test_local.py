@@ -1,0 +1,750 @@
+"""Local solvers: derivatives, honesty, and no valleys but one."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import nnls
+
+from sdpid import Constraints, Prior, RobotModel, compare, load_robot, solve_sdp, solve_slsqp
+from sdpid._common.arrays import Array
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    Condition,
+    Fixed,
+    FixedLink,
+    TotalMass,
+)
+from sdpid.errors import DataError
+from sdpid.estimation.duality.bound import cost_scale
+from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.local import log_cholesky, slsqp
+from sdpid.estimation.local.log_cholesky import LogCholesky, solve_log_cholesky
+from sdpid.estimation.local.physical_constraints import PhysicalConstraints
+from sdpid.estimation.local.physical_variables import PhysicalVariables
+from sdpid.estimation.local.run import FEASIBLE_LOCAL
+from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.local.stationarity import STATIONARY, stationarity_gap
+from sdpid.estimation.prior.prior import PriorKind
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.robot.inertia import (
+    Consistency,
+    inertia_tensor,
+    margin,
+    physical_parameters,
+    tensor_entries,
+    theta_from_physical,
+)
+from tests.helpers import world
+from tests.helpers.arm import ARM, BOTH
+from tests.helpers.data import make_samples, random_links, random_theta, relative_error
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE, planar_arm, small_arm
+from tests.helpers.small_robots import MODELS
+from tests.helpers.strategies import SEEDS
+from tests.helpers.tolerances import LOCAL_COST, LOCAL_PARAMETERS, SAME_OPTIMUM
+
+FEW = 6
+
+# The boundary is reached from inside only: the cost that a result called optimal may be above
+# the optimum, relative: what its own test lets pass, which is an upper bound of the excess.
+ABOVE = 1.001 * STATIONARY
+
+
+def noisy(
+    robot: RobotModel, seed: int, consistency: Consistency, *, margin: float = 0.01, **limits: float
+) -> Problem:
+    """Return a problem whose optimum lies on the boundary."""
+    constraints = Constraints(**{"margin": margin, "mass_max": 10.0, **limits})
+    return world.problem(
+        robot, seed, flat=True, noise=0.5, consistency=consistency, constraints=constraints
+    )
+
+
+def under(problem: Problem, *others: Condition) -> Problem:
+    """Return the problem under further conditions."""
+    return problem.constrained(constraints=problem.constraints.replace(others=others))
+
+
+@functools.cache
+def of_three(consistency: Consistency) -> Problem:
+    return noisy(small_arm(3), 1, consistency, margin=0.002)
+
+
+problems = st.sampled_from(BOTH).map(of_three)
+
+
+def differences(function: Callable[[Array], Any], x: Array, step: float) -> Any:
+    """Return central differences of a function by each number, one after the other."""
+    for change in step * np.eye(len(x)):
+        yield (function(x + change) - function(x - change)) / (2 * step)
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def narrow_planar(request: pytest.FixtureRequest) -> Problem:
+    return noisy(planar_arm(), 0, request.param, margin=0.002)
+
+
+@given(problems, SEEDS)
+def test_round_trip_of_the_coordinates(problem: Problem, seed: int) -> None:
+    coordinates = LogCholesky.of(problem)
+    theta = random_start(problem, np.random.default_rng(seed))
+    back = coordinates.theta(coordinates.from_theta(theta))
+    np.testing.assert_allclose(back, theta, rtol=0, atol=1e-10 * np.abs(theta).max())
+
+
+@given(problems, SEEDS)
+def test_every_point_is_consistent(problem: Problem, seed: int) -> None:
+    coordinates = LogCholesky.of(problem)
+    x = np.random.default_rng(seed).normal(0.0, 1.0, problem.n_theta)
+    theta = coordinates.theta(x)
+    margins = problem.feasible.margins(theta)
+    assert np.all(margins >= problem.constraints.margin - 1e-12 * np.abs(theta).max())
+
+
+@given(problems, SEEDS)
+def test_derivatives_of_the_coordinates(problem: Problem, seed: int) -> None:
+    """The Jacobian, and the curvature of a fixed combination, against central differences."""
+    coordinates = LogCholesky.of(problem)
+    rng = np.random.default_rng(seed)
+    x = coordinates.from_theta(random_start(problem, rng))
+    weights = rng.standard_normal(problem.n_theta)
+    J = coordinates.link_jacobians(x)
+    H = coordinates.curvatures(x, weights)
+    bodies = problem.feasible.bodies(weights)
+    size, bend = np.abs(J).max(), max(float(np.abs(H).max()), 1.0)
+    slopes = differences(coordinates.theta, x, 1e-5)
+    seconds = differences(
+        lambda x: np.einsum("lk,lkj->lj", bodies, coordinates.link_jacobians(x)), x, 1e-5
+    )
+    links = range(10 * problem.feasible.n_links)
+    for k, slope, second in zip(links, slopes, seconds, strict=False):
+        own = np.zeros_like(slope)
+        own[10 * (k // 10) : 10 * (k // 10) + 10] = J[k // 10, :, k % 10]
+        np.testing.assert_allclose(own, slope, rtol=0, atol=1e-7 * max(size, 1.0))
+        np.testing.assert_allclose(H[k // 10, k % 10], second[k // 10], rtol=0, atol=1e-6 * bend)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_jacobian_of_the_residual(consistency: Consistency) -> None:
+    program = log_cholesky._Run(of_three(consistency))
+    start = random_start(program.problem, np.random.default_rng(3))
+    x = program.coordinates.from_theta(start)[program.free]
+    J, rows = program.jacobian(x), len(program.rhs)
+    for k, slope in enumerate(differences(program.residual, x, 1e-6)):
+        np.testing.assert_allclose(J[:rows, k], slope[:rows], rtol=1e-5, atol=1e-8)
+        # The rows that only add curvature have a residual that never changes.
+        np.testing.assert_array_equal(slope[rows:], 0.0)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_exact_data(consistency: Consistency) -> None:
+    samples, theta = world.samples(ARM, 4)
+    problem = build_problem(ARM, samples, consistency=consistency)
+    estimate = solve_log_cholesky(problem, seed=5)
+    error = relative_error(estimate.base, problem.base_of(theta), problem.base.units)
+    assert error <= LOCAL_PARAMETERS
+
+
+def test_log_cholesky_from_many_starts(narrow_planar: Problem) -> None:
+    best = solve_sdp(narrow_planar)
+    converged = 0
+    for seed in range(FEW):
+        local = solve_log_cholesky(narrow_planar, seed=seed)
+        assert local.violation <= FEASIBLE
+        # Feasible to rounding, so never below the optimum by more than its own accuracy.
+        assert best.cost <= local.cost * (1.0 + SAME_OPTIMUM)
+        if local.status == "optimal":
+            converged += 1
+            assert local.cost <= best.cost * (1.0 + ABOVE)
+    assert converged >= FEW // 2
+
+
+def test_the_optimum_promises_nothing_and_a_start_does(narrow_planar: Problem) -> None:
+    best = solve_sdp(narrow_planar)
+    assert stationarity_gap(narrow_planar, np.asarray(best.theta)) <= 0.01 * STATIONARY
+    start = random_start(narrow_planar, np.random.default_rng(0))
+    assert stationarity_gap(narrow_planar, start) > STATIONARY
+
+
+def test_a_start_on_the_boundary(narrow_planar: Problem) -> None:
+    """The optimum itself, where the coordinates end."""
+    best = solve_sdp(narrow_planar)
+    estimate = solve_log_cholesky(narrow_planar, start=np.asarray(best.theta))
+    assert estimate.feasible
+    assert best.cost <= estimate.cost * (1.0 + SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_masses_and_signs_are_respected(consistency: Consistency) -> None:
+    problem = noisy(planar_arm(), 2, consistency, margin=0.002, mass_min=1.0, mass_max=1.0)
+    estimate = solve_log_cholesky(problem)
+    theta = np.asarray(estimate.theta)
+    assert estimate.feasible
+    np.testing.assert_allclose(problem.feasible.bodies(theta)[:, 0], 1.0, rtol=1e-12)
+    assert np.all(theta[10 * problem.feasible.n_links :] >= 0.0)
+
+
+def test_an_estimate_of_log_cholesky_tells_how_it_came_about(narrow_planar: Problem) -> None:
+    estimate = solve_log_cholesky(narrow_planar, seed=3, max_iterations=40)
+    assert estimate.method == "log_cholesky"
+    assert estimate.message
+    history = estimate.history
+    assert len(history) == estimate.iterations + 1
+    # Each of the four stages spends an evaluation on where it starts, which is no step.
+    assert estimate.iterations <= 36
+    assert all(a.cost > b.cost for a, b in itertools.pairwise(history))
+    assert history[0].cost == pytest.approx(narrow_planar.cost_of(np.asarray(estimate.start)))
+    assert history[-1].cost == pytest.approx(estimate.cost)
+    assert all(a.seconds <= b.seconds for a, b in itertools.pairwise(history))
+    again = solve_log_cholesky(narrow_planar, seed=3, max_iterations=40)
+    np.testing.assert_array_equal(np.asarray(estimate.theta), np.asarray(again.theta))
+
+
+def test_an_iteration_limit_of_log_cholesky_is_no_optimum(narrow_planar: Problem) -> None:
+    assert solve_log_cholesky(narrow_planar, seed=4, max_iterations=2).status == "iteration limit"
+
+
+def test_bad_input(narrow_planar: Problem) -> None:
+    refuses(DataError, r"start: shape \(3,\)", solve_log_cholesky, narrow_planar, start=np.ones(3))
+    with pytest.raises(DataError, match="nothing constrains"):
+        solve_log_cholesky(narrow_planar.constrained(consistency="none"))
+    refuses(DataError, "'newton' is not known", compare, narrow_planar, local=("newton",))
+
+
+def test_compare_runs_both_local_solvers_from_the_same_starts(narrow_planar: Problem) -> None:
+    comparison = compare(narrow_planar, starts=1, n_jobs=1, max_iterations=50, show_progress=False)
+    assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]
+    first, second = (e for e in comparison.estimates[2:] if e is not None)
+    np.testing.assert_array_equal(np.asarray(first.start), np.asarray(second.start))
+
+
+def test_what_the_coordinates_cannot_express_is_refused(narrow_planar: Problem) -> None:
+    name = narrow_planar.robot.link_names[1]
+    ellipsoid = CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.3, 0.3, 0.3))
+    problem = under(narrow_planar, TotalMass(2.0), ellipsoid)
+    with pytest.raises(DataError, match=f"total mass, center of mass of {name} in an ellipsoid"):
+        solve_log_cholesky(problem)
+    comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
+    assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]
+    assert [row.status for row in comparison.rows[1:]] == ["optimal", "optimal", "error"]
+    assert "solve_slsqp" in comparison.rows[-1].message
+    assert comparison.estimates[-1] is None
+    assert "error" in comparison.table()
+    pytest.importorskip("matplotlib")
+    labels = [text.get_text() for text in comparison.plot().get_legend().get_texts()]
+    assert "end of a start (1)" in labels
+    refuses(DataError, "'log_cholesky' has a history", comparison.plot, "log_cholesky")
+
+
+@pytest.mark.parametrize("kind", ["pullback", "entropic"])
+def test_compare_with_a_prior(kind: PriorKind) -> None:
+    others = (TotalMass(3.0, tolerance=1.0),) if kind == "entropic" else ()
+    problem = believed(ARM, kind=kind, constraints=Constraints(others=others))
+    comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
+    last = "error" if kind == "entropic" else "optimal"
+    assert [row.status for row in comparison.rows[1:]] == ["optimal", "optimal", last]
+    if kind == "entropic":
+        plain = problem.constrained(constraints=Constraints())
+        refuses(DataError, "log-det prior", solve_log_cholesky, plain)
+
+
+# ---- The local solver: derivatives, honesty, and no valleys but one.
+
+
+STARTS = 8
+
+# Where the scaled cost has long settled on these small arms.
+ENOUGH = 400
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def planar(request: pytest.FixtureRequest) -> Problem:
+    return noisy(planar_arm(), 0, request.param)
+
+
+def conditions(robot: RobotModel) -> tuple[Condition, ...]:
+    """Return equations, one of them twice, rows with one and two limits, and cones."""
+    first, last = robot.link_names[0], robot.link_names[-1]
+    return (
+        TotalMass(2.0),
+        TotalMass(2.0),
+        TotalMass(1.0, tolerance=0.5, links=(last,)),
+        CenterOfMassInBox(first, (-0.2, -0.2, -np.inf), (0.2, 0.2, np.inf)),
+        CenterOfMassInEllipsoid(last, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
+    )
+
+
+@pytest.mark.parametrize("robot", [planar_arm(), small_arm(3), MODELS["hinge"], MODELS["slider"]])
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("more", ["alone", "conditions", "entropic"])
+def test_derivatives(robot: RobotModel, consistency: Consistency, more: str) -> None:
+    problem = noisy(robot, 1, consistency)
+    if more == "conditions":
+        problem = under(problem, *conditions(robot))
+    if more == "entropic":
+        problem = believed(robot, consistency=consistency)
+    program = slsqp._Run(problem)
+    variables, constraints = program.variables, program.constraints
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        x = variables.from_theta(random_start(problem, rng))
+        _, gradient = program.cost(x)
+        # Central differences of a function of order one: step² and rounding/step.
+        slopes = list(differences(lambda x: program.cost(x)[0], x, 1e-6))
+        assert gradient == pytest.approx(slopes, rel=1e-5, abs=1e-7)
+        for values, jacobian in (
+            (constraints.at_least, constraints.at_least_jacobian(x)),
+            (constraints.zero, constraints.zero_jacobian(x)),
+        ):
+            slopes = list(differences(values, x, 1e-6))
+            np.testing.assert_allclose(np.transpose(jacobian), slopes, rtol=1e-5, atol=1e-7)
+
+
+def believed(
+    robot: RobotModel,
+    kind: PriorKind = "entropic",
+    constraints: Constraints = Constraints(margin=0.002, mass_max=10.0),  # noqa: B008
+    **options: Any,
+) -> Problem:
+    """Return a problem with a prior."""
+    rng = np.random.default_rng(1)
+    samples = make_samples(robot, random_theta(robot, rng), rng, noise=0.5)
+    prior = Prior(kind=kind, bodies=random_links(rng, robot.n_links))
+    return build_problem(robot, samples, constraints=constraints, prior=prior, **options)
+
+
+def converging(problem: Problem, seeds: int = 2) -> list[Estimate]:
+    """Return ends of several starts, all of them at the optimum."""
+    best = solve_sdp(problem)
+    found = [solve_slsqp(problem, seed=k, max_iterations=ENOUGH) for k in range(seeds)]
+    for local in found:
+        assert local.status == "optimal"
+        assert local.cost == pytest.approx(best.cost, rel=STATIONARY)
+    return found
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+def test_further_conditions(consistency: Consistency, margin: float) -> None:
+    """The optimum under equations, rows and cones is the semidefinite program's."""
+    robot = planar_arm()
+    problem = under(noisy(robot, 0, consistency, margin=margin), *conditions(robot))
+    # Equations that are said twice are kept once.
+    assert len(PhysicalConstraints.of(problem, PhysicalVariables.of(problem)).equations) == 1
+    for local in converging(problem):
+        assert problem.feasible.violation(np.asarray(local.theta)) <= FEASIBLE_LOCAL
+
+
+def test_a_fixed_link() -> None:
+    """Ten equations, a few of them about variables that the effort does not show."""
+    robot = planar_arm()
+    problem = noisy(robot, 0, "pseudo_inertia", margin=0.0)
+    body = random_links(np.random.default_rng(2), 1)[0]
+    (local,) = converging(under(problem, FixedLink(robot.link_names[0], body)), seeds=1)
+    np.testing.assert_allclose(np.asarray(local.theta)[:10], body, atol=1e-7)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("kind", ["entropic", "pullback"])
+def test_priors(consistency: Consistency, kind: PriorKind) -> None:
+    converging(believed(ARM, kind, consistency=consistency))
+
+
+def test_first_link_variables_are_left_out_unless_a_condition_asks() -> None:
+    problem = noisy(small_arm(2), 0, "pseudo_inertia")
+    name = problem.robot.link_names[0]
+    asks: list[tuple[Condition, int]] = [
+        (TotalMass(2.0), 6),
+        (CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), 0),
+        (Fixed({"xy_1": 0.0}), 0),
+    ]
+    for other, left_out in asks:
+        variables = PhysicalVariables.of(under(problem, other))
+        assert problem.n_theta - variables.count == left_out
+
+
+def test_eigenvalues_that_meet_do_not_stall() -> None:
+    """At an optimum with two active eigenvalues in one link nothing is promised."""
+    problem = noisy(planar_arm(), 0, "spatial_inertia", margin=0.002)
+    local = solve_slsqp(problem, seed=0, max_iterations=1500)
+    assert local.status == "optimal"
+    _, _, inertia = physical_parameters(problem.feasible.bodies(np.asarray(local.theta)))
+    assert np.any(np.sum(np.linalg.eigvalsh(inertia) < 0.002 + 1e-6, axis=1) >= 2)
+
+
+def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
+    """Starts that converge all reach the one optimum; none finds anything below it."""
+    best = solve_sdp(planar)
+    converged = 0
+    for seed in range(STARTS):
+        local = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        if local.status == "infeasible":
+            continue
+        assert best.cost <= local.cost * (1.0 + LOCAL_COST)
+        if local.status == "optimal":
+            converged += 1
+            assert local.cost <= best.cost * (1.0 + LOCAL_COST)
+    assert converged >= STARTS - 2
+
+
+def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=3, max_iterations=ENOUGH)
+    assert estimate.method == "slsqp"
+    assert estimate.message
+    assert estimate.solve_time > 0.0
+    history = estimate.history
+    # The start and one entry an iteration.
+    assert len(history) == estimate.iterations + 1
+    assert all(a.seconds <= b.seconds for a, b in itertools.pairwise(history))
+    assert history[0].cost == pytest.approx(planar.cost_of(np.asarray(estimate.start)))
+    assert history[-1].cost == estimate.cost
+    assert estimate.multipliers is None
+
+
+def test_an_estimate_is_shown_in_short(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=3, max_iterations=5)
+    assert len(repr(estimate)) < 200
+    shown = estimate._repr_html_()
+    assert f"<td>{planar.robot.name}</td>" in shown
+    assert "<td>slsqp</td>" in shown
+    assert all(name in shown for name in planar.base.names)
+
+
+def test_an_iteration_limit_is_no_optimum(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=4, max_iterations=2)
+    assert estimate.status in ("iteration limit", "infeasible")
+    assert estimate.iterations <= 2
+
+
+def test_status_optimal_means_feasible(planar: Problem) -> None:
+    for seed in range(4):
+        estimate = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        assert (estimate.violation <= FEASIBLE_LOCAL) == (estimate.status != "infeasible")
+
+
+def test_the_same_seed_is_the_same_run(planar: Problem) -> None:
+    first, second = (solve_slsqp(planar, seed=5, max_iterations=20) for _ in range(2))
+    np.testing.assert_array_equal(np.asarray(first.theta), np.asarray(second.theta))
+    other = solve_slsqp(planar, seed=6, max_iterations=20)
+    assert not np.array_equal(np.asarray(first.start), np.asarray(other.start))
+
+
+@given(SEEDS, st.sampled_from(BOTH), st.sampled_from([0.0, 0.05]), st.floats(0.001, 5.0))
+@settings(max_examples=20)
+def test_random_starts_are_feasible(
+    seed: int, consistency: Consistency, margin: float, mass_min: float
+) -> None:
+    problem = noisy(small_arm(2), 7, consistency).constrained(
+        constraints=Constraints(margin=margin, mass_min=mass_min, mass_max=5.5)
+    )
+    start = random_start(problem, np.random.default_rng(seed))
+    assert problem.feasible.violation(start) == 0.0
+
+
+def test_bad_starts(planar: Problem) -> None:
+    refuses(DataError, r"start: shape \(3,\)", solve_slsqp, planar, start=np.ones(3))
+    start = random_start(planar, np.random.default_rng(0))
+    start[10] = -1.0
+    refuses(DataError, r"link 2 has mass -1\.0 kg", solve_slsqp, planar, start=start)
+    refuses(DataError, "start", solve_slsqp, planar, start=np.full(planar.n_theta, np.nan))
+    refuses(DataError, "nothing constrains", solve_slsqp, planar.constrained(consistency="none"))
+
+
+# ---- The paper's variables: how many, how they map to theta, and back.
+
+
+def shown_problem(robot: RobotModel, consistency: Consistency = "pseudo_inertia") -> Problem:
+    return world.problem(robot, count=12 * robot.n + 40, consistency=consistency)
+
+
+@functools.cache
+def of_two_arms(which: tuple[str, Consistency]) -> Problem:
+    return shown_problem(small_arm(3) if which[0] == "arm3" else planar_arm(), which[1])
+
+
+shown = st.tuples(st.sampled_from(["arm3", "planar"]), st.sampled_from(BOTH)).map(of_two_arms)
+
+
+def test_the_denso_has_the_papers_66(denso: RobotModel) -> None:
+    variables = PhysicalVariables.of(shown_problem(denso))
+    assert (variables.count, variables.axis) == (66, 2)
+    # All but zz of the first inertia, and z of the first center of mass, are gone.
+    gone = sorted(set(range(72)) - set(variables.free.tolist()))
+    assert gone == [0, 1, 2, 3, 4, 8]
+
+
+@pytest.mark.parametrize(
+    ("robot", "left_out"),
+    [(small_arm(3), 6), (planar_arm(), 6), (TREE, 0), ("denso_vp6242", 6), ("ur5_robot", 6)],
+    ids=["vertical", "horizontal", "prismatic", "tilted", "ur5"],
+)
+def test_how_many_are_left_out(robot: RobotModel | str, left_out: int) -> None:
+    if isinstance(robot, str):
+        robot = load_robot(robot, gravity=(3.0, 0.0, -9.0) if "denso" in robot else None)
+    problem = shown_problem(robot)
+    assert PhysicalVariables.of(problem).count == problem.n_theta - left_out
+
+
+@given(shown, SEEDS)
+def test_round_trip(problem: Problem, seed: int) -> None:
+    variables = PhysicalVariables.of(problem)
+    rng = np.random.default_rng(seed)
+    x = variables.from_theta(random_start(problem, rng))
+    np.testing.assert_allclose(variables.from_theta(variables.theta(x)), x, rtol=0, atol=1e-9)
+
+
+@given(shown, SEEDS)
+def test_what_is_left_out_has_no_influence(problem: Problem, seed: int) -> None:
+    """The way to the variables and back keeps the base parameters."""
+    variables = PhysicalVariables.of(problem)
+    theta = random_start(problem, np.random.default_rng(seed))
+    back = variables.theta(variables.from_theta(theta))
+    expected = problem.base_of(theta)
+    np.testing.assert_allclose(
+        problem.base_of(back), expected, rtol=0, atol=1e-10 * np.abs(expected).max()
+    )
+
+
+@given(shown, SEEDS)
+def test_filling_in_costs_no_margin(problem: Problem, seed: int) -> None:
+    """The completed first link is consistent whenever any completion is."""
+    variables = PhysicalVariables.of(problem)
+    theta = random_start(problem, np.random.default_rng(seed))
+    back = variables.theta(variables.from_theta(theta))
+    bodies, filled = (problem.feasible.bodies(x) for x in (theta, back))
+    before, after = margin(bodies, problem.consistency), margin(filled, problem.consistency)
+    assert np.all(after >= before - 1e-9 * np.abs(bodies).max())
+
+
+@given(shown, SEEDS)
+def test_jacobian(problem: Problem, seed: int) -> None:
+    variables = PhysicalVariables.of(problem)
+    x = variables.from_theta(random_start(problem, np.random.default_rng(seed)))
+    J = variables.jacobian(x)
+    for k, slope in enumerate(differences(variables.theta, x, 1e-5)):
+        # theta is at most cubic in the variables: central differences are nearly exact.
+        scale = max(1.0, float(np.abs(slope).max()))
+        np.testing.assert_allclose(J[:, k], slope, rtol=0, atol=1e-7 * scale)
+
+
+@given(shown, SEEDS)
+def test_inertias_are_what_the_margin_is_taken_of(problem: Problem, seed: int) -> None:
+    variables = PhysicalVariables.of(problem)
+    x = variables.from_theta(random_start(problem, np.random.default_rng(seed)))
+    matrices, basis = variables.inertias(x)
+    smallest: Array = np.linalg.eigvalsh(matrices)[:, 0]
+    expected = problem.feasible.margins(variables.theta(x))
+    np.testing.assert_allclose(smallest, expected, rtol=0, atol=1e-9 * np.abs(matrices).max())
+    assert basis.shape == (6, 3, 3)
+
+
+# ---- No local solver ends above the global optimum by more than its own stationarity error.
+#
+# Let a solver end in theta with physical variables x, theta = Phi(x), let theta* be any feasible
+# point, and w = DPhi(x)^(-1)·(theta* − theta). The cost f is a convex quadratic in theta, with
+# F = f∘Phi in x,
+#
+#     f(theta) − f(theta*) = −∇F(x)·w − ‖G·(theta* − theta)‖² ≤ −∇F(x)·w.
+#
+# Every constraint is C_i(theta) ≥ 0 with C_i concave in theta: bounds and rows are linear, cones
+# are ``axis·body − ‖V·body‖``, and the matrix inequalities are ``u^T·(N − margin·E)·u ≥ 0`` for all
+# unit u, where ``u^T·I_g·u = u^T·I_o·u − |u×h|²/m`` and ``u^T·Sigma_g·u = u^T·Sigma_o·u −
+# (u·h)²/m`` with m > 0. So C_i(theta*) ≤ C_i(theta) + ∇c_i(x)·w with c_i = C_i∘Phi: the segment
+# from theta to theta* stays feasible although it is curved in x. With any λ ≥ 0 (and free signs for
+# equations, which are affine) and the residual r = ∇F − Σ λ_i·∇c_i of the KKT equations,
+#
+#     f(theta) − f(theta*) ≤ |r·w| + Σ λ_i·(C_i(theta) − C_i(theta*)).          (*)
+#
+# The right side is what the local end point fails to be stationary by: the residual and the slacks
+# of constraints with multipliers (C_i(theta*) ≥ 0, to rounding). (*) holds wherever a solver
+# stops; it is checked with multipliers and derivatives computed here, from nothing but Phi.
+#
+# Minimized over λ for the worst w, the same inequality says that `stationarity_gap` is an upper
+# bound of the excess, but for the curvature that it adds to directions that the effort does not
+# show (docs/theory, section 5).
+
+
+ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2), **MODELS}
+MARGINS = (0.0, 0.01)
+
+# Rounding of costs and of the products in (*), as a share of the squared efforts.
+ROUNDING = 1e-10
+ITERATIONS = 300
+
+
+def conditions_of(problem: Problem, kind: str) -> tuple[Condition, ...]:
+    first, last = problem.robot.link_names[0], problem.robot.link_names[-1]
+    return {
+        "none": (),
+        "equation": (TotalMass(1.5),),
+        "rows": (
+            TotalMass(2.0, tolerance=0.1),
+            CenterOfMassInBox(last, (-0.05, -0.05, -0.05), (0.05, 0.05, np.inf)),
+        ),
+        "cone": (
+            CenterOfMassInEllipsoid(first, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
+            CenterOfMassInEllipsoid(last, (0.0, 0.0, 0.0), (0.03, 0.05, 0.1)),
+        ),
+    }[kind]
+
+
+@functools.cache
+def solved(name: str, consistency: Consistency, margin: float, kind: str) -> Estimate:
+    """Return the optimum of a problem whose optimum lies on the boundary."""
+    problem = noisy(ROBOTS[name], 11, consistency, margin=margin)
+    return solve_sdp(under(problem, *conditions_of(problem, kind)))
+
+
+def split(theta: Array, links: int) -> tuple[Array, Array, Array]:
+    return physical_parameters(theta[: 10 * links].reshape(links, 10))
+
+
+def phi(x: Array, links: int) -> Array:
+    """Return theta of (m, r, I_g) link by link, and friction."""
+    each = x[: 10 * links].reshape(links, 10)
+    bodies = theta_from_physical(each[:, 0], each[:, 1:4], inertia_tensor(each))
+    return np.concatenate([bodies.ravel(), x[10 * links :]])
+
+
+def physical(theta: Array, links: int) -> Array:
+    mass, com, inertia = split(theta, links)
+    each = np.concatenate([mass[:, None], com, tensor_entries(inertia)], axis=1)
+    return np.concatenate([each.ravel(), theta[10 * links :]])
+
+
+def derivative(x: Array, links: int) -> Array:
+    """Return DPhi: central differences are exact, as no variable enters beyond its square."""
+    steps = np.eye(len(x))
+    return np.stack([0.5 * (phi(x + e, links) - phi(x - e, links)) for e in steps], axis=1)
+
+
+def along(problem: Problem, theta: Array, link: int, u: Array) -> float:
+    """Return ``u^T·(N − margin·E)·u`` of a link."""
+    inertia = split(theta, problem.robot.n_links)[2][link]
+    value = float(u @ inertia @ u)
+    if problem.consistency == "pseudo_inertia":
+        value = 0.5 * float(np.trace(inertia)) - value
+    return value - problem.constraints.margin
+
+
+def explained(problem: Problem, theta: Array, best: Array) -> float:
+    """Return the right side of (*)."""
+    links, feasible = problem.robot.n_links, problem.feasible
+    x = physical(theta, links)
+    D = derivative(x, links)
+    np.testing.assert_allclose(phi(x, links), theta, atol=1e-12 * np.abs(theta).max())
+    w = np.linalg.solve(D, best - theta)
+    G, h = problem.squared.matrix, problem.squared.rhs
+    gradient = D.T @ (2.0 * G.T @ (G @ theta - h))
+
+    slopes: list[Array] = []
+    here: list[float] = []
+    there: list[float] = []
+
+    def add(slope: Array, value: float, other: float) -> None:
+        slopes.append(slope)
+        here.append(value)
+        there.append(other)
+
+    for link in range(links):
+        inertia = split(theta, links)[2][link]
+        asked = inertia_tensor(gradient[10 * link : 10 * link + 10])
+        asked = asked * (0.5 + 0.5 * np.eye(3))
+        for u in np.concatenate([np.linalg.eigh(inertia)[1].T, np.linalg.eigh(asked)[1].T]):
+            outer = tensor_entries(np.outer(u, u)) * np.array([1.0, 2.0, 1.0, 2.0, 2.0, 1.0])
+            if problem.consistency == "pseudo_inertia":
+                outer = np.array([0.5, 0.0, 0.5, 0.0, 0.0, 0.5]) - outer
+            slope = np.zeros(len(x))
+            slope[10 * link + 4 : 10 * link + 10] = outer
+            add(slope, along(problem, theta, link, u), along(problem, best, link, u))
+    identity = np.eye(len(x))
+    for j in np.flatnonzero(feasible.bounded):
+        for sign, limit in ((1.0, feasible.lower[j]), (-1.0, feasible.upper[j])):
+            add(sign * identity[j] @ D, sign * (theta[j] - limit), sign * (best[j] - limit))
+    for row, low, high in zip(feasible.rows, feasible.row_lower, feasible.row_upper, strict=True):
+        for sign, limit in ((1.0, low), (-1.0, high)):
+            if np.isfinite(limit):
+                values = (sign * (float(row @ point) - limit) for point in (theta, best))
+                add(sign * row @ D, *values)
+    rooms, best_rooms = feasible.slacks(theta), feasible.slacks(best)
+    for k, room in enumerate(rooms):
+        F = feasible.block_basis[feasible.n_own + k]
+        link = int(feasible.block_links[feasible.n_own + k])
+        own = slice(10 * link, 10 * link + 10)
+        v = theta[own] @ F[:, -1, :3]
+        slope = np.zeros(len(x))
+        slope[own] = F[:, -1, -1] - F[:, -1, :3] @ v / np.linalg.norm(v)
+        add(slope @ D, float(room), float(best_rooms[k]))
+
+    A, values = np.array(slopes), np.array(here)
+    size = np.sqrt(problem.cost_of(theta) + cost_scale(problem))
+    curvature = np.linalg.norm(G @ D, axis=0)
+    weights = 1.0 / np.maximum(curvature, 1e-3 * curvature.max())
+    # Least squares of the residual, and of what slacks cost; (*) holds whatever it finds.
+    system = np.vstack([weights[:, None] * A.T, np.abs(values) / size])
+    multipliers, _ = nnls(system, np.concatenate([weights * gradient, [0.0]]))
+    residual = gradient - A.T @ multipliers
+    return abs(float(residual @ w)) + float(multipliers @ (values - np.array(there)))
+
+
+@given(
+    st.sampled_from(sorted(ROBOTS)),
+    st.sampled_from(BOTH),
+    st.sampled_from(MARGINS),
+    st.sampled_from(["log_cholesky", "none", "equation", "rows", "cone"]),
+    SEEDS,
+)
+@settings(max_examples=10)
+def test_nothing_ends_above_the_optimum_unexplained(
+    name: str, consistency: Consistency, margin: float, what: str, seed: int
+) -> None:
+    kind = "none" if what == "log_cholesky" else what
+    best = solved(name, consistency, margin, kind)
+    problem, optimum = best.problem, np.asarray(best.theta)
+    solve = solve_log_cholesky if what == "log_cholesky" else solve_slsqp
+    local = solve(problem, seed=seed, max_iterations=ITERATIONS)
+    event(f"{what}: {local.status}")
+    theta = np.asarray(local.theta)
+    excess = local.cost - best.cost
+    rounding = ROUNDING * float(problem.squared.rhs @ problem.squared.rhs + problem.floor)
+    assert excess <= explained(problem, theta, optimum) + rounding
+    if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
+        return
+    # What the solver itself reports explains it too, and its word is kept.
+    scale = max(local.cost, cost_scale(problem))
+    assert excess <= stationarity_gap(problem, theta) * scale * 1.001 + rounding
+    if local.status == "optimal":
+        assert excess <= STATIONARY * scale * 1.001 + rounding
+    # Nothing feasible is below the optimum, but for what violations buy.
+    assert excess >= -1e-5 * scale
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("kind", ["none", "equation", "rows", "cone"])
+def test_the_optimum_is_stationary(consistency: Consistency, kind: str) -> None:
+    """The inequality is no idle one: at the optimum both of its sides vanish.
+
+    What is promised is an upper bound: where active constraints all but agree, the rounding of a
+    point whose cost is known to 1e-11 leaves up to 3e-4 of it.
+    """
+    best = solved("arm2", consistency, 0.01, kind)
+    theta = np.asarray(best.theta)
+    assert stationarity_gap(best.problem, theta) <= 1e-3
+    assert explained(best.problem, theta, theta) == 0.0
+
+
+@pytest.mark.parametrize("kind", ["none", "equation", "rows", "cone"])
+def test_starts_do_converge(kind: str) -> None:
+    """Or there would be nothing to see."""
+    best = solved("arm2", "spatial_inertia", 0.01, kind)
+    ends = [solve_slsqp(best.problem, seed=seed, max_iterations=ITERATIONS) for seed in range(3)]
+    assert sum(end.status == "optimal" for end in ends) >= 2

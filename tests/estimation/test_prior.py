@@ -1,0 +1,884 @@
+"""The prior: its definition and invariance, its strength, and what it does to a problem."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid import Constraints, DhTable, Prior, Samples, certify, load_robot, solve_sdp, solve_wls
+from sdpid.constraints import Layout, MirrorPair, mirror_pairs
+from sdpid.errors import CertificateError, DataError, IdentifiabilityError, ModelError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.prior.alike import Alike
+from sdpid.estimation.prior.evidence import (
+    STRONGEST,
+    WEAKEST,
+    negative_log_evidence,
+    strength_by_evidence,
+)
+from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.estimation.prior.prior import prior_terms, repaired
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia, transform
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.verifier.reading import digest
+from sdpid.workflow.verify import Verification, verify
+from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
+from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import LIFT
+from tests.helpers.strategies import SEEDS, random_states
+
+# Round-off of a few products of numbers of order one.
+ROUNDING = 1e-9
+
+
+def bodies_of(seed: int, links: int = 2) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    masses = rng.uniform(0.2, 1.0, (links, 8))
+    return point_masses(masses, rng.normal(0.0, 0.1, (links, 8, 3)))
+
+
+def robot_of(bodies: np.ndarray):
+    rows = tuple({"alpha": 0.5 * np.pi * (i % 2), "d": 0.3 * i} for i in range(len(bodies)))
+    table = DhTable.from_mapping({"joint": rows, "name": "arm"})
+    return load_robot(table.to_urdf(bodies))
+
+
+def rows_of(robot, count: int = 40, seed: int = 0, scale: float = 1.0) -> RowSource:
+    rng = np.random.default_rng(seed)
+    friction = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
+    states = {k: scale * rng.normal(size=(count, robot.n)) for k in ("position", "velocity")}
+    samples = Samples(
+        **states,
+        acceleration=scale * rng.normal(size=(count, robot.n)),
+        effort=rng.normal(size=(count, robot.n)),
+    )
+    return RowSource(robot, friction, structural_base(robot, friction), samples)
+
+
+def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
+    rows = rows_of(robot)
+    found = prior_terms(prior, rows).terms[0]
+    theta = np.concatenate([bodies.ravel(), np.zeros(len(rows.friction.parameters))])
+    return found.value(theta)
+
+
+def divergence(P: np.ndarray, P0: np.ndarray) -> float:
+    """Log-det divergence of 4x4 matrices, by its definition."""
+    ratio = np.linalg.solve(P0, P)
+    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4.0)
+
+
+@given(st.integers(0, 2**31))
+def test_nothing_is_paid_at_the_prior(seed: int):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed = repaired(robot.prior)[0]
+    assert penalty(robot, Prior(), believed) < ROUNDING
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_second_order_expansion_of_the_divergence(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed = repaired(robot.prior)[0]
+    rng = np.random.default_rng(seed)
+    L = np.linalg.cholesky(pseudo_inertia(believed))
+    step = rng.normal(size=(len(bodies), 4, 4))
+    step = 1e-3 * (step + np.swapaxes(step, 1, 2))
+    P = L @ (np.eye(4) + step) @ np.swapaxes(L, 1, 2)
+    moved = from_pseudo_inertia(P)
+    exact = sum(divergence(p, p0) for p, p0 in zip(P, pseudo_inertia(believed), strict=True))
+    # Twice the divergence, up to the third order of a step of some 1e-3.
+    expected = 2.0 * strength * exact
+    assert penalty(robot, Prior(strength=strength), moved) == pytest.approx(expected, rel=0.05)
+
+
+@given(st.integers(0, 2**31))
+def test_the_same_in_every_frame(seed: int):
+    rng = np.random.default_rng(seed)
+    P0, P = (pseudo_inertia(bodies_of(seed + k, 1)[0]) for k in (0, 1))
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    shift = rng.normal(size=3)
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        inverse = np.linalg.inv(np.linalg.cholesky(b))
+        return float(np.linalg.norm(inverse @ a @ inverse.T - np.eye(4)))
+
+    moved = [pseudo_inertia(transform(from_pseudo_inertia(M), rotation, shift)) for M in (P, P0)]
+    assert distance(*moved) == pytest.approx(distance(P, P0), rel=1e-6)
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed = repaired(robot.prior)[0]
+    moved = bodies_of(seed + 1)
+    raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
+    assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
+    scaled = 0.0
+    for body, reference in zip(moved, believed, strict=True):
+        mass = reference[0]
+        # tr(I) is twice the second moment about the origin.
+        length = np.sqrt(0.5 * (reference[4] + reference[6] + reference[9]) / mass)
+        units = mass * length ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        scaled += strength * np.sum(((body - reference) / units) ** 2)
+    prior = Prior(strength=strength, kind="scaled_euclidean")
+    assert penalty(robot, prior, moved) == pytest.approx(scaled)
+
+
+@pytest.mark.parametrize("kind", ["scaled_euclidean", "pullback"])
+def test_scaled_kinds_do_not_depend_on_units(kind):
+    bodies, moved = bodies_of(0), bodies_of(1)
+    units = 3.0 * 7.0 ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    robot = robot_of(bodies)
+
+    def cost(factor: np.ndarray) -> float:
+        # Bodies far above the least size, which is a length that does not scale with them.
+        return penalty(robot, Prior(kind=kind, bodies=bodies * factor), moved * factor)
+
+    assert cost(units) == pytest.approx(cost(np.ones(10)), rel=1e-9)
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_entropic_kind_is_the_divergence(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    rows = rows_of(robot)
+    found = prior_terms(Prior(strength=strength, kind="entropic"), rows)
+    quadratic = prior_terms(Prior(strength=strength), rows)
+    (squared, entropic), (quadratic_squared,) = found.terms, quadratic.terms
+    # The rows are those of the friction terms.
+    assert np.array_equal(squared.matrix, quadratic_squared.matrix[20:])
+    assert np.array_equal(squared.rhs, quadratic_squared.rhs[20:])
+    assert found.strength == quadratic.strength == strength
+    theta = np.concatenate([bodies_of(seed + 1).ravel(), np.ones(4)])
+    pairs = zip(*map(pseudo_inertia, (theta[:20].reshape(2, 10), repaired(bodies)[0])), strict=True)
+    exact = 2.0 * strength * sum(divergence(P, P0) for P, P0 in pairs)
+    assert entropic.value(theta) == pytest.approx(exact, rel=1e-6)
+    alone = prior_terms(Prior(kind="entropic", friction=False), rows)
+    assert alone.terms[0].matrix.shape == (0, 24)
+    assert alone.terms[0].rhs.shape == (0,)
+
+
+@pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])
+def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
+    bodies = bodies_of(0, 3)
+    bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]
+    bodies[2] = 0.0
+    found = prior_terms(
+        Prior(kind=kind, bodies=bodies, friction=False), rows_of(robot_of(bodies_of(1, 3)))
+    )
+    assert any("link_2 could not exist as described" in note for note in found.notes)
+    assert any("next to no information about link_3" in note for note in found.notes)
+    squared, *others = found.terms
+    theta = np.concatenate([repaired(bodies)[0].ravel(), np.ones(6)])
+    theta[20:30] = np.linalg.lstsq(squared.matrix[-10:, 20:30], squared.rhs[-10:], rcond=None)[0]
+    assert theta[20] == pytest.approx(np.mean(bodies[:2, 0]))
+    assert np.linalg.norm(squared.residual(theta)) < ROUNDING
+    # Doubling it costs a hundredth of what doubling a described link costs.
+    doubled = theta.copy()
+    doubled[20:30] *= 2.0
+    if kind == "pullback":
+        assert squared.value(doubled) == pytest.approx(0.04)
+    if kind == "entropic":
+        (log_det,) = others
+        assert log_det.value(theta) < ROUNDING
+        assert log_det.links.tolist() == [0, 1]
+
+
+def test_impossible_links_are_repaired_and_named():
+    bodies = bodies_of(0)
+    bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]  # triangle inequality violated
+    fixed, wrong, thin = repaired(bodies)
+    assert (wrong, thin) == ((1,), ())
+    assert np.all(margin(fixed, "pseudo_inertia") > 0.0)
+    notes = prior_terms(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    assert any("link_2" in note for note in notes)
+
+
+def test_a_description_without_masses_is_no_prior():
+    robot = robot_of(bodies_of(0))
+    with pytest.raises(DataError, match="no link a mass"):
+        prior_terms(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
+    for strength in (0.0, -1.0, np.inf, np.nan, "often", True):
+        refuses(DataError, "strength", Prior, strength=strength)
+    refuses(DataError, "kind", Prior, kind="flat")
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
+    bodies = bodies_of(3, 3)
+    robot = robot_of(bodies)
+    count = 60
+    rest = np.zeros((count, robot.n))
+    samples = Samples(
+        position=np.tile([0.1, 0.2, 0.3], (count, 1)), velocity=rest, acceleration=rest, effort=rest
+    )
+    with pytest.raises(IdentifiabilityError):
+        build_problem(robot, samples)
+    problem = build_problem(robot, samples, prior=Prior(), consistency=consistency)
+    estimate = solve_sdp(problem)
+    certificate = certify(estimate)
+    assert certificate.passed, certificate.summary()
+    certificate.to_json(tmp_path / "c.json")
+    assert verify(tmp_path / "c.json").passed
+
+
+def test_a_strong_prior_wins_and_a_weak_one_does_not():
+    truth, belief = bodies_of(5), bodies_of(6)
+    robot = robot_of(belief)
+    rng = np.random.default_rng(0)
+    q, v, a = (rng.normal(size=(200, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.01 * rng.normal(size=q.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    options = {"weighting": "residual"}
+    free = solve_wls(build_problem(robot, samples, **options))
+    believed = repaired(robot.prior)[0]
+    strong = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e11), **options))
+    assert np.allclose(strong.theta[:20], believed.ravel(), atol=1e-3)
+    weak = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e-6), **options))
+    assert weak.problem.cost(weak.base) <= 1.01 * free.cost
+
+
+def test_local_and_global_solvers_share_the_prior():
+    robot = robot_of(bodies_of(7))
+    rows = rows_of(robot, 200)
+    problem = build_problem(robot, rows.samples, prior=Prior(), weighting="residual")
+    best = solve_sdp(problem)
+    local = solve_slsqp(problem, seed=1)
+    assert local.feasible or local.violation < 1e-6
+    assert best.cost <= local.cost * (1.0 + 1e-6)
+    # With a prior the parameters are unique: both find the same ones.
+    assert local.cost == pytest.approx(best.cost, rel=1e-3)
+
+
+def test_thin_bodies_are_widened_and_named():
+    bodies = bodies_of(0)
+    rod = point_masses(np.array([1.0, 1.0]), np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.3]]))
+    # A rod along z, 1 mm across.
+    bodies[1] = rod + 2e-6 * np.array([0, 0, 0, 0, 1, 0, 1, 0, 0, 2])
+    assert margin(bodies[1], "pseudo_inertia") > 0.0
+    _, wrong, thin = repaired(bodies)
+    assert (wrong, thin) == ((), (1,))
+    notes = prior_terms(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    assert [note for note in notes if "widened" in note and "link_2" in note]
+    # What was widened once is not thin.
+    assert repaired(repaired(bodies)[0])[1:] == ((), ())
+
+
+@pytest.mark.parametrize("weighting", ["eq9", "eq18"])
+def test_costs_that_are_no_likelihood_take_no_prior(weighting):
+    robot = robot_of(bodies_of(0))
+    with pytest.raises(DataError, match=f"'{weighting}' is no likelihood.*no prior"):
+        build_problem(robot, rows_of(robot).samples, weighting=weighting, prior=Prior())
+
+
+def test_a_likelihood_without_a_covariance_says_its_unit():
+    robot = robot_of(bodies_of(0))
+    samples = rows_of(robot, 200).samples
+    known = replace(samples, covariance=np.eye(2))
+    assert "unit" in " ".join(build_problem(robot, samples, prior=Prior()).prior.notes)
+    assert build_problem(robot, known, prior=Prior()).prior.notes == ()
+    assert build_problem(robot, samples, prior=Prior(), weighting="residual").prior.notes == ()
+
+
+def test_a_prior_is_a_value():
+    given_bodies = bodies_of(0)
+    prior, same = Prior(bodies=given_bodies), Prior(bodies=given_bodies.tolist())
+    assert prior == same
+    assert hash(prior) == hash(same)
+    assert prior != Prior(bodies=bodies_of(1))
+    assert prior != Prior()
+    assert Prior() == Prior()
+    assert prior != "prior"
+    given_bodies[0, 0] = 7.0
+    assert prior == same
+    with pytest.raises(ValueError, match="read-only"):
+        prior.bodies[0, 0] = 7.0
+
+
+@pytest.mark.parametrize(
+    ("bodies", "says"),
+    [
+        (np.full((2, 10), np.nan), "20 of 20 values are not finite"),
+        (np.ones((2, 9)), r"shape \(2, 9\)"),
+        (np.ones(10), "1 axes"),
+        ([["heavy"] * 10], "not a rectangular array of real numbers"),
+    ],
+)
+def test_bodies_that_are_none(bodies, says):
+    refuses(DataError, says, Prior, bodies=bodies)
+
+
+@given(st.integers(0, 2**31), st.floats(0.01, 100.0), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_least_squares_counts_a_log_det_prior(seed: int, strength: float, known: bool):
+    """The unconstrained minimum has a body for every link, no slope, and costs no more."""
+    belief, truth = bodies_of(seed), bodies_of(seed + 1)
+    robot = robot_of(belief)
+    rng = np.random.default_rng(seed)
+    q, v, a = (rng.normal(size=(60, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.1 * rng.normal(size=q.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    if not known:
+        belief[0] = 0.0
+    problem = build_problem(
+        robot,
+        samples,
+        prior=Prior(kind="entropic", strength=strength, bodies=belief),
+        weighting="residual",
+    )
+    estimate = solve_wls(problem)
+    assert np.isfinite(estimate.cost)
+    assert np.all(margin(estimate.theta[:20].reshape(2, 10), "pseudo_inertia")[~known:] > 0.0)
+    slope = problem.gradient(estimate.theta)
+    rows = np.vstack(
+        [term.curvature_rows(estimate.theta) for term in (problem.squared, problem.log_det)]
+    )
+    # What a further Newton step would bring, beside the cost.
+    scale = np.linalg.norm(rows, axis=0)
+    step = np.linalg.lstsq((rows / scale).T @ (rows / scale), slope / scale, rcond=None)[0] / scale
+    assert abs(slope @ step) < 1e-10 * max(estimate.cost, float(problem.rhs @ problem.rhs))
+    assert estimate.cost <= solve_sdp(problem).cost * (1.0 + 1e-9)
+    # The same optimum is proven where nothing but the prior keeps links bodies.
+    proven = solve_sdp(problem.constrained(consistency="none"))
+    assert proven.cost == pytest.approx(estimate.cost, rel=1e-5)
+
+
+# ---- The strength by evidence: its formula, what it recovers, and that it is said.
+
+
+# Of the largest number that differences are taken of: the plain formula solves with a covariance
+# that weak beliefs make all but singular, which costs it some ten digits.
+DIGITS = 1e-5
+STRENGTHS = np.array([0.01, 0.3, 1.0, 7.0, 100.0])
+
+
+def case(rng: np.random.Generator, count: int = 30, links: int = 8, others: int = 3):
+    """Return whitened rows, believed rows and others, of theta with links and other entries."""
+    p = links + others
+    G, h = rng.normal(size=(count, p)), rng.normal(size=count)
+    R, r = rng.normal(size=(links, links)), rng.normal(size=links)
+    R = np.hstack([R, np.zeros((links, others))])
+    F, f = np.hstack([np.zeros((others, links)), np.eye(others)]), rng.normal(size=others)
+    return (G, h), (R, r), (F, f)
+
+
+@given(SEEDS)
+def test_it_is_the_density_of_the_data(seed: int):
+    (G, h), (R, r), (F, f) = case(np.random.default_rng(seed))
+    found = negative_log_evidence((G, h), (R, r), (F, f), STRENGTHS)
+    expected = []
+    for strength in STRENGTHS:
+        # The data are normal: theta's belief seen through G, and noise.
+        rows = np.vstack([np.sqrt(strength) * R, F])
+        mean = np.linalg.solve(rows, np.concatenate([np.sqrt(strength) * r, f]))
+        root = np.linalg.solve(rows.T, G.T)
+        covariance = np.eye(len(h)) + root.T @ root
+        error = h - G @ mean
+        size = np.linalg.slogdet(covariance)[1]
+        expected.append(0.5 * (error @ np.linalg.solve(covariance, error) + size))
+    close = DIGITS * np.abs(expected).max()
+    assert np.diff(found) == pytest.approx(np.diff(expected), abs=close)
+
+
+@given(SEEDS)
+def test_what_nobody_knows_does_not_matter(seed: int):
+    rng = np.random.default_rng(seed)
+    (G, h), (R, r), (F, f) = case(rng)
+    turn = np.linalg.qr(rng.normal(size=(13, 13)))[0]
+    plain = negative_log_evidence((G, h), (R, r), (F, f), STRENGTHS)
+    wide = [(np.hstack([M, np.zeros((len(M), 2))]) @ turn, v) for M, v in ((G, h), (R, r), (F, f))]
+    found = negative_log_evidence(*wide, STRENGTHS)
+    close = DIGITS * np.abs(plain).max()
+    assert np.diff(found) == pytest.approx(np.diff(plain), abs=close)
+
+
+@pytest.mark.parametrize("strength", [0.05, 1.0, 20.0])
+def test_the_strength_that_made_the_parameters_is_recovered(strength):
+    rng = np.random.default_rng(3)
+    links = 60
+    R = np.eye(links)
+    theta = rng.normal(size=links) / np.sqrt(strength)
+    G = 10.0 * rng.normal(size=(200, links))
+    h = G @ theta + rng.normal(size=200)
+    found = strength_by_evidence((G, h), (R, np.zeros(links)), (np.zeros((0, links)), np.zeros(0)))
+    # A variance from 60 draws is known to sqrt(2/60), 18 %; three times that.
+    assert abs(np.log(found / strength)) < 0.55
+    grid = np.geomspace(WEAKEST, STRONGEST, 400)
+    values = negative_log_evidence(
+        (G, h), (R, np.zeros(links)), (np.zeros((0, links)), np.zeros(0)), grid
+    )
+    assert found == pytest.approx(grid[np.argmin(values)], rel=0.03)
+
+
+def samples_of(robot, truth: np.ndarray, seed: int = 0, **fields) -> Samples:
+    rng = np.random.default_rng(seed)
+    q, v, a = (rng.normal(size=(300, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.05 * rng.normal(size=q.shape)
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort, **fields)
+
+
+@pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])
+def test_a_problem_resolves_it_and_says_so(kind):
+    belief = bodies_of(0, 3)
+    robot = robot_of(belief)
+    samples = samples_of(robot, bodies_of(1, 3))
+    prior = Prior(strength="evidence", kind=kind)
+    problem = build_problem(robot, samples, prior=prior, weighting="residual")
+    strength = problem.prior.strength
+    assert WEAKEST <= strength <= STRONGEST
+    assert f"prior: strength {strength:.2g} nats by evidence" in problem.prior.notes[-1]
+    fixed = Prior(strength=strength, kind=kind)
+    again = build_problem(robot, samples, prior=fixed, weighting="residual")
+    assert np.array_equal(again.squared.matrix, problem.squared.matrix)
+    assert np.array_equal(again.squared.rhs, problem.squared.rhs)
+    assert len(again.log_det.links) == (3 if kind == "entropic" else 0)
+    if kind == "entropic":
+        assert again.log_det.strength == problem.log_det.strength == strength
+
+
+def test_good_descriptions_are_believed_more_than_bad_ones():
+    belief = bodies_of(0, 3)
+    robot = robot_of(belief)
+    found = []
+    for size in (0.01, 0.7):
+        rng = np.random.default_rng(1)
+        L = np.linalg.cholesky(pseudo_inertia(belief))
+        U = rng.normal(size=(3, 4, 4))
+        U = np.eye(4) + 0.3 * size * (U + np.swapaxes(U, 1, 2))
+        truth = from_pseudo_inertia(L @ U @ np.swapaxes(L, 1, 2))
+        prior = Prior(strength="evidence")
+        problem = build_problem(robot, samples_of(robot, truth), prior=prior, weighting="residual")
+        found.append(problem.prior.strength)
+    assert found[0] > 3.0 * found[1]
+    assert found[0] > 0.9 * STRONGEST
+    bad = build_problem(
+        robot, samples_of(robot, 50.0 * truth), prior=prior, weighting="residual"
+    ).prior
+    assert "the least that is tried" in bad.notes[-1]
+
+
+def test_it_needs_a_likelihood():
+    robot = robot_of(bodies_of(0))
+    prior = Prior(strength="evidence")
+    samples = samples_of(robot, bodies_of(1))
+    for weighting in ("gls", "eq9", "eq18"):
+        with pytest.raises(DataError, match="likelihood"):
+            build_problem(robot, samples, prior=prior, weighting=weighting)
+    known = samples_of(robot, bodies_of(1), covariance=0.05**2 * np.eye(2))
+    by_covariance = build_problem(robot, known, prior=prior, weighting="gls")
+    assert by_covariance.prior.strength > 0.0
+
+
+# ---- Friction is believed and bounded by the size of the efforts, not by that of the robot.
+
+
+ROBOT = sdpid.load_robot(LIFT)
+LIMITS = Constraints.of_size(ROBOT)
+TERMS = ("coulomb", "viscous", "offset")
+
+# A lift of 10 kg with as much friction as lifts have: N·s/m and N.
+VISCOUS, COULOMB = 300.0, 6.0
+
+
+def lifted(weight: float = 1.0) -> Samples:
+    """Return exact samples; of its weight the lift's motor carries a share."""
+    t = np.arange(0.0, 30.0, 0.02)
+    shape = ((0.08, 0.3), (1.2, 1.1))
+    q, v, a = (
+        np.stack([s * w**k * np.sin(w * t + k * np.pi / 2) for s, w in shape], axis=1)
+        for k in range(3)
+    )
+    rigid = ROBOT.inverse_dynamics(ROBOT.prior, q, v, a)
+    rigid[:, 0] -= (1.0 - weight) * rigid[:, 0].mean()
+    friction = [VISCOUS, 0.3] * v + [COULOMB, 0.0] * np.sign(v)
+    return Samples(position=q, velocity=v, acceleration=a, effort=rigid + friction)
+
+
+def problem_of(samples: Samples, prior: Prior | None, limits: Constraints = LIMITS) -> Problem:
+    return build_problem(
+        ROBOT, samples, friction=TERMS, weighting="residual", constraints=limits, prior=prior
+    )
+
+
+def test_the_size_of_a_robot_does_not_bound_its_friction() -> None:
+    problem = problem_of(lifted(), None)
+    assert LIMITS.theta_max < VISCOUS < problem.constraints.friction_max <= 1e5
+    found = solve_sdp(problem)
+    assert found.named()["Fv1"] == pytest.approx(VISCOUS, rel=1e-3)
+    assert found.theta[[0, 10]].sum() == pytest.approx(10.0, rel=1e-3)
+    assert sdpid.certify(found).passed
+    # Other constraints keep it, and a bound that was given is the bound.
+    again = problem.constrained(constraints=LIMITS.replace(mass_max=20.0))
+    assert again.constraints.friction_max == problem.constraints.friction_max
+    tight = solve_sdp(problem_of(lifted(), None, LIMITS.replace(friction_max=VISCOUS / 2)))
+    assert tight.named()["Fv1"] == pytest.approx(VISCOUS / 2)
+    refuses(sdpid.errors.DataError, "friction_max is -1", LIMITS.replace, friction_max=-1.0)
+
+
+def test_friction_of_a_joint_without_rows_is_believed_to_be_small() -> None:
+    samples = lifted()
+    mask = np.tile([False, True], (samples.n_samples, 1))
+    found = solve_sdp(problem_of(replace(samples, mask=mask), Prior()))
+    values = found.named()
+    assert max(abs(values[name]) for name in ("Fs1", "Fv1", "Fo1")) < 0.1
+    errors = sdpid.confidence_intervals(found, parameters=("Fs1", "Fv1"), method="gauss_markov")
+    # As large as the efforts of the described links, and no more.
+    assert 100.0 < errors.upper[0] < 300.0
+    assert errors.upper[1] < problem_of(samples, None).constraints.friction_max
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.0])
+def test_an_offset_may_be_of_the_size_of_the_weight(weight: float) -> None:
+    """A counterweight leaves little effort to measure, and masses are what they are."""
+    samples = lifted(weight)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(samples.effort.shape)
+    found = solve_sdp(problem_of(replace(samples, effort=samples.effort + noise), Prior()))
+    assert found.theta[0] == pytest.approx(8.0, rel=0.3)
+    assert found.named()["Fo1"] == pytest.approx(-98.1 * (1.0 - weight), abs=25.0)
+
+
+# ---- Friction in both directions is believed to be alike: one direction must not ruin the other.
+
+
+LINKS = random_links(np.random.default_rng(3), 2)
+
+
+def moved(low: float, forwards: float, backwards: float) -> Estimate:
+    """Return an estimate from a motion whose second joint moves at speeds of low to 2 rad/s."""
+    rng = np.random.default_rng(1)
+    q, v, a = random_states(rng, 2, 300)
+    v[:, 1] = rng.uniform(low, 2.0, 300)
+    effort = ARM.inverse_dynamics(LINKS.ravel(), q, v, a) + 0.5 * v
+    effort += np.where(v > 0.0, forwards, -backwards) + 0.01 * rng.standard_normal(v.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    terms = ("asymmetric_coulomb", "viscous")
+    prior = Prior(bodies=LINKS)
+    return solve_sdp(build_problem(ARM, samples, friction=terms, weighting="residual", prior=prior))
+
+
+def test_a_side_that_never_moved_is_like_the_other() -> None:
+    theta = moved(0.1, 0.6, 0.6).named_theta()
+    assert theta["Fsp2"] == pytest.approx(0.6, abs=0.03)
+    # Believed to be small too, it stays a little below.
+    assert 0.9 * theta["Fsp2"] < theta["Fsn2"] <= theta["Fsp2"]
+
+
+def test_sides_that_moved_may_differ() -> None:
+    theta = moved(-2.0, 0.6, 0.3).named_theta()
+    assert theta["Fsp2"] == pytest.approx(0.6, abs=0.03)
+    assert theta["Fsn2"] == pytest.approx(0.3, abs=0.03)
+
+
+# ---- The log-det divergence: its definition, derivatives, invariance and lower bounds.
+
+
+# Friction terms behind the links, of which the divergence knows nothing.
+EXTRA = 3
+
+# Relative error of formulas that lose a few hundred roundings to the conditioning of P.
+FORMULA = 1e-8
+
+# Central differences with a relative step of 1e-6.
+DIFFERENCE = 1e-5
+
+
+def make(seed: int, *, strength: float = 1.0) -> tuple[LogDetTerm, np.ndarray, np.ndarray]:
+    """Return the divergence of links 0 and 2 of three, its P0 and a theta."""
+    rng = np.random.default_rng(seed)
+    believed, bodies = random_links(rng, 2), random_links(rng, 3)
+    theta = np.concatenate([bodies.ravel(), rng.normal(size=EXTRA)])
+    return (
+        LogDetTerm.around([0, 2], believed, strength, len(theta)),
+        pseudo_inertia(believed),
+        theta,
+    )
+
+
+@given(SEEDS, st.floats(0.01, 100.0))
+def test_it_is_its_definition(seed: int, strength: float):
+    entropy, P0, theta = make(seed, strength=strength)
+    P = pseudo_inertia(theta[:30].reshape(3, 10))[[0, 2]]
+    total = 0.0
+    for p, p0 in zip(P, P0, strict=True):
+        ratio = np.linalg.solve(p0, p)
+        # log det as written: no factor of P0, no eigenvalue.
+        total += np.trace(ratio) - np.log(np.linalg.det(p) / np.linalg.det(p0)) - 4.0
+    assert entropy.value(theta) == pytest.approx(2.0 * strength * total, rel=FORMULA)
+    assert entropy.value(theta[:30].reshape(3, 10)) == entropy.value(theta)
+
+
+def test_it_is_twice_the_relative_entropy_of_normal_distributions():
+    # Known covariances: diagonal in a common basis, where the integral splits into four of one
+    # variable, log(s0/s) + s²/(2·s0²) − 1/2 with standard deviations s and s0.
+    rng = np.random.default_rng(0)
+    basis = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    s, s0 = rng.uniform(0.5, 2.0, (2, 4))
+    kullback = np.sum(np.log(s0 / s) + 0.5 * (s / s0) ** 2 - 0.5)
+    body, believed = (from_pseudo_inertia(basis @ np.diag(d**2) @ basis.T) for d in (s, s0))
+    entropy = LogDetTerm.around([0], believed[None], 1.0, 10)
+    assert entropy.divergences(body)[0] == pytest.approx(2.0 * kullback, rel=1e-10)
+
+
+@given(SEEDS)
+def test_zero_at_the_belief_and_positive_elsewhere(seed: int):
+    entropy, P0, theta = make(seed)
+    assert entropy.value(theta) > 0.0
+    there = theta.copy()
+    there[:10], there[20:30] = from_pseudo_inertia(P0)
+    # Each eigenvalue is 1 up to rounding times the condition number, and enters squared.
+    assert entropy.value(there) < 1e-16
+    # Half way it is less, since the divergence is convex.
+    assert entropy.value(0.5 * (theta + there)) <= 0.5 * entropy.value(theta) + 1e-12
+
+
+@given(SEEDS)
+def test_infinite_outside_the_cone(seed: int):
+    entropy, _, theta = make(seed)
+    outside = theta.copy()
+    outside[20] = -1.0
+    assert entropy.value(outside) == np.inf
+    refuses(DataError, "can exist", entropy.gradient, outside)
+    # A link that nothing is believed of may be anything.
+    unbelieved = theta.copy()
+    unbelieved[10:20] = -1.0
+    assert entropy.value(unbelieved) == entropy.value(theta)
+
+
+@given(SEEDS)
+def test_gradient_and_second_derivative(seed: int):
+    entropy, P0, theta = make(seed, strength=0.7)
+    # In coordinates where the bodies have size one differences of all entries are as good.
+    L = np.linalg.cholesky(P0)
+    rng = np.random.default_rng(seed)
+    step = np.zeros_like(theta)
+    for block, root in zip((slice(0, 10), slice(20, 30)), L, strict=True):
+        change = rng.normal(size=(4, 4))
+        P = pseudo_inertia(theta[block])
+        size = np.linalg.eigvalsh(np.linalg.solve(root, np.linalg.solve(root, P).T))[0]
+        step[block] = size * from_pseudo_inertia(root @ (change + change.T) @ root.T)
+    step[10:20], step[30:] = rng.normal(size=10), rng.normal(size=EXTRA)
+    small = 1e-5
+    up, down = entropy.value(theta + small * step), entropy.value(theta - small * step)
+    slope = float(entropy.gradient(theta) @ step)
+    scale = float(np.linalg.norm(entropy.curvature_rows(theta) @ step))
+    assert abs((up - down) / (2.0 * small) - slope) <= DIFFERENCE * (abs(slope) + scale)
+    change = entropy.gradient(theta + small * step) - entropy.gradient(theta - small * step)
+    curvature = float(step @ entropy.hessian(theta) @ step)
+    assert change @ step / (2.0 * small) == pytest.approx(curvature, rel=1e-4)
+    assert curvature == pytest.approx(2.0 * scale**2, rel=1e-10)
+    assert not entropy.gradient(theta)[10:20].any()
+    assert not entropy.gradient(theta)[30:].any()
+
+
+@given(SEEDS)
+def test_the_pullback_is_its_second_order_expansion(seed: int):
+    entropy, P0, theta = make(seed, strength=2.0)
+    there = theta.copy()
+    there[:10], there[20:30] = from_pseudo_inertia(P0)
+    rng = np.random.default_rng(seed)
+    U = rng.normal(size=(2, 4, 4))
+    U = U + np.swapaxes(U, 1, 2)
+    L = np.linalg.cholesky(P0)
+    for size in (1e-2, 1e-3):
+        moved = there.copy()
+        moved[:10], moved[20:30] = from_pseudo_inertia(P0 + size * L @ U @ np.swapaxes(L, 1, 2))
+        quadratic = 2.0 * size**2 * float(np.sum(U**2))
+        assert np.sum((entropy.curvature_rows(there) @ (moved - there)) ** 2) == pytest.approx(
+            quadratic
+        )
+        # The remainder of x − log(1 + x) after x²/2, at eigenvalues up to this large.
+        largest = size * float(np.abs(np.linalg.eigvalsh(U)).max())
+        allowed = 2.0 / 3.0 * largest / (1.0 - largest) + FORMULA / size
+        assert abs(entropy.value(moved) - quadratic) <= allowed * quadratic
+
+
+@given(SEEDS)
+def test_the_divergence_is_the_same_in_every_frame(seed: int):
+    entropy, P0, theta = make(seed)
+    rng = np.random.default_rng(seed)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    shift = rng.normal(size=3)
+    believed = transform(from_pseudo_inertia(P0), rotation, shift)
+    bodies = transform(theta[:30].reshape(3, 10), rotation, shift)
+    moved = LogDetTerm.around([0, 2], believed, 1.0, len(theta))
+    assert moved.value(bodies) == pytest.approx(entropy.value(theta), rel=1e-6)
+
+
+@given(SEEDS, st.floats(0.1, 10.0), st.floats(-3.0, 3.0))
+def test_the_support_is_below_everywhere_and_tight_at_its_point(
+    seed: int, strength: float, exponent: float
+):
+    entropy, _, theta = make(seed, strength=strength)
+    rng = np.random.default_rng(seed)
+    root = 10.0**exponent * rng.normal(size=(2, 4, 4))
+    W = root @ np.swapaxes(root, 1, 2) + 10.0 ** (2.0 * exponent) * 1e-3 * np.eye(4)
+    points = [theta, make(seed + 1)[2], make(seed + 2)[2]]
+    constant, linear = entropy.support(W)
+    for point in points:
+        size = abs(constant) + float(np.abs(linear) @ np.abs(point))
+        assert entropy.value(point) >= constant + linear @ point - 1e-12 * size
+    constant, linear = entropy.support(entropy.multiplier(theta))
+    size = abs(constant) + float(np.abs(linear) @ np.abs(theta))
+    value = entropy.value(theta)
+    assert constant + linear @ theta == pytest.approx(value, rel=1e-9, abs=1e-9 * size)
+    assert np.allclose(linear, entropy.gradient(theta), rtol=1e-9, atol=1e-9 * np.abs(linear).max())
+
+
+def test_what_makes_no_sense_is_refused():
+    entropy, _, _ = make(0)
+    refuses(DataError, "W number 1", entropy.support, np.array([np.eye(4), -np.eye(4)]))
+    refuses(DataError, "shape", entropy.support, np.eye(4))
+    refuses(DataError, "strength", LogDetTerm, np.array([0]), np.eye(4)[None], 0.0, 20)
+    refuses(DataError, "shape", LogDetTerm, np.array([0, 1]), np.eye(4)[None], 1.0, 20)
+    refuses(DataError, "positive definite", LogDetTerm, np.array([0]), -np.eye(4)[None], 1.0, 20)
+
+
+# ---- The belief that links are nearly mirror images of each other.
+
+
+PAIR = MirrorPair(FIRST, LAST, reflection=REFLECTION)
+
+
+@given(st.integers(0, 2**31), st.floats(0.01, 1.0))
+def test_nats_of_a_difference(seed: int, within: float) -> None:
+    """By the definition, with matrices that the rows do not see."""
+    rng = np.random.default_rng(seed)
+    believed, bodies = random_links(rng, 2), random_links(rng, 2)
+    layout = Layout(ARM, FrictionModel.from_terms(("viscous",), ARM.joint_names))
+    theta = np.concatenate([bodies.ravel(), rng.normal(size=2)])
+    rows = Alike.of(PAIR, within, believed, layout).rows
+    H = REFLECTION
+    (A0, B0), (A, B) = pseudo_inertia(believed), pseudo_inertia(bodies)
+    L = np.linalg.cholesky((H @ A0 @ H.T + B0) / 2)
+    off = np.linalg.solve(L, np.linalg.solve(L, B - H @ A @ H.T).T)
+    wanted = float(np.sum(off**2)) / within**2
+    assert float(np.sum((rows @ theta) ** 2)) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_the_tighter_the_nearer() -> None:
+    off = []
+    for within in (10.0, 1.0, 0.1, 0.01):
+        prior = sdpid.Prior(bodies=BODIES, alike=PAIR, within=within)
+        theta = sdpid.solve_sdp(arm_problem(prior=prior)).theta
+        first, second = pseudo_inertia(theta[:20].reshape(2, 10))
+        off.append(float(np.linalg.norm(second - REFLECTION @ first @ REFLECTION)))
+    assert off == sorted(off, reverse=True)
+    assert off[-1] < 0.02 * off[0]
+
+
+def test_a_described_robot_pays_nothing() -> None:
+    robot = sdpid.load_robot("a1", root="free_flyer")
+    layout = Layout(robot, FrictionModel.from_terms((), robot.joint_names, first=robot.n_base))
+    found = [Alike.of(pair, 0.05, robot.prior, layout).rows for pair in mirror_pairs(robot)]
+    rows = np.vstack(found)
+    assert rows.shape == (60, layout.count)
+    assert float(np.abs(rows @ robot.prior.ravel()).max()) < 1e-9
+
+
+def test_what_a_prior_says_and_refuses() -> None:
+    pairs = (PAIR, MirrorPair(LAST, FIRST, reflection=REFLECTION))
+    prior = sdpid.Prior(alike=pairs, within=0.1)
+    assert prior == sdpid.Prior(alike=list(pairs), within=0.1)
+    assert hash(prior) == hash(sdpid.Prior(alike=pairs, within=0.1))
+    assert prior != sdpid.Prior(alike=pairs[:1], within=0.1)
+    assert prior != sdpid.Prior(alike=pairs, within=0.2)
+    problem = arm_problem(prior=sdpid.Prior(bodies=BODIES, alike=pairs))
+    assert any(
+        note.startswith("prior: mirror images of each other within 5 %: link_1 and link_2")
+        for note in problem.prior.notes
+    )
+    with pytest.raises(DataError, match=r"within is 0\.0; give a positive share"):
+        sdpid.Prior(alike=PAIR, within=0.0)
+    with pytest.raises(DataError, match="within is True; give a positive share"):
+        sdpid.Prior(alike=pairs, within=True)
+    refuses(DataError, "alike holds 'link_1' and 'link_2' twice", sdpid.Prior, alike=(PAIR, PAIR))
+    planes = [MirrorPair(*names, normal=(0, 1, 0)) for names in (("a", "b"), ("b", "a"))]
+    refuses(DataError, "alike holds 'b' and 'a' twice", sdpid.Prior, alike=planes)
+    refuses(DataError, "alike holds 'link_1'", sdpid.Prior, alike=("link_1",))
+    other = MirrorPair(FIRST, "tail", reflection=REFLECTION)
+    with pytest.raises(ModelError, match="no link 'tail'"):
+        arm_problem(prior=sdpid.Prior(bodies=BODIES, alike=other))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def stated() -> dict[str, Any]:
+    """A certificate of an estimate that believes in two pairs."""
+    pairs = (PAIR, MirrorPair(LAST, FIRST, reflection=REFLECTION))
+    problem = arm_problem(prior=sdpid.Prior(bodies=BODIES, alike=pairs, within=0.3))
+    return sdpid.certify(sdpid.solve_sdp(problem)).to_dict()
+
+
+def verified(data: dict[str, Any], folder: Path) -> Verification:
+    """Seal a certificate anew and check it."""
+    (folder / "c.json").write_text(json.dumps({**data, "sha256": digest(data)}))
+    return sdpid.verify(folder / "c.json")
+
+
+def edited(data: dict[str, Any], way: tuple[Any, ...], change: Callable[[Any], Any]) -> Any:
+    """Return a certificate with one number of its problem changed."""
+    data = copy.deepcopy(data)
+    place: Any = data["problem"]
+    for key in way[:-1]:
+        place = place[key]
+    place[way[-1]] = change(place[way[-1]])
+    return data
+
+
+def test_a_certificate_states_what_is_believed(stated: dict[str, Any], tmp_path: Path) -> None:
+    found = verified(stated, tmp_path)
+    assert found.passed, found.problems
+    words = "the last 20 of which believe links to be mirror images within 30 %: 'link_2' of"
+    assert any(words in text for text in found.statements)
+
+
+@pytest.mark.parametrize(
+    ("way", "change"),
+    [
+        (("alike", 0, "within"), lambda _: 0.31),
+        (("alike", 1, "inverse", 0, 0), lambda x: 1.001 * x),
+        (("alike", 0, "reflection", 0, 3), lambda x: x + 1e-3),
+        (("prior_matrix", -1, 12), lambda x: x + 1e-3),
+        (("prior_rhs", -1), lambda _: 1e-3),
+    ],
+)
+def test_beliefs_that_the_rows_do_not_have_are_rejected(
+    stated: dict[str, Any], tmp_path: Path, way: tuple[Any, ...], change: Callable[[Any], Any]
+) -> None:
+    found = verified(edited(stated, way, change), tmp_path)
+    assert not found.passed
+    assert any("are not belief" in text for text in found.problems), found.problems
+
+
+@pytest.mark.parametrize(
+    ("way", "value", "message"),
+    [
+        (("alike", 0, "first"), 1, "belief 1 is about one link"),
+        (("alike", 0, "reflection", 1, 1), 1.0, "the reflection of belief 1 is none"),
+        (("alike", 1, "within"), -0.3, "the share of belief 2 is not positive"),
+        (("alike", 1, "inverse", 0, 0), -1.0, "the inverse of belief 2 is not symmetric and"),
+    ],
+)
+def test_beliefs_that_make_no_sense_are_rejected(
+    stated: dict[str, Any], tmp_path: Path, way: tuple[Any, ...], value: float, message: str
+) -> None:
+    refuses(CertificateError, message, verified, edited(stated, way, lambda _: value), tmp_path)

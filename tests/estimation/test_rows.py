@@ -1,0 +1,536 @@
+"""Rows: whitened and compressed, in chunks, threads and pieces, as the same written out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid import Prior, Samples, build_problem, solve_sdp, solve_wls, validate
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.estimation.compression import rows as module
+from sdpid.estimation.compression import rows as rows_module
+from sdpid.estimation.compression import whitening
+from sdpid.estimation.compression.ahead import one_ahead
+from sdpid.estimation.compression.branches import Branches
+from sdpid.estimation.compression.covariance import (
+    WEIGHTINGS,
+    JointRows,
+    LaggedSums,
+    Weighting,
+    integrated_time,
+    masked_covariance,
+    power,
+    whitener,
+)
+from sdpid.estimation.compression.factor import Factor
+from sdpid.estimation.compression.rows import CHUNK, RowSource
+from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.model import regressor_kernel as kernels
+from sdpid.robot.model.base_parameters import structural_base
+from tests.helpers.arm import ARM
+from tests.helpers.data import make_samples, random_covariance, random_theta
+from tests.helpers.legged import NOISE, gait, quadruped
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
+from tests.helpers.strategies import SEEDS
+
+ARM3 = small_arm(3)
+
+# Products of the same numbers in another order, relative to the largest.
+ORDER = 1e-12
+
+
+def source(count: int, *, masked: bool = False, per_sample: bool = False, seed: int = 0) -> Any:
+    """Return rows, and a covariance for all or one a sample."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(ARM3, rng, ("coulomb", "viscous"))
+    samples = make_samples(ARM3, theta, rng, count=count, noise=0.1)
+    if masked:
+        samples = replace(samples, mask=rng.random(samples.effort.shape) < 0.7)
+    friction = FrictionModel.from_terms(("coulomb", "viscous"), ARM3.joint_names)
+    rows = RowSource(ARM3, friction, structural_base(ARM3, friction), samples)
+    sigma = random_covariance(rng, ARM3.n)
+    if per_sample:
+        sigma = np.stack([random_covariance(rng, ARM3.n) for _ in range(count)])
+    return rows, sigma
+
+
+def plain(rows: RowSource) -> Array:
+    """Return the base regressor from all columns."""
+    s = rows.samples
+    every = [
+        ARM3.regressor(s.position, s.velocity, s.acceleration),
+        rows.friction.columns(s.velocity, s.acceleration),
+    ]
+    return np.concatenate(every, axis=2)[:, :, rows.base.kept]
+
+
+def plainly_whitened(rows: RowSource, sigma: Array, exponent: float = -0.5) -> Array:
+    s = rows.samples
+    mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else s.mask
+    weight = whitener(sigma, mask, exponent)
+    return weight @ np.concatenate([plain(rows), s.effort[:, :, None]], axis=2)
+
+
+def near(found: Array, expected: Array) -> None:
+    scale = max(float(np.abs(expected).max()), 1e-300)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ORDER * scale)
+
+
+@pytest.fixture(params=[True, False], ids=["numba", "numpy"])
+def numba(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """With and without the compiled loops."""
+    if request.param:
+        pytest.importorskip("numba")
+        monkeypatch.setattr(kernels, "SMALL", 0)
+    else:
+        monkeypatch.setattr(kernels, "compiled", lambda: None)
+    return bool(request.param)
+
+
+@pytest.mark.usefixtures("numba")
+def test_only_the_kept_columns_are_written() -> None:
+    rows, _ = source(40)
+    near(rows.regressor(slice(None)), plain(rows))
+    near(rows.regressor(slice(3, 30, 4)), plain(rows)[3:30:4])
+    stacked = rows.rows(slice(5, 25))
+    near(stacked[:, :, :-1], plain(rows)[5:25])
+    np.testing.assert_array_equal(stacked[:, :, -1], rows.samples.effort[5:25])
+
+
+@pytest.mark.usefixtures("numba")
+def test_memory_is_used_again_whatever_was_in_it() -> None:
+    rows, _ = source(40)
+    memory = np.full((25, ARM3.n, rows.base.count + 1), np.nan)
+    found = rows.rows(slice(0, 20), memory)
+    assert np.shares_memory(found, memory)
+    np.testing.assert_array_equal(found, rows.rows(slice(0, 20)))
+
+
+def test_terms_across_joints_have_their_columns() -> None:
+    terms = ("coulomb", Coupling(ARM3.joint_names[1], ARM3.joint_names[2]), "offset")
+    friction = FrictionModel.from_terms(terms, ARM3.joint_names)
+    rows, _ = source(30)
+    rows = RowSource(ARM3, friction, structural_base(ARM3, friction), rows.samples)
+    near(rows.regressor(slice(None)), plain(rows))
+
+
+def test_chunks_have_the_bytes_they_should() -> None:
+    rows, _ = source(30)
+    sample = 8 * ARM3.n * (rows.base.count + 1)
+    assert module.CHUNK_BYTES - sample < rows.chunk_size * sample <= module.CHUNK_BYTES
+    parts = [part for part, *_ in rows.chunks(7)]
+    assert [(p.start, p.stop) for p in parts] == [(0, 7), (7, 14), (14, 21), (21, 28), (28, 30)]
+    assert len(list(rows.chunks())) == 1
+    assert CHUNK > 0
+
+
+def test_a_chunk_outlives_the_next() -> None:
+    rows, _ = source(30)
+    near(np.concatenate([W for _, W, _, _ in list(rows.chunks(8))]), plain(rows))
+
+
+def test_the_last_few_samples_are_computed_like_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.setattr(kernels, "SMALL", 20_000)
+    rows, _ = source(60)
+    whole = rows.regressor(slice(0, 60))
+    np.testing.assert_array_equal(rows.regressor(slice(58, 60)), whole[58:60])
+
+
+@pytest.mark.usefixtures("numba")
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("per_sample", [False, True])
+@pytest.mark.parametrize("exponent", [-0.5, -0.25, -1.0])
+def test_whitening(masked: bool, per_sample: bool, exponent: float) -> None:
+    rows, sigma = source(50, masked=masked, per_sample=per_sample)
+    expected = plainly_whitened(rows, sigma, exponent)
+    mask = rows.mask(slice(None))
+    near(whiten(rows.rows(slice(None)), sigma, mask, exponent), expected)
+    found = [x.copy() for _, x, _ in whitened_chunks(rows, sigma, exponent)]
+    near(np.concatenate(found), expected)
+    kept = [x for _, x, _ in whitened_chunks(rows, sigma, exponent, size=7, keep=True)]
+    assert [len(x) for x in kept] == [7] * 7 + [1]
+    near(np.concatenate(kept), expected)
+    assert not expected[~mask].any()
+    assert not np.concatenate(found)[~mask].any()
+
+
+@pytest.mark.parametrize("exponent", [-0.5, -1.0])
+def test_whitening_by_independent_joints(exponent: float) -> None:
+    rows, sigma = source(50)
+    sigma = np.diag(np.diagonal(sigma))
+    expected = plainly_whitened(rows, sigma, exponent)
+    near(np.concatenate([x.copy() for _, x, _ in whitened_chunks(rows, sigma, exponent, size=8)]),
+         expected)  # fmt: skip
+    W, effort = plain(rows), rows.samples.effort
+    before = W.copy()
+    near(whiten(np.dstack([W, effort]), sigma, rows.mask(slice(None)), exponent), expected)
+    np.testing.assert_array_equal(W, before)
+
+
+@given(SEEDS, st.integers(1, 20), st.integers(1, 12))
+def test_each_sample_has_its_pattern(seed: int, count: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    mask = rng.random((count, n)) < 0.6
+    sigma = random_covariance(rng, n)
+    powers, index = weights(sigma, mask)
+    near(powers[index], whitener(sigma, mask, -0.5))
+    assert len(powers) <= len(np.unique(mask, axis=0))
+
+
+@pytest.mark.usefixtures("numba")
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("per_sample", [False, True])
+@pytest.mark.parametrize("size", [1, 9_000, 1 << 21])
+def test_compression_takes_every_row_once(
+    masked: bool, per_sample: bool, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "CHUNK_BYTES", size)
+    rows, sigma = source(700 if size > 1 else 30, masked=masked, per_sample=per_sample)
+    triangle, used = compress(rows, sigma)
+    flat = plainly_whitened(rows, sigma).reshape(-1, rows.base.count + 1)
+    near(triangle.R.T @ triangle.R, flat.T @ flat)
+    assert used == int(rows.mask(slice(None)).sum())
+
+
+def test_the_same_rows_give_the_same_bits() -> None:
+    rows, sigma = source(300, masked=True)
+    one, other = (compress(rows, sigma)[0].R for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_the_rows_of_other_samples() -> None:
+    rows, _ = source(30)
+    other, _ = source(20, seed=1)
+    assert rows.on(other.samples).n_samples == 20
+    near(rows.on(other.samples).regressor(slice(None)), plain(other))
+
+
+# ---- What is computed ahead is what would be computed in turn.
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 2, 7])
+def test_results_come_in_order_and_memory_of_one_turn_lasts_until_the_next(
+    ahead: bool, count: int
+) -> None:
+    memory = np.zeros(2, dtype=int)
+
+    def write(item: int, turn: int) -> Array:
+        memory[turn] = item
+        return memory[turn : turn + 1]
+
+    assert [int(found[0]) for found in one_ahead(write, range(count), ahead=ahead)] == [
+        *range(count)
+    ]
+
+
+def test_an_error_arrives_where_its_result_would() -> None:
+    found = one_ahead(lambda i, _: 1 // (i - 2), range(5))
+    assert [next(found), next(found)] == [-1, -1]
+    with pytest.raises(ZeroDivisionError):
+        next(found)
+
+
+@pytest.mark.parametrize("flying", [False, True])
+def test_threads_change_no_bit_and_branches_no_product(
+    monkeypatch: pytest.MonkeyPatch, flying: bool
+) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.setattr(kernels, "WORTH", 0)
+    monkeypatch.setattr(rows_module, "CHUNK_BYTES", 1 << 19)
+    robot, samples = quadruped(), gait(240).samples
+    if flying:
+        samples = replace(samples, contacts=None)
+    friction = FrictionModel.from_terms(("viscous",), robot.joint_names, first=robot.n_base)
+    rows = RowSource(robot, friction, structural_base(robot, friction), samples)
+    assert len(rows.branches.columns) == 4
+    sigma = np.diag(NOISE**2)
+    found = []
+    for count in (1, 2):
+        monkeypatch.setattr(whitening, "threads", lambda count=count: count)
+        found.append(whitening.compress(rows, sigma))
+    (one, used), (two, again) = found
+    np.testing.assert_array_equal(one.R, two.R)
+    assert used == again
+    chunks = whitening.whitened_chunks(rows, sigma, keep=True)
+    whole = np.concatenate([block.reshape(-1, one.columns) for _, block, _ in chunks])
+    scale = np.linalg.norm(whole, axis=0) + 1e-300
+    R, W = one.R / scale, whole / scale
+    np.testing.assert_allclose(R.T @ R, W.T @ W, atol=1e-13)
+
+
+# ---- Rows of branches have the columns that they are said to have, and no others.
+
+
+@pytest.mark.parametrize(
+    "terms", [(), ("coulomb", "viscous"), (sdpid.friction.AsymmetricCoulomb(), "offset")]
+)
+def test_rows_of_a_branch_are_zero_outside_its_columns(terms: tuple[object, ...]) -> None:
+    robot, samples = quadruped(), gait(20).samples
+    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)  # type: ignore[arg-type]
+    rows = RowSource(robot, friction, structural_base(robot, friction), samples)
+    assert len(rows.branches.columns) == 4
+    np.testing.assert_array_equal(
+        rows.branches.of_row, [-1] * 6 + [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+    )
+    block = rows.rows(slice(None))
+    for i, own in enumerate(rows.branches.of_row):
+        if own >= 0:
+            others = np.delete(block[:, i], rows.branches.columns[own], axis=1)
+            assert not others.any()
+
+
+def test_rows_that_have_most_columns_are_of_no_branch() -> None:
+    found = Branches.of(np.tri(4, dtype=bool))
+    assert found.of_row.tolist() == [0, 0, -1, -1]
+    assert [own.tolist() for own in found.columns] == [[0, 1]]
+
+
+# ---- Residual weighting, and covariances of masked joints.
+
+
+COUNT = 4000
+SPREAD = np.array([0.5, 2.0, 1.0])
+
+# A share of the overall effort is added to every variance, as a floor (see
+# `sdpid.estimation.compression.covariance`).
+EFFORT_SHARE = 0.01
+
+
+def autoregressive(rng: np.random.Generator, count: int, n: int, memory: float) -> Array:
+    """Return unit-variance AR(1) noise whose neighbors correlate by `memory`."""
+    noise = rng.standard_normal((count, n))
+    for k in range(1, count):
+        noise[k] = memory * noise[k - 1] + np.sqrt(1.0 - memory**2) * noise[k]
+    return noise
+
+
+def noisy(seed: int, memory: float, **fields: object) -> tuple[Samples, Array]:
+    """Return samples with colored noise, and the variances that the weighting is to find."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(ARM3, rng)
+    noise = SPREAD * autoregressive(rng, COUNT, 3, memory)
+    samples = make_samples(ARM3, theta, rng, count=COUNT, noise=noise, **fields)  # type: ignore[arg-type]
+    floor = EFFORT_SHARE**2 * float(np.mean(np.square(samples.effort)))
+    return samples, SPREAD**2 + floor
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_residual_weighting_finds_variances_and_correlation_time(memory: float) -> None:
+    samples, variance = noisy(0, memory)
+    sigma = build_problem(ARM3, samples, weighting="residual").sigma
+    assert sigma.shape == (3, 3)
+    np.testing.assert_array_equal(sigma, np.diag(np.diag(sigma)))
+    diagonal = np.diag(sigma)
+    # The variance of a sample variance: some 1 + 2·m²/(1 − m²) per sample are independent.
+    np.testing.assert_allclose(diagonal / diagonal[0], variance / variance[0], rtol=0.25)
+    # 1 + 2·Σ m^k of an autoregressive process; cutting the sum at the first sign change, where
+    # noise takes over, leaves some tens of percent.
+    time = (1.0 + memory) / (1.0 - memory)
+    np.testing.assert_allclose(diagonal / variance, time, rtol=0.35)
+
+
+def test_white_residuals_count_in_full() -> None:
+    samples, variance = noisy(1, 0.0)
+    sigma = build_problem(ARM3, samples, weighting="residual").sigma
+    np.testing.assert_allclose(np.diag(sigma), variance, rtol=0.15)
+
+
+def test_residual_weighting_looks_at_unmasked_rows_only() -> None:
+    samples, variance = noisy(2, 0.0)
+    rng = np.random.default_rng(3)
+    mask = rng.random((COUNT, 3)) < 0.6
+    effort = np.where(mask, samples.effort, 1e3)
+    spoiled = replace(samples, effort=effort, mask=mask)
+    sigma = build_problem(ARM3, spoiled, weighting="residual").sigma
+    np.testing.assert_allclose(np.diag(sigma), variance, rtol=0.2)
+
+
+def test_a_quiet_joint_gets_more_say_than_under_equal_weights() -> None:
+    """With the right variances the spread of the estimates goes down."""
+    rng = np.random.default_rng(4)
+    theta = random_theta(ARM3, rng)
+    loud = np.array([0.05, 5.0, 0.05])
+    errors: dict[str, list[float]] = {"gls": [], "residual": []}
+    for _ in range(10):
+        noise = loud * rng.standard_normal((300, 3))
+        samples = make_samples(ARM3, theta, rng, count=300, noise=noise)
+        for weighting, found in errors.items():
+            problem = build_problem(ARM3, samples, weighting=weighting)  # type: ignore[arg-type]
+            error = np.abs(solve_wls(problem).base - problem.base_of(theta))
+            # The last link's own parameters, which act on its quiet joint too.
+            last = [i for i, name in enumerate(problem.base.names) if name in ("zz3", "mx3", "my3")]
+            assert len(last) == 3
+            found.append(float(error[last].max()))
+    assert np.mean(errors["residual"]) < 0.7 * np.mean(errors["gls"])
+
+
+@given(SEEDS)
+def test_powers(seed: int) -> None:
+    covariance = random_covariance(np.random.default_rng(seed), 3, 4)
+    root = power(covariance, -0.5)
+    np.testing.assert_allclose(root @ covariance @ root, np.tile(np.eye(3), (4, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(power(covariance, -1.0), np.linalg.inv(covariance), atol=1e-9)
+
+
+@given(SEEDS)
+def test_whitening_masked_rows_is_whitening_the_rest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    covariance = random_covariance(rng, 4)
+    mask = rng.random((6, 4)) < 0.6
+    each = whitener(np.tile(covariance, (6, 1, 1)), mask, -1.0)
+    np.testing.assert_allclose(whitener(covariance, mask, -1.0), each, atol=1e-10)
+    for weight, used in zip(each, mask, strict=True):
+        index = np.flatnonzero(used)
+        assert not weight[~used].any()
+        assert not weight[:, ~used].any()
+        inverse = np.linalg.inv(covariance[np.ix_(index, index)])
+        np.testing.assert_allclose(weight[np.ix_(index, index)], inverse, atol=1e-9)
+
+
+@given(SEEDS)
+def test_masked_covariances_are_no_worse_conditioned(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    covariance = 1e-13 * random_covariance(rng, 4)
+    mask = rng.random((6, 4)) < 0.6
+    values = np.linalg.eigvalsh(masked_covariance(covariance, mask))
+    whole = np.linalg.eigvalsh(covariance)
+    worst = (values[:, -1] / values[:, 0]).max()
+    assert worst <= whole[-1] / whole[0] * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("exponent", [-0.5, -1.0])
+def test_singular_covariances_are_refused(exponent: float) -> None:
+    refuses(DataError, "singular", power, np.diag([1.0, 0.0]), exponent)
+    refuses(DataError, "singular", power, np.zeros((2, 2)), exponent)
+    with pytest.raises(DataError, match="1 of 3 singular"):
+        power(np.stack([np.eye(2), np.diag([1.0, -1.0]), np.eye(2)]), exponent)
+
+
+@pytest.mark.parametrize("believed", [False, True])
+def test_a_joint_with_next_to_no_effort_is_predicted_better_than_by_a_constant(
+    believed: bool,
+) -> None:
+    rng = np.random.default_rng(0)
+    theta = random_theta(ARM3, rng)
+    # The last link and its joint's friction: efforts 1e4 times smaller than the others'.
+    theta[20:30] *= 1e-4
+    theta[[32, 35]] *= 1e-4
+    samples = make_samples(ARM3, theta, rng, count=1000)
+    spread = samples.effort.std(axis=0)
+    assert spread[2] < 1e-3 * spread[:2].min()
+    # Friction that grows with the load, which the model lacks: 5 % of every joint's effort.
+    more = 0.05 * np.abs(samples.effort) * np.sign(samples.velocity)
+    samples = replace(samples, effort=samples.effort + more)
+    prior = Prior(bodies=1.3 * theta[:30].reshape(3, 10)) if believed else None
+    problem = build_problem(ARM3, samples, weighting="residual", prior=prior)
+    assert np.min(validate(solve_sdp(problem)).r2) > 0.9
+
+
+def test_efforts_that_are_all_zero_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    samples = make_samples(ARM3, random_theta(ARM3, rng), rng, count=60)
+    samples = replace(samples, effort=np.zeros((60, 3)))
+    with pytest.raises(DataError, match=r"efforts that count are zero.*effort was recorded"):
+        build_problem(ARM3, samples, weighting="residual")
+
+
+def test_the_integrated_time_is_that_of_geyers_sequence() -> None:
+    lags = np.arange(400.0)
+    for memory in (0.0, 0.3, 0.9):
+        expected = (1.0 + memory) / (1.0 - memory)
+        assert integrated_time(memory**lags) == pytest.approx(expected, rel=1e-12)
+    # One negative value does not end the sum, a pair does.
+    found = integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9]))
+    assert found == pytest.approx(1.8)
+    assert integrated_time(np.array([1.0])) == 1.0
+    assert integrated_time(np.array([1.0, -0.9])) == 1.0
+
+
+# ---- Several recordings in one problem: pieces add up, and no pair of samples reaches across.
+
+
+THETA = random_theta(ARM, np.random.default_rng(0))
+
+
+def pieces(seed: int, counts: tuple[int, ...] = (90, 40, 70), **fields: Any) -> list[Samples]:
+    rng = np.random.default_rng(seed)
+    return [make_samples(ARM, THETA, rng, count=k, noise=0.1, **fields) for k in counts]
+
+
+class Together(RowSource):
+    """Rows that are looked at without regard to their pieces."""
+
+    def map(self, function: Callable[..., Any], *args: object, sigma: Any = None) -> list[Any]:
+        """Return what a function says of all rows."""
+        return [function(self, *(() if sigma is None else (sigma,)), *args)]
+
+
+def same(found: Array, expected: Array) -> None:
+    scale = float(np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=ORDER * scale)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_sequence_of_samples_is_one_problem(weighting: Weighting, masked: bool) -> None:
+    rng = np.random.default_rng(1)
+    made = [
+        replace(p, covariance=np.stack([random_covariance(rng, 2) for _ in p.effort]))
+        for p in pieces(1)
+    ]
+    if masked:
+        made = [replace(p, mask=rng.random(p.effort.shape) < 0.8) for p in made]
+    together = build_problem(ARM, made, weighting=weighting)
+    assert together.samples.starts == (0, 90, 130)
+    assert together.n_rows == sum(p.n_rows for p in made)
+    whole = together.rows
+    once = Factor.of(Together(whole.robot, whole.friction, whole.base, whole.samples), weighting)
+    same(once.sigma, together.sigma)
+    same(once.A.T @ once.A, together.A.T @ together.A)
+    same(once.A.T @ once.rhs, together.A.T @ together.rhs)
+    same(np.array(once.floor), np.array(together.floor))
+    assert once.used == together.n_rows
+
+
+@given(SEEDS, st.lists(st.integers(1, 60), min_size=1, max_size=4))
+def test_lagged_pairs_stay_inside_their_piece(seed: int, counts: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum([0, *counts])
+    parts = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    signal, mask = rng.standard_normal((ends[-1], 2)), rng.random((ends[-1], 2)) < 0.7
+    found = LaggedSums.of(signal, mask, parts)
+    products, pairs = np.zeros((2, 2, max(counts)))
+    for part in parts:
+        for j in range(2):
+            x, m = signal[part, j] * mask[part, j], mask[part, j].astype(float)
+            for lag in range(len(x)):
+                products[j, lag] += x[: len(x) - lag] @ x[lag:]
+                pairs[j, lag] += m[: len(m) - lag] @ m[lag:]
+    np.testing.assert_allclose(found.products, products, atol=1e-12 * ends[-1])
+    np.testing.assert_array_equal(found.pairs, pairs)
+    alone = [LaggedSums.of(signal[p], mask[p], [slice(0, p.stop - p.start)]) for p in parts]
+    merged = LaggedSums.merged(alone)
+    np.testing.assert_allclose(merged.products, found.products, atol=1e-12 * ends[-1])
+    np.testing.assert_array_equal(merged.pairs, found.pairs)
+
+
+def test_the_mean_residual_needs_no_rows() -> None:
+    rows = build_problem(ARM, pieces(3)).rows
+    base = np.random.default_rng(4).standard_normal(rows.base.count)
+    expected = np.mean(rows.samples.effort - rows.regressor(slice(None)) @ base, axis=0)
+    found = JointRows.of(rows).mean_residual(base)
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
