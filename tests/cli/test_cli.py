@@ -25,6 +25,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.bags import write_bag
+from tests.helpers.refusals import refuses
 
 ROBOT = "denso_vp6242"
 
@@ -770,8 +771,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
         assert done.returncode == 2
         assert len(done.stderr.splitlines()) == 1
         assert "no regular file" in done.stderr
-    with pytest.raises(ModelError, match=r"arm\.urdf: it is no regular file"):
-        load_robot(robot)
+    refuses(ModelError, r"arm\.urdf: it is no regular file", load_robot, robot)
 
 
 @pytest.fixture(scope="module")

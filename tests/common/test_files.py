@@ -16,6 +16,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.description.xml import read_description
+from tests.helpers.refusals import refuses
 
 
 def test_a_file_has_the_digest_of_its_bytes(tmp_path: Path) -> None:
@@ -63,10 +64,8 @@ def test_files_are_read_up_to_a_size_and_devices_not_at_all(
             (tmp_path / name).mkdir()
             (tmp_path / name / "true_parameters.csv").symlink_to(tmp_path / f"{name}.json")
         endless, large = tmp_path / "endless", tmp_path / "large"
-    with pytest.raises(error, match="no regular file"):
-        read(endless)
-    with pytest.raises(error, match=r"has more than .* bytes, which are read at most"):
-        read(large)
+    refuses(error, "no regular file", read, endless)
+    refuses(error, r"has more than .* bytes, which are read at most", read, large)
 
 
 def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from sdpid._common.sandbox import memory_limit, run_in_sandbox
 from sdpid.errors import DataError, ModelError
 from tests.helpers import sandboxed
+from tests.helpers.refusals import refuses
 
 
 def run(function: Any, *arguments: Any, **how: Any) -> Any:
@@ -47,20 +48,16 @@ def test_plain_values_and_arrays_come_back(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_what_goes_wrong_is_one_error(function: Any, words: str) -> None:
-    with pytest.raises(DataError, match=words):
-        run(function)
-    with pytest.raises(ModelError, match=words):
-        run(function, error=ModelError)
+    refuses(DataError, words, run, function)
+    refuses(ModelError, words, run, function, error=ModelError)
 
 
 def test_errors_of_ours_keep_class_and_message() -> None:
-    with pytest.raises(ModelError, match=r"^arm.xml: two\nlines$"):
-        run(sandboxed.refuse, "arm.xml: two\nlines")
+    refuses(ModelError, r"^arm.xml: two\nlines$", run, sandboxed.refuse, "arm.xml: two\nlines")
 
 
 def test_time_is_limited() -> None:
-    with pytest.raises(DataError, match="it took more than 2 s"):
-        run(sandboxed.hang, timeout=2.0)
+    refuses(DataError, "it took more than 2 s", run, sandboxed.hang, timeout=2.0)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit memory")

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.refusals import refuses
+
 EVIDENCE = Path(__file__).resolve().parents[2] / "docs" / "evidence"
 
 STUDIES = """
@@ -180,8 +182,7 @@ def test_numbers_of_a_table(folder: Path) -> None:
         ("first/arms", "want study/table"),
     )
     for reference, message in wrong:
-        with pytest.raises(EvidenceError, match=message):
-            measured(studies, reference)
+        refuses(EvidenceError, message, measured, studies, reference)
 
 
 def test_tables_of_markdown(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from sdpid.errors import DataError
 from sdpid.plots import plot_forest, plot_friction_curve, plot_mass_matrix
 from sdpid.plots.figures import envelope, figure_of, new_figure
 from sdpid.plots.in_pages import svg_text
+from tests.helpers.refusals import refuses
 
 pytest.importorskip("matplotlib")
 
@@ -72,10 +73,8 @@ def test_a_forest_has_a_scale_for_each_row() -> None:
     assert arrow.get_xdata()[0] < -1.0
     own = new_figure(4.0, 3.0).subplots()
     assert plot_forest(names[:1], {"this estimate": [1.0]}, axes=own) is own
-    with pytest.raises(DataError, match="there are 3 names"):
-        plot_forest(names, {"this estimate": [1.0]})
-    with pytest.raises(DataError, match="at least one"):
-        plot_forest((), {"this estimate": []})
+    refuses(DataError, "there are 3 names", plot_forest, names, {"this estimate": [1.0]})
+    refuses(DataError, "at least one", plot_forest, (), {"this estimate": []})
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e4])
@@ -90,10 +89,8 @@ def test_eigenvalues_of_any_size_are_seen_beside_each_other(factor: float) -> No
     place = axis.transData.transform([[0.0, x] for x in (low, 0.0, 0.003, high)])[:, 1]
     assert (place[2] - place[1]) > 0.1 * (place[3] - place[0])
     assert figure_of(axis).get_size_inches()[0] < 4.0
-    with pytest.raises(DataError, match="nothing to draw"):
-        plot_mass_matrix(t, {})
-    with pytest.raises(DataError, match="50"):
-        plot_mass_matrix(t, {"a": own[1:]})
+    refuses(DataError, "nothing to draw", plot_mass_matrix, t, {})
+    refuses(DataError, "50", plot_mass_matrix, t, {"a": own[1:]})
 
 
 def test_an_envelope_holds_its_band() -> None:

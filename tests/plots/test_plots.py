@@ -36,6 +36,7 @@ from sdpid.plots import (
 from sdpid.plots.figures import POINTS, decimate, figure_of, new_figure, runs, spans, stretch
 from sdpid.plots.in_pages import image_source, svg_text
 from sdpid.plots.joints import COLUMNS, detail
+from tests.helpers.refusals import refuses
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")
 
@@ -162,8 +163,7 @@ def test_figures_are_drawn_into_given_axes(kind: str) -> None:
 
 def test_too_few_axes_are_refused() -> None:
     axes = new_figure(9.0, 9.0).subplots(2, 2).ravel()
-    with pytest.raises(DataError, match="3 axes were given to draw in, 4 are needed"):
-        reconstruction(axes=axes[:3])
+    refuses(DataError, "3 axes were given to draw in, 4 are needed", reconstruction, axes=axes[:3])
     with pytest.raises(DataError, match="1 axes were given to draw in, 2 are needed"):
         plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=axes[0])
 
@@ -189,10 +189,8 @@ def test_pyplot_is_not_touched() -> None:
 
 def test_unknown_format_and_missing_folder(tmp_path: Path) -> None:
     figure = convergence()
-    with pytest.raises(ExportError, match=r"'\.bmp'"):
-        save_figure(figure, tmp_path / "a.bmp")
-    with pytest.raises(ExportError, match="cannot write"):
-        save_figure(figure, tmp_path / "no" / "a.png")
+    refuses(ExportError, r"'\.bmp'", save_figure, figure, tmp_path / "a.bmp")
+    refuses(ExportError, "cannot write", save_figure, figure, tmp_path / "no" / "a.png")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -301,8 +299,7 @@ def test_convergence_over_iterations_with_failures() -> None:
     labels = [text.get_text() for text in axis.get_legend().get_texts()]
     assert "failed, nothing to draw (3)" in labels
     assert any(label.startswith("proven lower bound") for label in labels)
-    with pytest.raises(DataError, match="against is 'hours'"):
-        convergence(against="hours")
+    refuses(DataError, "against is 'hours'", convergence, against="hours")
 
 
 def test_steps_far_outside_leave_the_picture() -> None:
@@ -318,29 +315,22 @@ def test_convergence_of_exact_data() -> None:
 
 def test_bad_input_is_named() -> None:
     time = np.arange(5.0)
-    with pytest.raises(DataError, match="the same names"):
-        plot_signals(time, {"position": time}, {"torque": time})
+    refuses(DataError, "the same names", plot_signals, time, {"position": time}, {"torque": time})
     with pytest.raises(DataError, match="position has 3 rows"):
         plot_signals(time, {"position": time}, {"position": time[:3]})
     with pytest.raises(DataError, match="window 9 to 10 s"):
         plot_signals(time, {"position": time}, {"position": time}, window=(9.0, 10.0))
     y = np.ones((5, 2))
-    with pytest.raises(DataError, match="predicted has 4 rows"):
-        plot_reconstruction(time, y, y[:4], ["a", "b"])
-    with pytest.raises(DataError, match="joint_names has 1"):
-        plot_reconstruction(time, y, y, ["a"])
+    refuses(DataError, "predicted has 4 rows", plot_reconstruction, time, y, y[:4], ["a", "b"])
+    refuses(DataError, "joint_names has 1", plot_reconstruction, time, y, y, ["a"])
     with pytest.raises(DataError, match="must agree"):
         plot_reconstruction(time, y, y, ["a", "b"], mask=np.ones((5, 1), dtype=bool))
-    with pytest.raises(DataError, match="rmse has 1"):
-        plot_reconstruction(time, y, y, ["a", "b"], [1.0])
-    with pytest.raises(DataError, match="nothing to draw"):
-        plot_convergence([], 1.0)
-    with pytest.raises(DataError, match="nothing to draw"):
-        plot_parameters([], [], {})
+    refuses(DataError, "rmse has 1", plot_reconstruction, time, y, y, ["a", "b"], [1.0])
+    refuses(DataError, "nothing to draw", plot_convergence, [], 1.0)
+    refuses(DataError, "nothing to draw", plot_parameters, [], [], {})
     with pytest.raises(DataError, match="2 joints with"):
         plot_motion(time, {"a": [("x", time, None, None)], "b": []})
-    with pytest.raises(DataError, match="SDP has 2 entries"):
-        plot_parameters(["a"], ["kg"], {"SDP": [1.0, 2.0]})
+    refuses(DataError, "SDP has 2 entries", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]})
 
 
 @pytest.mark.parametrize("make", [reconstruction, long_reconstruction])

@@ -7,6 +7,7 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 LINKS = 20
@@ -38,5 +39,4 @@ def test_rotors_and_gravity_stay_too() -> None:
 
 def test_an_estimate_without_links_is_refused() -> None:
     result = sdpid.identify(arm(), recorded(1), intervals=False)
-    with pytest.raises(DataError, match="no standard parameters"):
-        sdpid.adapt(result.wls, recorded(2))
+    refuses(DataError, "no standard parameters", sdpid.adapt, result.wls, recorded(2))

@@ -23,6 +23,7 @@ from sdpid.workflow.certify_parameters import certify_parameters
 from sdpid.workflow.given_parameters import GivenParameters, read_given
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.data import make_samples, random_theta
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
 # Costs of two programs with the same optimum agree to this.
@@ -223,10 +224,8 @@ def test_descriptions_must_have_the_same_joints(folder: Path) -> None:
     links = [read.values[name] for name in robot.parameter_names]
     assert np.array_equal(links, robot.prior.ravel())
     (folder / "moved.urdf").write_text(ARM_URDF.replace('xyz="0.4 0 0"', 'xyz="0.5 0 0"'))
-    with pytest.raises(ModelError, match="joint b is elsewhere"):
-        read_given(folder / "moved.urdf", robot)
-    with pytest.raises(ModelError, match="same robot"):
-        read_given(folder / "arm.urdf", small_arm(3))
+    refuses(ModelError, "joint b is elsewhere", read_given, folder / "moved.urdf", robot)
+    refuses(ModelError, "same robot", read_given, folder / "arm.urdf", small_arm(3))
 
 
 def test_command(folder: Path) -> None:

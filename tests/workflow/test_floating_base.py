@@ -22,6 +22,7 @@ from sdpid.output.report.sections.gait import values
 from sdpid.verifier.reading import digest
 from sdpid.workflow.result import Identification
 from tests.experiment.processing.floating.crawl import crawl
+from tests.helpers.refusals import refuses
 
 TERMS = ("viscous",)
 
@@ -143,8 +144,7 @@ def test_a_robot_that_is_fixed_is_refused() -> None:
 )
 def test_what_knows_fixed_robots_only_says_how_to_load_one(call: Any, what: str) -> None:
     told = f"^{what}: 'solo' has a floating base.*load its URDF without root='free_flyer'"
-    with pytest.raises(ModelError, match=told):
-        call(identified(), data())
+    refuses(ModelError, told, call, identified(), data())
 
 
 def test_a_robot_that_hangs_is_a_fixed_one(tmp_path: Path) -> None:
@@ -218,5 +218,4 @@ def test_other_contacts_break_the_chain(edit: Any, link: str, tmp_path: Path) ->
     wrong = {each.name for each in found.links if each.state == "not proven"}
     assert link in wrong, found.links
     sealed_again(tmp_path, _scale)
-    with pytest.raises(CertificateError, match="force_scale"):
-        check_log(tmp_path, data())
+    refuses(CertificateError, "force_scale", check_log, tmp_path, data())

@@ -11,6 +11,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError
 from sdpid.workflow.formulate import formulate
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 
@@ -65,19 +66,15 @@ def test_arguments_of_another_kind_are_refused_by_name(
     log: sdpid.Recording, name: str, value: Any
 ) -> None:
     arguments: dict[str, Any] = {"log": log, name: value}
-    with pytest.raises(DataError, match=f"^{name}: is "):
-        sdpid.identify(arm(), **arguments)
+    refuses(DataError, f"^{name}: is ", sdpid.identify, arm(), **arguments)
 
 
 def test_process_takes_recordings_only() -> None:
     given: Any = "base.csv"
-    with pytest.raises(DataError, match=r"log: is 'base.csv'.*read_recording"):
-        sdpid.process(given)
+    refuses(DataError, r"log: is 'base.csv'.*read_recording", sdpid.process, given)
 
 
 def test_seeds_are_checked() -> None:
     robot = sdpid.load_robot("denso_vp6242")
-    with pytest.raises(DataError, match="seed: is -1"):
-        sdpid.simulate(robot, seed=-1)
-    with pytest.raises(DataError, match="seed: is -1"):
-        sdpid.paper_excitation("denso_vp6242", -1)
+    refuses(DataError, "seed: is -1", sdpid.simulate, robot, seed=-1)
+    refuses(DataError, "seed: is -1", sdpid.paper_excitation, "denso_vp6242", -1)

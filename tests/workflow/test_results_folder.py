@@ -27,6 +27,7 @@ from sdpid.plots.figures import save_figure
 from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.result import Identification
 from sdpid.workflow.results_folder import NAMES, require_writable
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 # Events of Python's audit that change a disk. "open" counts where it is for writing.
@@ -236,8 +237,7 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
-        with pytest.raises(sdpid.errors.ExportError, match="too large"):
-            result.save(tmp_path / "out")
+        refuses(sdpid.errors.ExportError, "too large", result.save, tmp_path / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert contents(tmp_path / "out") == before
@@ -246,8 +246,7 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
 @pytest.mark.parametrize("name", ["report.html", "training.png", "result.json"])
 def test_a_folder_in_the_place_of_a_file(result: Identification, tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
-    with pytest.raises(sdpid.errors.ExportError, match=f"{name}: it is a folder"):
-        result.save(tmp_path)
+    refuses(sdpid.errors.ExportError, f"{name}: it is a folder", result.save, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -381,8 +380,7 @@ def test_files_get_the_permissions_of_any_new_file(
 def test_what_no_file_can_replace(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path, words in ((tmp_path, "a folder"), (tmp_path / "pipe", "no regular file")):
-        with pytest.raises(sdpid.errors.ExportError, match=words):
-            _files.atomic_write_text(path, "")
+        refuses(sdpid.errors.ExportError, words, _files.atomic_write_text, path, "")
     with pytest.raises(sdpid.errors.ExportError, match="No such file"):
         _files.atomic_write_text(tmp_path / "no" / "file", "")
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

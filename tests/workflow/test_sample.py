@@ -15,6 +15,7 @@ from sdpid.estimation.problem import build_problem
 from sdpid.workflow.result import Identification
 from sdpid.workflow.sample import ParameterSamples
 from tests.helpers.identified import ARM, arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 
 COUNT = 20
 
@@ -89,14 +90,12 @@ def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_pa
     ],
 )
 def test_numbers_that_are_none(result: Identification, arguments: Any, words: str) -> None:
-    with pytest.raises(DataError, match=words):
-        sdpid.sample_parameters(result, *arguments)
+    refuses(DataError, words, sdpid.sample_parameters, result, *arguments)
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -1, 2, float("nan"), True, "half", None])
 def test_shares_that_are_none(samples: ParameterSamples, probability: Any, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="give a probability between 0 and 1"):
-        samples.ranges(probability)
+    refuses(DataError, "give a probability between 0 and 1", samples.ranges, probability)
     with pytest.raises(DataError, match="give a probability between 0 and 1"):
         samples.save(tmp_path, probability=probability)
 

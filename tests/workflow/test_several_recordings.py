@@ -25,6 +25,7 @@ from sdpid.plots.figures import TimeLine
 from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 
@@ -88,8 +89,7 @@ def test_settings_may_be_changed_one_by_one(logs: list[sdpid.Recording]) -> None
 
 
 def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
-    with pytest.raises(sdpid.errors.DataError, match="at least one"):
-        sdpid.identify(arm(), [])
+    refuses(sdpid.errors.DataError, "at least one", sdpid.identify, arm(), [])
     periodic = recorded(4, seconds=20.0, period=10.0)
     with pytest.raises(sdpid.errors.DataError, match=r"recording 2 of 2 has a period.*period=None"):
         sdpid.identify(arm(), [logs[0], periodic])
@@ -97,8 +97,7 @@ def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
     other = sdpid.Recording(
         time=other.time, position=other.position[:, :1], effort=other.effort[:, :1]
     )
-    with pytest.raises(sdpid.errors.DataError, match="1 joints"):
-        sdpid.identify(arm(), [logs[0], other])
+    refuses(sdpid.errors.DataError, "1 joints", sdpid.identify, arm(), [logs[0], other])
 
 
 def test_intervals_come_by_default_and_are_written(result: Identification, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 from tests.common.test_progress import Terminal
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 # What the records' own descriptions report for an unconstrained fit with the same friction: with
@@ -208,8 +209,7 @@ def short(log: sdpid.Recording, **changes: object) -> sdpid.Recording:
 def test_names_that_do_not_match_are_refused(
     log: sdpid.Recording, denso: RobotModel, names: tuple[str, ...], message: str
 ) -> None:
-    with pytest.raises(sdpid.errors.DataError, match=message):
-        sdpid.identify(denso, short(log, joint_names=names))
+    refuses(sdpid.errors.DataError, message, sdpid.identify, denso, short(log, joint_names=names))
 
 
 def test_degrees_are_refused(log: sdpid.Recording, denso: RobotModel) -> None:
@@ -218,8 +218,7 @@ def test_degrees_are_refused(log: sdpid.Recording, denso: RobotModel) -> None:
 
 
 def test_another_number_of_joints_is_refused(log: sdpid.Recording) -> None:
-    with pytest.raises(sdpid.errors.DataError, match=r"6 joints.*has 8"):
-        sdpid.identify("panda", short(log))
+    refuses(sdpid.errors.DataError, r"6 joints.*has 8", sdpid.identify, "panda", short(log))
 
 
 def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: RobotModel) -> None:
@@ -237,8 +236,7 @@ def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: 
 def test_files_that_cannot_be_read(denso: RobotModel, tmp_path: Path, name: str) -> None:
     if name != "missing.npz":
         (tmp_path / name).write_text("")
-    with pytest.raises(sdpid.errors.DataError, match=name):
-        sdpid.identify(denso, tmp_path / name)
+    refuses(sdpid.errors.DataError, name, sdpid.identify, denso, tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -264,5 +262,4 @@ def test_formulate_takes_what_identify_takes(tmp_path: Path) -> None:
     problem = formulate(tmp_path / "arm.urdf", tmp_path / "run.parquet")
     same = formulate(arm(), log)
     np.testing.assert_array_equal(problem.rhs, same.rhs)
-    with pytest.raises(sdpid.errors.DataError, match=r"no\.csv"):
-        formulate(arm(), tmp_path / "no.csv")
+    refuses(sdpid.errors.DataError, r"no\.csv", formulate, arm(), tmp_path / "no.csv")

@@ -11,6 +11,7 @@ from sdpid.errors import DataError
 from sdpid.excitation.criterion.purpose import PURPOSES, effort_functionals, purpose_of
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 from tests.helpers.small_robots import SMALL
 
@@ -84,10 +85,8 @@ def test_gravity_counts_all_around_where_the_description_has_no_limits() -> None
 
 
 def test_wrong_purposes_are_refused() -> None:
-    with pytest.raises(DataError, match="use one of"):
-        purpose_of("speed", ARM, FRICTION, BASE)
-    with pytest.raises(DataError, match="give the motion"):
-        purpose_of("torque", ARM, FRICTION, BASE)
+    refuses(DataError, "use one of", purpose_of, "speed", ARM, FRICTION, BASE)
+    refuses(DataError, "give the motion", purpose_of, "torque", ARM, FRICTION, BASE)
     none = FrictionModel.from_terms((), ARM.joint_names)
     with pytest.raises(DataError, match="no friction terms"):
         purpose_of("friction", ARM, none, structural_base(ARM, none))

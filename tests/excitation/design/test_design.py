@@ -18,6 +18,7 @@ from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.search import Search
 from tests.helpers.dense_check import dense_check
+from tests.helpers.refusals import refuses
 
 QUICK: dict[str, Any] = {"duration": 6.0, "starts": 1, "seed": 1}
 
@@ -189,8 +190,7 @@ def test_settings_are_plain(plan: Plan) -> None:
     ],
 )
 def test_bad_arguments_are_told_before_the_search(arguments: Any, words: str) -> None:
-    with pytest.raises(DataError, match=words):
-        sdpid.design_excitation("denso_vp6242", **{**QUICK, **arguments})
+    refuses(DataError, words, sdpid.design_excitation, "denso_vp6242", **{**QUICK, **arguments})
 
 
 def test_a_motion_that_tells_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from sdpid.excitation.geometry.pairs import Pair
 from sdpid.robot.description.catalog import find_robot
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.shapes import BALL, ROD, distances_and_gradients, shaped_arm
 from tests.helpers.strategies import SEEDS
@@ -242,8 +243,7 @@ def test_a_given_rest_position_that_is_not_free_is_refused_with_depth() -> None:
     arm = shaped_arm(BALL, BALL, BALL, BALL)
     with pytest.raises(ModelError, match=r"l3 and table overlap by 50\.0"):
         CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3))
-    with pytest.raises(ModelError, match="l0 and l3 overlap by"):
-        CollisionModel.of(arm, rest=[0.0, 2.9, 0.0])
+    refuses(ModelError, "l0 and l3 overlap by", CollisionModel.of, arm, rest=[0.0, 2.9, 0.0])
     CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3))
     with pytest.raises(ModelError, match=r"l3 and table are 50\.0 apart \(80\.0\)"):
         CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3), clearance=0.08)
@@ -289,8 +289,7 @@ def test_pairs_are_left_out_on_demand() -> None:
     arm = shaped_arm(BALL, BALL, BALL, BALL)
     model = CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3), ignore=[("l3", "table")])
     assert ("l3", "table", "left out as asked for") in model.left_out
-    with pytest.raises(ModelError, match="'l9' is no body"):
-        CollisionModel.of(arm, ignore=[("l3", "l9")])
+    refuses(ModelError, "'l9' is no body", CollisionModel.of, arm, ignore=[("l3", "l9")])
 
 
 def test_links_without_shapes_are_assumed_and_told() -> None:
@@ -332,10 +331,8 @@ def test_obstacles_that_leave_no_room_are_refused(obstacle: Obstacle, match: str
 
 def test_bad_arguments_are_named() -> None:
     arm = shaped_arm(BALL, BALL, BALL)
-    with pytest.raises(DataError, match="rest: 5 numbers, 'chain' has 2"):
-        CollisionModel.of(arm, rest=np.zeros(5))
-    with pytest.raises(DataError, match="limits of positions"):
-        CollisionModel.of(arm, lower=[0.0])
+    refuses(DataError, "rest: 5 numbers, 'chain' has 2", CollisionModel.of, arm, rest=np.zeros(5))
+    refuses(DataError, "limits of positions", CollisionModel.of, arm, lower=[0.0])
     with pytest.raises(DataError, match="is no Plane, Box or Mesh"):
         CollisionModel.of(arm, ["table"])  # type: ignore[list-item]
     with pytest.raises(ModelError, match="fixed base"):

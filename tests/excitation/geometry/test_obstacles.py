@@ -21,6 +21,7 @@ from sdpid.excitation.geometry.obstacles import (
     table,
     wall,
 )
+from tests.helpers.refusals import refuses
 from tests.helpers.shapes import BALL, distances_and_gradients, shaped_arm
 
 
@@ -141,8 +142,7 @@ def test_equal_names_are_told_apart() -> None:
     ],
 )
 def test_bad_obstacles_are_named(content: dict[str, Any], match: str) -> None:
-    with pytest.raises(DataError, match=match):
-        obstacles_from_toml(content)
+    refuses(DataError, match, obstacles_from_toml, content)
 
 
 def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS
@@ -315,12 +316,10 @@ def test_files_and_columns(denso: RobotModel, tmp_path: Path) -> None:
 
 
 def test_wrong_joints_are_told(denso: RobotModel) -> None:
-    with pytest.raises(DataError, match="3 joints"):
-        check_trajectory(denso, spline(3, 0), collision=False)
+    refuses(DataError, "3 joints", check_trajectory, denso, spline(3, 0), collision=False)
     motion = default_motion(denso, 1, period=8.0)
     other = replace(motion, joint_names=tuple("abcdef"))
-    with pytest.raises(DataError, match="its joints are a, b, c"):
-        check_trajectory(denso, other, collision=False)
+    refuses(DataError, "its joints are a, b, c", check_trajectory, denso, other, collision=False)
     names = tuple(reversed(denso.joint_names))
     turned = check_trajectory(denso, replace(motion, joint_names=names), collision=False)
     straight = check_trajectory(denso, motion, collision=False)
@@ -329,10 +328,8 @@ def test_wrong_joints_are_told(denso: RobotModel) -> None:
         check_trajectory(denso, motion, Limits().of(load_robot(TREE)), collision=False)
     with pytest.raises(ModelError, match="no frame 'hand'"):
         check_trajectory(denso, motion, Limits(tool_speed=1.0, tool="hand"), collision=False)
-    with pytest.raises(DataError, match="spread is -1"):
-        TorqueModel.of(denso, spread=-1.0)
-    with pytest.raises(DataError, match="reserve is 1"):
-        TorqueModel.of(denso, reserve=1.0)
+    refuses(DataError, "spread is -1", TorqueModel.of, denso, spread=-1.0)
+    refuses(DataError, "reserve is 1", TorqueModel.of, denso, reserve=1.0)
 
 
 def test_friction_that_no_motor_overcomes_is_not_counted() -> None:

@@ -12,6 +12,7 @@ from sdpid.errors import DataError
 from sdpid.excitation.search.linear import largest_step, linear_limits
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import random_start
+from tests.helpers.refusals import refuses
 
 # Of joints that turn, and of a finger that slides by centimeters.
 SIZES = np.array([1.0, 0.01, 0.3])
@@ -133,8 +134,7 @@ def test_the_largest_step_ends_at_the_first_limit() -> None:
 
 
 def test_a_single_harmonic_is_refused() -> None:
-    with pytest.raises(DataError, match="at least 2"):
-        FourierSpace.of(3, 8.0, 1)
+    refuses(DataError, "at least 2", FourierSpace.of, 3, 8.0, 1)
 
 
 @given(st.sampled_from(["spline", "open", "sized"]), st.integers(0, 1000))

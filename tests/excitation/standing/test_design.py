@@ -12,6 +12,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.standing.design import _narrowed, _rows
+from tests.helpers.refusals import refuses
 from tests.helpers.standing import standing_plan
 
 
@@ -71,8 +72,7 @@ def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
     ],
 )
 def test_bad_input_is_told_before_the_search(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        sdpid.design_standing("solo12", **arguments)
+    refuses(DataError, message, sdpid.design_standing, "solo12", **arguments)
 
 
 def test_limits_are_held_where_the_criterion_looks() -> None:
@@ -97,8 +97,7 @@ def test_limits_are_narrowed_by_what_was_missing(slack: float, narrower: float) 
 
 
 def test_robots_without_legs_are_refused() -> None:
-    with pytest.raises(ModelError, match="has no link with 'foot' or 'sole'"):
-        sdpid.design_standing("ur10_robot")
+    refuses(ModelError, "has no link with 'foot' or 'sole'", sdpid.design_standing, "ur10_robot")
     # Its fingers mimic each other, which is not what is wrong.
     with pytest.raises(ModelError, match=r"has no link with 'foot' or 'sole'.*no robot on legs"):
         sdpid.design_standing("panda")

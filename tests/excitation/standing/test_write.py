@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import sdpid
 from sdpid.errors import DataError
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
+from tests.helpers.refusals import refuses
 from tests.helpers.standing import standing_plan
 
 
@@ -29,5 +29,4 @@ def test_a_plan_is_written_and_read(tmp_path: Path) -> None:
     assert log.base is not None
     assert log.contacts is not None
     (tmp_path / "bad.csv").write_text("time,position_a\n0,1\n", encoding="utf-8")
-    with pytest.raises(DataError, match="has no column 'velocity_a'"):
-        WholeBodyMotion.from_csv(tmp_path / "bad.csv")
+    refuses(DataError, "has no column 'velocity_a'", WholeBodyMotion.from_csv, tmp_path / "bad.csv")

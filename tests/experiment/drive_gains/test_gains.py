@@ -12,6 +12,7 @@ from scipy.stats import t
 
 import sdpid
 from sdpid.errors import DataError
+from tests.helpers.refusals import refuses
 
 
 def some(seed: int = 0, n: int = 3) -> sdpid.DriveGains:
@@ -80,8 +81,7 @@ def test_joints_are_taken_by_name() -> None:
     np.testing.assert_array_equal(two.gains, gains.gains[[2, 0]])
     assert two.covariance[0, 1] == gains.covariance[2, 0]
     np.testing.assert_allclose(two.torque(np.ones((4, 2))), np.tile(two.gains, (4, 1)))
-    with pytest.raises(DataError, match="none for elbow"):
-        gains.of_joints(["elbow"])
+    refuses(DataError, "none for elbow", gains.of_joints, ["elbow"])
 
 
 @pytest.mark.parametrize(
@@ -115,8 +115,7 @@ def test_what_are_no_gains_is_told(changed: dict[str, object], said: str) -> Non
 def test_a_file_that_holds_none_is_told(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "g.toml"
     path.write_text(text)
-    with pytest.raises(DataError, match=said):
-        sdpid.DriveGains.from_toml(path)
+    refuses(DataError, said, sdpid.DriveGains.from_toml, path)
 
 
 def test_what_a_file_says_drives_no_terminal() -> None:

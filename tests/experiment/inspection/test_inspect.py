@@ -17,6 +17,7 @@ from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.refusals import refuses
 
 RATE = 200.0
 T = np.arange(2000) / RATE
@@ -232,8 +233,7 @@ def test_files_and_names_are_read(log: Recording, robot: sdpid.RobotModel, tmp_p
     assert told == inspect_recording(wrong, robot).findings
     with pytest.raises(DataError, match=r"log: is int 3; give a Recording, the path of a log"):
         inspect_recording(3)  # type: ignore[arg-type]
-    with pytest.raises(SdpidError, match=r"no_arm\.urdf"):
-        inspect_recording(log, tmp_path / "no_arm.urdf")
+    refuses(SdpidError, r"no_arm\.urdf", inspect_recording, log, tmp_path / "no_arm.urdf")
 
 
 def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):

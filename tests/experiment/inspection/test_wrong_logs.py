@@ -21,6 +21,7 @@ from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recor
 from sdpid.experiment.inspection.time_checks import _read_as_seconds
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.refusals import refuses
 
 RATE = 100.0
 T = np.arange(3000) / RATE
@@ -438,14 +439,12 @@ def test_findings_are_overruled_by_name():
     with pytest.raises(DataError, match=r"a; b.*c.*accept=\['effort_sign', 'effort_scale'\]"):
         require_accepted(findings)
     asked = r"accept=\['effort_scale'\] \(--accept effort_scale\) overrules"
-    with pytest.raises(DataError, match=asked):
-        require_accepted(findings, "effort_sign")
+    refuses(DataError, asked, require_accepted, findings, "effort_sign")
     assert findings[0].line() == "accepted effort_sign: a; b"
     assert findings[0].line(used=False) == "refuse effort_sign: a; b"
     assert findings[2].line() == "warning long_rest: d"
     require_accepted(findings, ["effort_sign", "effort_scale"])
-    with pytest.raises(DataError, match="did you mean effort_sign"):
-        require_accepted([], ["effort_sing"])
+    refuses(DataError, "did you mean effort_sign", require_accepted, [], ["effort_sing"])
     for wrong in (None, True, 3):
         with pytest.raises(DataError, match=rf"accept: is {wrong}; give kinds of findings"):
             kinds_accepted(wrong)  # type: ignore[arg-type]
@@ -484,8 +483,7 @@ def test_every_use_of_a_log_refuses_it(log: Recording, robot: sdpid.RobotModel):
         lambda **given: sdpid.identify_payload(robot, wrong, **given),
         lambda **given: sdpid.identify_payload(robot, log, wrong, **given),
     ):
-        with pytest.raises(DataError, match=r"currents \(A\).*accept=\['effort_scale'\]"):
-            use()
+        refuses(DataError, r"currents \(A\).*accept=\['effort_scale'\]", use)
     payload = sdpid.identify_payload(robot, wrong, accept="effort_scale")
     assert [each.kind for each in payload.findings] == ["effort_scale"]
     assert payload.to_dict()["findings"][0]["severity"] == "refuse"

@@ -27,6 +27,7 @@ from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.plant import PlantLog, run_plant
+from tests.helpers.refusals import refuses
 from tests.helpers.small_robots import URDFS
 
 NAME = "denso_vp6242"
@@ -291,32 +292,27 @@ def test_unstable_gains_are_refused(robot: RobotModel, theta: Array, short: Traj
         encoder_counts=gains.encoder_counts,
         current_noise=gains.current_noise,
     )
-    with pytest.raises(DataError, match="fastest pole"):
-        simulate(robot, short, theta=theta, drives=fast)
+    refuses(DataError, "fastest pole", simulate, robot, short, theta=theta, drives=fast)
     with pytest.raises(DataError, match="no unmodeled effects"):
         simulate(robot, short, theta=theta, drives=fast, unmodeled=True)
 
 
 def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> None:
-    with pytest.raises(DataError, match="72"):
-        simulate(robot, short, theta=theta[:60])
+    refuses(DataError, "72", simulate, robot, short, theta=theta[:60])
     unreal = theta.copy()
     unreal[59] = 0.0
     massless = theta.copy()
     massless[50] = 0.0
     for wrong in (unreal, massless):
-        with pytest.raises(ModelError, match="link_6"):
-            simulate(robot, short, theta=wrong)
+        refuses(ModelError, "link_6", simulate, robot, short, theta=wrong)
     negative = theta.copy()
     negative[60] = -1.0
-    with pytest.raises(ModelError, match="friction"):
-        simulate(robot, short, theta=negative)
+    refuses(ModelError, "friction", simulate, robot, short, theta=negative)
 
 
 def test_robots_and_trajectories_must_match(theta: Array, short: Trajectory) -> None:
     tree = load_robot(TREE)
-    with pytest.raises(DataError, match="lift"):
-        simulate(tree, short, theta=theta)
+    refuses(DataError, "lift", simulate, tree, short, theta=theta)
     with pytest.raises(DataError, match="3 drives, robot 'tree' has 4 joints"):
         simulate(tree, default_motion(tree, period=8.0), theta=np.ones(48), drives=drives_of(3))
 
@@ -331,8 +327,7 @@ def test_drives_are_checked() -> None:
             encoder_counts=np.ones(2),
             current_noise=np.ones(2),
         )
-    with pytest.raises(DataError, match="not understood"):
-        Drives.from_mapping({"torque_constant": [1.0]})
+    refuses(DataError, "not understood", Drives.from_mapping, {"torque_constant": [1.0]})
 
 
 @pytest.mark.parametrize(
@@ -362,8 +357,7 @@ def test_a_robot_of_large_damping_follows_its_motion_exactly() -> None:
     lead = trajectory.lead_samples
     np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
     assert "without a controller" in log.notes[0]
-    with pytest.raises(DataError, match="exactly"):
-        simulate(robot, trajectory, unmodeled=True)
+    refuses(DataError, "exactly", simulate, robot, trajectory, unmodeled=True)
 
 
 def test_any_robot_follows_its_motion_exactly_where_asked(
@@ -395,10 +389,8 @@ def test_defaults_of_a_simulation() -> None:
     rms = np.sqrt(np.mean(one.effort**2, axis=0))
     assert (noise < 0.05 * rms).all()
     assert (noise > 1e-4 * rms).all()
-    with pytest.raises(DataError, match=r"at least 6\.25 s"):
-        default_motion(robot, period=5.0)
-    with pytest.raises(ModelError, match="floating base"):
-        default_motion(load_robot(TREE, root="free_flyer"))
+    refuses(DataError, r"at least 6\.25 s", default_motion, robot, period=5.0)
+    refuses(ModelError, "floating base", default_motion, load_robot(TREE, root="free_flyer"))
 
 
 def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> None:
@@ -412,5 +404,4 @@ def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> No
     )
     np.testing.assert_array_equal(again.sample(0, 20_000), short.sample(0, 20_000))
     file.write_text(file.read_text().replace("phases", "fases"))
-    with pytest.raises(DataError, match=r"motion.toml: .*phases"):
-        Trajectory.from_toml(file)
+    refuses(DataError, r"motion.toml: .*phases", Trajectory.from_toml, file)

@@ -19,6 +19,7 @@ from sdpid.experiment.processing.choose import (
 )
 from sdpid.experiment.processing.motion import motion_frequency, noise_limit
 from sdpid.experiment.processing.process import Processing, process
+from tests.helpers.refusals import refuses
 
 # The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
 # velocity,
@@ -116,8 +117,7 @@ def test_long_records_are_averaged_first(
     # The resolution of either is the inverse of the record's length.
     assert motion_frequency(log) == pytest.approx(expected, abs=1.5 / 40.3)
     quiet = replace(log, position=np.tile(still[:, None], 3))
-    with pytest.raises(DataError, match="no joint moves"):
-        motion_frequency(quiet)
+    refuses(DataError, "no joint moves", motion_frequency, quiet)
 
 
 def test_noise_of_joints_at_rest_has_no_say() -> None:
@@ -183,11 +183,9 @@ def test_records_with_periods_say_their_covariance() -> None:
 
 def test_what_cannot_be_chosen() -> None:
     log, _ = sweep()
-    with pytest.raises(DataError, match="cutoff_hz"):
-        choose_processing(log, cutoff_hz=-1.0)
+    refuses(DataError, "cutoff_hz", choose_processing, log, cutoff_hz=-1.0)
     still = replace(log, position=np.ones_like(log.position))
-    with pytest.raises(DataError, match="no joint moves"):
-        choose_processing(still)
+    refuses(DataError, "no joint moves", choose_processing, still)
 
 
 def test_the_overview_shows_the_choice() -> None:

@@ -11,6 +11,7 @@ from scipy.signal import savgol_coeffs
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import Spectral, Stencil, stencil
 from sdpid.experiment.processing.settings import Processing
+from tests.helpers.refusals import refuses
 
 # A velocity is exact up to the first degree, an acceleration up to the second.
 DEGREES = {
@@ -137,8 +138,7 @@ def test_the_shortest_window_is_central() -> None:
 
 
 def test_what_is_asked_for_must_exist() -> None:
-    with pytest.raises(DataError, match="'central8' is unknown"):
-        stencil("central8")
+    refuses(DataError, "'central8' is unknown", stencil, "central8")
     for cutoff in (None, 0.0, 0.5):
         with pytest.raises(DataError, match="needs the cut-off over the sample rate"):
             stencil("savitzky_golay", cutoff_over_rate=cutoff)

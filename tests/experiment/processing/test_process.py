@@ -21,6 +21,7 @@ from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import make_grid
+from tests.helpers.refusals import refuses
 
 RATE = 1000.0
 PERIOD = 2.0
@@ -356,8 +357,7 @@ def test_mask_by_its_definition(periods: int | None, seed: int, speed: float, re
                 expected[near, j] = False
     expected = expected[trim : count - trim]
     if not expected.any(axis=0).all():
-        with pytest.raises(DataError, match="leaves no row of joint"):
-            process(log, setting)
+        refuses(DataError, "leaves no row of joint", process, log, setting)
         return
     np.testing.assert_array_equal(process(log, setting).mask, expected)
 
@@ -420,8 +420,7 @@ def test_covariance_of_the_periods():
 
 def test_too_few_periods_for_a_covariance():
     log = periodic(2, noise=0.5)
-    with pytest.raises(DataError, match=r"2 periods for 2 joints: .* at least 3 periods"):
-        process(log, Processing())
+    refuses(DataError, r"2 periods for 2 joints: .* at least 3 periods", process, log, Processing())
     shrunk = process(log, Processing(shrinkage=0.1)).covariance
     assert np.linalg.eigvalsh(shrunk).min() > 0
     assert process(log, Processing(covariance="pooled")).covariance.shape == (2, 2)
@@ -448,8 +447,7 @@ def test_the_default_is_what_identify_chooses():
 def test_degrees_are_refused():
     log = periodic(3)
     far = replace(log, position=np.degrees(log.position) * 2.0)
-    with pytest.raises(DataError, match="looks like degrees"):
-        process(far)
+    refuses(DataError, "looks like degrees", process, far)
     # The limits of the robot say that its joints do turn that far.
     assert process(far, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
 
@@ -483,10 +481,8 @@ def test_an_outlier_is_named(size: float):
 )
 def test_settings_out_of_range_are_refused(changes: dict):
     (name,) = changes
-    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
-        Processing(**changes)
-    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
-        chosen_processing([periodic(3)], changes)
+    refuses(DataError, rf"{name}: is .*, expected", Processing, **changes)
+    refuses(DataError, rf"{name}: is .*, expected", chosen_processing, [periodic(3)], changes)
 
 
 def test_settings_print_what_differs_from_the_defaults():
@@ -498,10 +494,8 @@ def test_settings_print_what_differs_from_the_defaults():
 
 @pytest.mark.parametrize("wrong", [{"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2}])
 def test_what_is_no_setting_is_refused(wrong: object):
-    with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
-        chosen_processing([periodic(3)], wrong)
-    with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
-        process(periodic(3), wrong)
+    refuses(DataError, r"processing: (has no setting|is)", chosen_processing, [periodic(3)], wrong)
+    refuses(DataError, r"processing: (has no setting|is)", process, periodic(3), wrong)
 
 
 def test_noise_free_periods_are_noticed():
@@ -534,8 +528,7 @@ def test_measured_velocity(alike: bool):
     np.testing.assert_allclose(samples.velocity, motion(samples.time, once, 1), atol=1e-11)
     expected = motion(samples.time, once if alike else once**2, 2)
     np.testing.assert_allclose(samples.acceleration, expected, atol=1e-8)
-    with pytest.raises(DataError, match="velocity: the recording has none"):
-        process(periodic(2), setting)
+    refuses(DataError, "velocity: the recording has none", process, periodic(2), setting)
 
 
 def test_decimation_by_the_papers_rule():
@@ -564,8 +557,7 @@ def test_decimation_by_the_papers_rule():
     ],
 )
 def test_bad_settings(changes: dict[str, Any], message: str):
-    with pytest.raises(DataError, match=message):
-        Processing(**changes)
+    refuses(DataError, message, Processing, **changes)
 
 
 def test_cutoff_and_length_are_checked():

@@ -7,6 +7,7 @@ import pytest
 
 from sdpid.errors import DataError
 from sdpid.experiment.processing.samples import Samples
+from tests.helpers.refusals import refuses
 
 K, JOINTS = 5, 2
 
@@ -95,8 +96,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused(case: str):
     changes, message = BAD[case]
-    with pytest.raises(DataError, match=message):
-        Samples(**fields(**changes))
+    refuses(DataError, message, Samples, **fields(**changes))
 
 
 def test_pieces_are_joined_in_order():
@@ -137,16 +137,13 @@ def test_covariances_are_kept_sample_by_sample():
     ],
 )
 def test_what_does_not_belong_together_is_refused(change, message):
-    with pytest.raises(DataError, match=message):
-        Samples.join([Samples(**fields()), Samples(**fields(**change))])
-    with pytest.raises(DataError, match="none to join"):
-        Samples.join([])
+    refuses(DataError, message, Samples.join, [Samples(**fields()), Samples(**fields(**change))])
+    refuses(DataError, "none to join", Samples.join, [])
 
 
 @pytest.mark.parametrize("starts", [(1,), (), (0, 3, 3), (0, 5), (0, 4, 2)])
 def test_starts_rise_from_zero(starts):
-    with pytest.raises(DataError, match="rising sample numbers"):
-        Samples(**fields(starts=starts))
+    refuses(DataError, "rising sample numbers", Samples, **fields(starts=starts))
 
 
 def test_a_part_may_have_no_row_that_is_used():

@@ -11,6 +11,7 @@ import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
+from tests.helpers.refusals import refuses
 
 WIDTH = 0.01
 
@@ -74,8 +75,7 @@ def test_parts_are_those_of_the_whole() -> None:
     np.testing.assert_allclose(
         thin.pieces[1].through_filter(steep, slice(None)), whole[places], atol=1e-8
     )
-    with pytest.raises(DataError, match="none from 9000"):
-        joined.between(9000, 9100)
+    refuses(DataError, "none from 9000", joined.between, 9000, 9100)
 
 
 def test_without_the_filter_friction_is_that_of_the_samples() -> None:
@@ -83,8 +83,7 @@ def test_without_the_filter_friction_is_that_of_the_samples() -> None:
     assert samples.wide is None
     expected = steep(samples.velocity, samples.acceleration)
     np.testing.assert_array_equal(samples.through_filter(steep, slice(None)), expected)
-    with pytest.raises(DataError, match="process all of them alike"):
-        Samples.join([samples, process(log_of())])
+    refuses(DataError, "process all of them alike", Samples.join, [samples, process(log_of())])
 
 
 def test_a_joint_that_hardly_moves_is_not_masked() -> None:

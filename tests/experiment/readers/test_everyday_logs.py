@@ -13,6 +13,7 @@ import pytest
 from sdpid.errors import DataError
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.timestamps import guess_time_unit
+from tests.helpers.refusals import refuses
 
 N = 40
 RNG = np.random.default_rng(17)
@@ -142,8 +143,7 @@ def test_units_in_brackets(tmp_path: Path, mark: str):
 def test_currents_with_units(tmp_path: Path):
     header = "t,q1,q2,current1 [A],current2 [mA]"
     file = write(tmp_path / "log.csv", header, T, Q, TAU / [10.0, 0.012])
-    with pytest.raises(DataError, match=r"current1 \[A\].* look like currents: give gains="):
-        read_recording(file)
+    refuses(DataError, r"current1 \[A\].* look like currents: give gains=", read_recording, file)
     log = read_recording(file, effort_scale=[10.0, 12.0])
     np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)
 
@@ -212,14 +212,12 @@ def test_names_in_a_comment_and_comments_between(tmp_path: Path):
     lines[10:10] = ["", "# paused", ""]
     lines[25] = lines[25].replace(" ", " nan ", 1).rpartition(" ")[0]
     file.write_text("\n".join(lines) + "\n\n")
-    with pytest.raises(DataError, match="line 26: position: 'q1' has no value"):
-        read_recording(file)
+    refuses(DataError, "line 26: position: 'q1' has no value", read_recording, file)
 
 
 def test_columns_without_names(tmp_path: Path):
     file = write(tmp_path / "log.csv", "", T, Q, TAU, DQ)
-    with pytest.raises(DataError, match="its 7 columns have no names"):
-        read_recording(file)
+    refuses(DataError, "its 7 columns have no names", read_recording, file)
     numbers = {"time": 1, "position": [2, 3], "effort": [4, 5], "velocity": [6, 7]}
     same(read_recording(file, columns=numbers), velocity=True)
     (tmp_path / "log.toml").write_text(
@@ -238,8 +236,7 @@ def test_compressed_text_and_other_encodings(tmp_path: Path):
         plain.write_text(text, encoding=encoding)
         same(read_recording(plain))
     (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text.encode())[:-50])
-    with pytest.raises(DataError, match=r"run\.csv\.gz"):
-        read_recording(tmp_path / "run.csv.gz")
+    refuses(DataError, r"run\.csv\.gz", read_recording, tmp_path / "run.csv.gz")
 
 
 def test_data_frames():
@@ -253,13 +250,10 @@ def test_data_frames():
     same(
         read_recording(frame.rename(columns={"t": "stamp"}), mapping={"columns": {"time": "stamp"}})
     )
-    with pytest.raises(DataError, match="data frame: effort is missing"):
-        read_recording(frame[["t", "q1", "q2"]])
+    refuses(DataError, "data frame: effort is missing", read_recording, frame[["t", "q1", "q2"]])
     frame.loc[3, "q2"] = np.nan
-    with pytest.raises(DataError, match="data frame: row 4: position: 'q2' has no value"):
-        read_recording(frame)
-    with pytest.raises(DataError, match="is given NoneType, expected the path of a log"):
-        read_recording(None)
+    refuses(DataError, "data frame: row 4: position: 'q2' has no value", read_recording, frame)
+    refuses(DataError, "is given NoneType, expected the path of a log", read_recording, None)
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "null", "--", "N/A"])
@@ -283,8 +277,7 @@ def test_short_gaps_are_interpolated(tmp_path: Path):
     holed = ramp.copy()
     holed[[5, 6, 7, 20], [0, 0, 0, 1]] = np.nan
     file = npz(tmp_path, t=T, q=holed, tau=TAU)
-    with pytest.raises(DataError, match=r"row 6: position: 'q of joint 1' .* in 3 of 40 rows"):
-        read_recording(file)
+    refuses(DataError, r"row 6: position: 'q of joint 1' .* in 3 of 40 rows", read_recording, file)
     reading = read_described(file, missing="interpolate")
     np.testing.assert_allclose(reading.recording.position, ramp, atol=1e-12)
     np.testing.assert_array_equal(reading.recording.effort, TAU)
@@ -303,8 +296,7 @@ def test_a_joint_that_is_not_wanted_may_lack_values(tmp_path: Path):
     effort = np.column_stack([TAU, np.full(N, np.nan)])
     names = ["up", "down", "finger"]
     file = npz(tmp_path, t=T, q=np.column_stack([Q, T]), tau=effort, joint_names=names)
-    with pytest.raises(DataError, match="'tau of joint finger' has no value in any row; leave"):
-        read_recording(file)
+    refuses(DataError, "'tau of joint finger' has no value in any row; leave", read_recording, file)
     same(read_recording(file, joint_names=["up", "down"]))
 
 
@@ -322,8 +314,7 @@ def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
         broken = list(lines)
         broken[30] = change(lines[30])
         file.write_text("\n".join(broken))
-        with pytest.raises(DataError, match=r"line 31 has [57] values for 6 columns"):
-            read_recording(file)
+        refuses(DataError, r"line 31 has [57] values for 6 columns", read_recording, file)
     file.write_text("\n".join(lines))
     same(read_recording(file))
 

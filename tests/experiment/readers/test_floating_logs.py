@@ -14,6 +14,7 @@ from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.experiment.recording.test_floating import log
 from tests.helpers.bags import JOINTS, write_bag
+from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
 
 N = 40
@@ -121,8 +122,7 @@ def test_what_is_not_told_or_not_there_is_refused(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     np.savez(tmp_path / "run.npz", **arrays())
-    with pytest.raises(DataError, match=message):
-        read_recording(tmp_path / "run.npz", **{**TOLD, **changes})
+    refuses(DataError, message, read_recording, tmp_path / "run.npz", **{**TOLD, **changes})
 
 
 def test_a_mapping_says_that_the_base_was_held(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.bags import write_bag
 from tests.helpers.damage import damaged
+from tests.helpers.refusals import refuses
 
 # Damaged files of each kind.
 COUNT = int(os.environ.get("SDPID_FUZZ", "40"))
@@ -156,16 +157,14 @@ def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
     # A child process for each takes a moment.
     for content in contents[: 1 if suffix in SANDBOXED else None]:
         file.write_bytes(content)
-        with pytest.raises(DataError, match=r"log\."):
-            read_recording(file)
+        refuses(DataError, r"log\.", read_recording, file)
 
 
 @pytest.mark.parametrize("content", [np.random.default_rng(0).bytes(500), b"", b"1,2\n3\n"])
 def test_garbage_in_a_folder_of_matrices_is_a_data_error(tmp_path: Path, content: bytes):
     for name in ("t", "q", "tau"):
         (tmp_path / f"{name}.dat").write_bytes(content)
-    with pytest.raises(DataError, match=r"\.dat: is"):
-        read_recording(tmp_path)
+    refuses(DataError, r"\.dat: is", read_recording, tmp_path)
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -241,16 +240,14 @@ def test_files_that_did_harm_are_refused(
 ):
     monkeypatch.setattr("sdpid._common.sandbox._MOST_MEMORY", 100_000_000)
     (tmp_path / name).write_bytes(BOMBS[name]())
-    with pytest.raises(DataError, match=re.escape(name)):
-        read_recording(tmp_path / name)
+    refuses(DataError, re.escape(name), read_recording, tmp_path / name)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 def test_a_fifo_is_no_log(tmp_path: Path):
     for name in ("log.csv", "log.toml"):
         os.mkfifo(tmp_path / name)
-    with pytest.raises(DataError, match=r"log\.csv: is no regular file"):
-        read_recording(tmp_path / "log.csv")
+    refuses(DataError, r"log\.csv: is no regular file", read_recording, tmp_path / "log.csv")
     np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
     with pytest.raises(DataError, match=r"log\.toml: it is no regular file"):
         read_recording(tmp_path / "log.npz", mapping=tmp_path / "log.toml")

@@ -15,6 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.motor_side import MotorSide
+from tests.helpers.refusals import refuses
 
 N = 8
 RNG = np.random.default_rng(7)
@@ -60,8 +61,7 @@ torque_constants = [0.1, 0.2, 0.3]
 
 def test_a_mapping_beside_the_log(tmp_path: Path):
     file = motor_log(tmp_path)
-    with pytest.raises(DataError, match="position is missing"):
-        read_recording(file)
+    refuses(DataError, "position is missing", read_recording, file)
     (tmp_path / "run.toml").write_text(MAPPING)
     reading = read_described(file)
     log = reading.recording
@@ -76,8 +76,7 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
     # Arguments win, and the file beside the log can be ignored.
     assert read_recording(file, joint_names=["x", "y", "z"]).names == ("x", "y", "z")
     assert read_recording(file, columns={"velocity": None}).velocity is None
-    with pytest.raises(DataError, match="position is missing"):
-        read_recording(file, mapping=False)
+    refuses(DataError, "position is missing", read_recording, file, mapping=False)
     other = tmp_path / "other.toml"
     other.write_text(MAPPING.replace('effort = "mA"', 'effort = "A"'))
     np.testing.assert_allclose(read_recording(file, mapping=other).effort, 1e3 * TAU, atol=1e-9)

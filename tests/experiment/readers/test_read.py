@@ -12,6 +12,7 @@ import pytest
 from sdpid.errors import DataError
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.refusals import refuses
 
 N = 6
 RNG = np.random.default_rng(3)
@@ -125,11 +126,9 @@ def test_foreign_parquet_with_lists(tmp_path: Path):
     pq.write_table(
         pa.table({"t": [0.0, 1.0], "q": [[1.0], [1.0, 2.0]], "tau": [[1.0], [2.0]]}), file
     )
-    with pytest.raises(DataError, match="'q' is ragged: its rows have 1 to 2"):
-        read_recording(file)
+    refuses(DataError, "'q' is ragged: its rows have 1 to 2", read_recording, file)
     pq.write_table(pa.table({"t": [0.0, 1.0], "q": [1.0, None], "tau": [1.0, 2.0]}), file)
-    with pytest.raises(DataError, match="row 2: position: 'q' has no value"):
-        read_recording(file)
+    refuses(DataError, "row 2: position: 'q' has no value", read_recording, file)
 
 
 def test_single_joint_vectors(tmp_path: Path):
@@ -151,8 +150,7 @@ def test_nothing_is_unpickled(tmp_path: Path):
         read_recording(npz(tmp_path, t=T, q=boxed, tau=TAU))
     file = tmp_path / "log.npz"
     file.write_bytes(pickle.dumps([1]))
-    with pytest.raises(DataError, match="not a readable NumPy archive"):
-        read_recording(file)
+    refuses(DataError, "not a readable NumPy archive", read_recording, file)
 
 
 ROBOTS = {

@@ -10,6 +10,7 @@ import pytest
 
 from sdpid.errors import DataError
 from sdpid.experiment.readers.read import read_recording
+from tests.helpers.refusals import refuses
 
 N = 8
 RNG = np.random.default_rng(7)
@@ -94,31 +95,27 @@ TEXTS = [
 @pytest.mark.parametrize(("given", "words"), ARGUMENTS)
 def test_arguments(tmp_path: Path, given: dict[str, Any], words: str):
     np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.npz", **given)
+    refuses(DataError, words, read_recording, tmp_path / "log.npz", **given)
 
 
 @pytest.mark.parametrize(("changes", "words"), ARRAYS)
 def test_arrays(tmp_path: Path, changes: dict[str, Any], words: str):
     arrays = {"t": T, "q": Q, "tau": TAU} | changes
     np.savez(tmp_path / "log.npz", **{k: v for k, v in arrays.items() if v is not None})
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.npz")
+    refuses(DataError, words, read_recording, tmp_path / "log.npz")
 
 
 @pytest.mark.parametrize(("text", "words"), MAPPINGS)
 def test_mappings(tmp_path: Path, text: str, words: str):
     np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
     (tmp_path / "log.toml").write_text(text)
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.npz")
+    refuses(DataError, words, read_recording, tmp_path / "log.npz")
 
 
 @pytest.mark.parametrize(("text", "words"), TEXTS)
 def test_texts(tmp_path: Path, text: str, words: str):
     (tmp_path / "log.csv").write_text(text)
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / "log.csv")
+    refuses(DataError, words, read_recording, tmp_path / "log.csv")
 
 
 @pytest.mark.parametrize(
@@ -129,5 +126,4 @@ def test_texts(tmp_path: Path, text: str, words: str):
     ],
 )
 def test_files(tmp_path: Path, name: str, words: str):
-    with pytest.raises(DataError, match=words):
-        read_recording(tmp_path / name)
+    refuses(DataError, words, read_recording, tmp_path / name)

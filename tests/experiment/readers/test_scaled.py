@@ -12,6 +12,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.readers.scaled import scaled
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.refusals import refuses
 
 GAINS = sdpid.DriveGains(
     joint_names=("joint3", "joint1", "joint2"), gains=[3.0, 1.0, 2.0], covariance=0.01 * np.eye(3)
@@ -33,8 +34,7 @@ def test_gains_are_found_by_name() -> None:
     assert "in A" not in repr(torques)
     assert torques.gains.joint_names == log.joint_names
     np.testing.assert_array_equal(torques.effort, log.effort * [1.0, 2.0, 3.0])
-    with pytest.raises(DataError, match="turned into torques by gains already"):
-        scaled(torques, GAINS)
+    refuses(DataError, "turned into torques by gains already", scaled, torques, GAINS)
 
 
 def test_a_payload_names_the_recording_without_gains() -> None:
@@ -47,8 +47,7 @@ def test_names_of_joints_may_have_another_prefix() -> None:
     assert scaled(currents(("ur_joint1", "ur_joint2", "ur_joint3")), GAINS).effort[-1, 2] == (
         pytest.approx(3.0 * np.sin(3.0))
     )
-    with pytest.raises(DataError, match="none for hip, knee, heel"):
-        scaled(currents(("hip", "knee", "heel")), GAINS)
+    refuses(DataError, "none for hip, knee, heel", scaled, currents(("hip", "knee", "heel")), GAINS)
 
 
 def test_gains_follow_picked_joints() -> None:
@@ -62,8 +61,7 @@ def test_gains_follow_picked_joints() -> None:
         joint_names=names, gains=np.arange(1.0, 8.0), covariance=np.diag(np.arange(1.0, 8.0)) / 1e4
     )
     log = Recording(time=time, position=table, effort=table, joint_names=names, currents=True)
-    with pytest.raises(DataError, match="sdpid gains"):
-        sdpid.process(log)
+    refuses(DataError, "sdpid gains", sdpid.process, log)
     samples = prepare(robot, scaled(log, gains))
     assert samples.gains.joint_names == robot.joint_names
     np.testing.assert_array_equal(samples.gains.gains, [2.0, 3.0, 4.0, 5.0, 1.0, 6.0])
@@ -77,8 +75,7 @@ def test_gains_follow_picked_joints() -> None:
 def test_files_keep_currents_as_currents(tmp_path: Path, suffix: str) -> None:
     log, path = currents(), tmp_path / f"run{suffix}"
     (log.to_csv if suffix == ".csv" else log.to_parquet)(path)
-    with pytest.raises(DataError, match="look like currents: give gains="):
-        sdpid.read_recording(path)
+    refuses(DataError, "look like currents: give gains=", sdpid.read_recording, path)
     again = sdpid.read_recording(path, currents=True)
     assert again.currents
     np.testing.assert_array_equal(again.effort, log.effort)
@@ -103,5 +100,4 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     np.testing.assert_array_equal(turned.effort[:, 1], -2.0 * currents().effort[:, 1])
     with pytest.raises(DataError, match=r"gains are for currents in A, but the unit .* is N\.m"):
         sdpid.read_recording(path, gains=GAINS, units={"effort": "N.m"})
-    with pytest.raises(DataError, match="asks for currents"):
-        sdpid.read_recording(path, gains=GAINS, currents=True)
+    refuses(DataError, "asks for currents", sdpid.read_recording, path, gains=GAINS, currents=True)

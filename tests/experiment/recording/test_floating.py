@@ -20,6 +20,7 @@ from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.refusals import refuses
 
 N = 40
 
@@ -94,8 +95,7 @@ def test_orientations_are_unit_quaternions_without_changes_of_sign() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(make: Any, message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        make()
+    refuses(DataError, message, make)
 
 
 def test_one_kind_and_one_offset_are_those_of_all_contacts() -> None:
@@ -159,5 +159,4 @@ ARM = sdpid.load_robot(ARM_URDF)
     ],
 )
 def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:
-    with pytest.raises(DataError, match=f"{what}.*this recording has a floating base"):
-        call()
+    refuses(DataError, f"{what}.*this recording has a floating base", call)

@@ -15,6 +15,7 @@ from sdpid.errors import DataError, ExportError
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.degrees import require_plausible_units, suspect_units
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.refusals import refuses
 
 N, JOINTS = 12, 2
 
@@ -102,8 +103,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused(case: str):
     changes, message = BAD[case]
-    with pytest.raises(DataError, match=message):
-        Recording(**fields(**changes))
+    refuses(DataError, message, Recording, **fields(**changes))
 
 
 @pytest.mark.parametrize(
@@ -201,32 +201,25 @@ def test_parquet_without_metadata(tmp_path: Path):
 
 def test_parquet_failures_are_data_errors(tmp_path: Path):
     file = tmp_path / "log.parquet"
-    with pytest.raises(DataError, match="no such file"):
-        read_recording(file)
+    refuses(DataError, "no such file", read_recording, file)
     file.write_bytes(b"PAR1 not really")
-    with pytest.raises(DataError, match="not a readable Parquet file"):
-        read_recording(file)
+    refuses(DataError, "not a readable Parquet file", read_recording, file)
     Recording(**fields()).to_parquet(file)
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
-    with pytest.raises(DataError, match="not a readable Parquet file"):
-        read_recording(file)
+    refuses(DataError, "not a readable Parquet file", read_recording, file)
     pq.write_table(pa.table({"time": [0.0], "position_1": [0.0]}), file)
-    with pytest.raises(DataError, match="effort is missing"):
-        read_recording(file)
+    refuses(DataError, "effort is missing", read_recording, file)
     pq.write_table(
         pa.table({"time": [0.0, 1.0], "position_1": [0, None], "effort_1": [0, 1]}), file
     )
-    with pytest.raises(DataError, match="row 2: position: 'position_1' has no value"):
-        read_recording(file)
+    refuses(DataError, "row 2: position: 'position_1' has no value", read_recording, file)
     pq.write_table(pa.table({"time": ["a"], "position_1": [0], "effort_1": [0]}), file)
-    with pytest.raises(DataError, match="time: holds object, expected numbers"):
-        read_recording(file)
+    refuses(DataError, "time: holds object, expected numbers", read_recording, file)
     for raw, message in ((b"{", "damaged"), (b'{"format": 99}', "is of format 99")):
         table = pa.table({"time": [0.0]}).replace_schema_metadata({b"sdpid": raw})
         pq.write_table(table, file)
-        with pytest.raises(DataError, match=message):
-            read_recording(file)
+        refuses(DataError, message, read_recording, file)
 
 
 def test_parquet_to_a_missing_folder(tmp_path: Path):
@@ -280,8 +273,7 @@ def test_degrees_are_suspected(case: str):
 
 
 def test_limits_of_another_shape():
-    with pytest.raises(DataError, match="position_limits"):
-        suspect_units(motion((0, 1)), [1.0, 2.0])
+    refuses(DataError, "position_limits", suspect_units, motion((0, 1)), [1.0, 2.0])
 
 
 def test_absurd_sizes_are_refused():
@@ -290,8 +282,7 @@ def test_absurd_sizes_are_refused():
     wrong[7, 1] = -2e18
     with pytest.raises(DataError, match=r"effort: is -2e\+18 at index \(7, 1\)"):
         Recording(time=time, position=table, effort=wrong)
-    with pytest.raises(DataError, match="say their unit"):
-        Recording(time=1e-12 * time, position=table, effort=table)
+    refuses(DataError, "say their unit", Recording, time=1e-12 * time, position=table, effort=table)
     for period in (1e308, 10**400, 10**5000):
         with pytest.raises(DataError, match=r"period: is .*finite number of at most"):
             Recording(time=time, position=table, effort=table, period=period)

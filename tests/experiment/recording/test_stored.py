@@ -30,6 +30,7 @@ from sdpid.experiment.recording import timestamps as stamps
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.timestamps import Stamps
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
 RATE, JOINTS = 100.0, 2
@@ -214,8 +215,7 @@ def test_damage_is_found_as_it_is_decoded(tmp_path: Path):
     content = bytearray(file.read_bytes())
     content[2000:60000] = bytes(58000)
     file.write_bytes(content)
-    with pytest.raises(DataError, match="not a readable Parquet file"):
-        read_recording(file, stored=True)
+    refuses(DataError, "not a readable Parquet file", read_recording, file, stored=True)
 
 
 def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -273,10 +273,9 @@ def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
         for row in range(1, time.size):
             wrong = time.copy()
             wrong[row:] -= steps[row - 1]
-            with pytest.raises(
-                DataError, match=rf"time repeats at row {row + 1}: .*\(1 such rows\)"
-            ):
-                Stamps.of(wrong)
+            refuses(
+                DataError, rf"time repeats at row {row + 1}: .*\(1 such rows\)", Stamps.of, wrong
+            )
 
 
 @pytest.mark.parametrize("count", [2, 3, 12])

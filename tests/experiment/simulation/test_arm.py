@@ -24,6 +24,7 @@ from sdpid.robot.model.load import load_robot
 from tests.experiment.simulation.models import model_of, slider
 from tests.helpers.data import random_links
 from tests.helpers.random_trees import random_tree
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm, small_arm
 
 
@@ -237,5 +238,4 @@ def test_what_cannot_be_simulated_is_refused_by_name() -> None:
     with pytest.raises(ModelError, match="effort of Drag depends on the acceleration"):
         SimulatedArm.of(slider((Drag(),), [1.0]))
     robot = sdpid.load_robot(TREE, root="free_flyer")
-    with pytest.raises(ModelError, match="floating base"):
-        SimulatedArm.of(model_of(robot))
+    refuses(ModelError, "floating base", SimulatedArm.of, model_of(robot))

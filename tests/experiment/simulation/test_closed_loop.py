@@ -20,6 +20,7 @@ from sdpid.friction import Coulomb
 from sdpid.robot.model.dynamics import RobotDynamics
 from tests.experiment.simulation.models import model_of, slider
 from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import planar_arm
 
 KP, KD, KI = np.array([90.0, 60.0]), np.array([9.0, 6.0]), np.array([50.0, 40.0])
@@ -193,5 +194,4 @@ def test_what_does_not_fit_is_told_before_the_simulation() -> None:
         with pytest.raises(DataError, match=message):
             simulate_closed_loop(model(), *arguments, **options)  # type: ignore[arg-type]
     silent = sdpid.Recording(time=TIMES, position=told[0], effort=told[0])
-    with pytest.raises(DataError, match="no commanded positions"):
-        simulate_closed_loop(model(), silent, law)
+    refuses(DataError, "no commanded positions", simulate_closed_loop, model(), silent, law)

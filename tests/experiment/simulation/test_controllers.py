@@ -11,6 +11,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.simulation.controllers import Controller
 from tests.experiment.simulation.models import model_of
 from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import planar_arm
 
 KP, KD, KI = np.array([30.0, 20.0]), np.array([3.0, 2.0]), np.array([5.0, 4.0])
@@ -63,10 +64,8 @@ def test_computed_torque_of_the_reference_is_inverse_dynamics() -> None:
 
 
 def test_bad_gains_and_samples_are_told() -> None:
-    with pytest.raises(DataError, match=r"kp is .* give positive numbers"):
-        PD([0.0, 1.0], [1.0, 1.0])
-    with pytest.raises(DataError, match="lengths differ"):
-        PD([1.0, 1.0], [1.0])
+    refuses(DataError, r"kp is .* give positive numbers", PD, [0.0, 1.0], [1.0, 1.0])
+    refuses(DataError, "lengths differ", PD, [1.0, 1.0], [1.0])
     with pytest.raises(DataError, match="integral is missing"):
         PID(KP, KI, KD).effort(*np.zeros((4, 3, 2)))
     with pytest.raises(DataError, match=r"velocity: shape \(2, 2\), expected \(3, 2\)"):

@@ -14,6 +14,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.drives import load_drives
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
+from tests.helpers.refusals import refuses
 
 RATE = 500.0
 T = np.arange(0.0, 12.0, 1.0 / RATE)
@@ -103,8 +104,7 @@ def test_much_noise_is_told_and_refused(model: RobotDynamics):
     assert fitted.method == "instrumental"
     assert fitted.bias.max() > 0.02
     assert not fitted.usable
-    with pytest.raises(DataError, match=r"not known well enough: .*(deviation of|explains)"):
-        fitted.require()
+    refuses(DataError, r"not known well enough: .*(deviation of|explains)", fitted.require)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("pid", "pd"), ("pid", "p"), ("p", "computed_torque")])
@@ -160,5 +160,4 @@ def test_what_cannot_be_fitted_is_told_before(model: RobotDynamics):
         ),
     ]  # fmt: skip
     for call, words in wrong:
-        with pytest.raises(DataError, match=words):
-            call()
+        refuses(DataError, words, call)

@@ -13,6 +13,7 @@ from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
+from tests.helpers.refusals import refuses
 
 KINDS = ["spline", "fourier", "positions", "velocities", "accelerations"]
 HIGHEST = 4
@@ -189,5 +190,4 @@ def test_quintic_and_cubic_motions_are_met_exactly() -> None:
 )
 def test_samples_that_make_no_curve(change: dict[str, object], message: str) -> None:
     good = {"time": [0.0, 1.0, 2.0], "position": np.zeros((3, 2))}
-    with pytest.raises(DataError, match=message):
-        SampledCurve(**(good | change))
+    refuses(DataError, message, SampledCurve, **good | change)

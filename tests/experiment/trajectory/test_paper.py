@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
 from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
+from tests.helpers.refusals import refuses
 
 ROBOT = "denso_vp6242"
 LIMITS_HZ = np.array([0.1989, 0.2981, 1.0715, 0.2075, 0.3627, 0.2025])
@@ -86,8 +87,7 @@ def test_parts_are_slices_of_the_whole() -> None:
     for start, stop in ((0, 10), (3990, 4010), (8990, 9010), (20990, 21010), (32990, 33005)):
         for part, all_of_it in zip(trajectory.sample(start, stop), whole, strict=True):
             np.testing.assert_array_equal(part, all_of_it[start:stop])
-    with pytest.raises(DataError, match="not within"):
-        trajectory.sample(0, trajectory.n_samples + 1)
+    refuses(DataError, "not within", trajectory.sample, 0, trajectory.n_samples + 1)
 
 
 def test_seeds_decide() -> None:
@@ -106,8 +106,7 @@ def test_velocity_report(full: Trajectory) -> None:
 def test_harmonics_are_whole_numbers() -> None:
     series = {"period": 1.0, "center": [0.0], "amplitudes": [[1.0]], "phases": [[0.0]]}
     for harmonics in (np.nan, 1e300, 1.5, -1.0):
-        with pytest.raises(DataError, match="harmonics"):
-            FourierSeries(**series, harmonics=[[harmonics]])
+        refuses(DataError, "harmonics", FourierSeries, **series, harmonics=[[harmonics]])
 
 
 @pytest.mark.parametrize("limit", [0.0, 1e-308])
@@ -131,8 +130,7 @@ def test_with_periods_keeps_the_motion(full: Trajectory) -> None:
 
 
 def test_no_harmonic_below_the_limit() -> None:
-    with pytest.raises(DataError, match="joint_1: no harmonic"):
-        paper_excitation(ROBOT, 0, period=4.0)
+    refuses(DataError, "joint_1: no harmonic", paper_excitation, ROBOT, 0, period=4.0)
 
 
 @pytest.mark.parametrize(
@@ -149,11 +147,9 @@ def test_bad_timing(arguments: dict[str, float], message: str) -> None:
 
 
 def test_missing_folder(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(DataError, match="cannot read"):
-        paper_excitation(tmp_path, 0)
+    refuses(DataError, "cannot read", paper_excitation, tmp_path, 0)
     (tmp_path / "excitation.toml").write_text("sinusoids = 3\n")
-    with pytest.raises(DataError, match="axis"):
-        paper_excitation(tmp_path, 0)
+    refuses(DataError, "axis", paper_excitation, tmp_path, 0)
 
 
 @settings(deadline=None, max_examples=20)

@@ -13,6 +13,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
+from tests.helpers.refusals import refuses
 
 NAMES = ("shoulder", "elbow", "rail_2")
 TIME = np.linspace(0.0, 4.0, 401)
@@ -124,10 +125,7 @@ def test_what_is_wrong_is_named(
 
 
 def test_files_that_are_no_trajectories(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file"):
-        read_trajectory(tmp_path / "none.csv")
-    with pytest.raises(DataError, match="no format of trajectories"):
-        read_trajectory(tmp_path / "motion.bag")
+    refuses(DataError, "no such file", read_trajectory, tmp_path / "none.csv")
+    refuses(DataError, "no format of trajectories", read_trajectory, tmp_path / "motion.bag")
     frame().to_csv(tmp_path / "unnamed.csv", index=False, header=False)
-    with pytest.raises(DataError, match="column time is missing"):
-        read_trajectory(tmp_path / "unnamed.csv")
+    refuses(DataError, "column time is missing", read_trajectory, tmp_path / "unnamed.csv")

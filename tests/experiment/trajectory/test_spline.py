@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.spline import Spline
+from tests.helpers.refusals import refuses
 
 
 @st.composite
@@ -119,14 +120,9 @@ def test_arguments_that_make_no_spline() -> None:
         ({"degree": 6}, "at least 7"),
         ({"control_points": np.full((6, 2), np.nan)}, "control_points"),
     ):
-        with pytest.raises(DataError, match=message):
-            Spline(**({"duration": 1.0, "control_points": points} | change))
+        refuses(DataError, message, Spline, **{"duration": 1.0, "control_points": points} | change)
     spline = Spline(duration=1.0, control_points=points)
-    with pytest.raises(DataError, match=r"1\.1 s at index 1 is not within"):
-        spline.evaluate([0.0, 1.1])
-    with pytest.raises(DataError, match="increasing"):
-        spline.enclose([0.0, 0.0])
-    with pytest.raises(DataError, match="derivative"):
-        Spline.control_matrix(6, 1.0, 6)
-    with pytest.raises(DataError, match="at least 6"):
-        Spline.expansion(5)
+    refuses(DataError, r"1\.1 s at index 1 is not within", spline.evaluate, [0.0, 1.1])
+    refuses(DataError, "increasing", spline.enclose, [0.0, 0.0])
+    refuses(DataError, "derivative", Spline.control_matrix, 6, 1.0, 6)
+    refuses(DataError, "at least 6", Spline.expansion, 5)

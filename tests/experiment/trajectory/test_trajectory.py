@@ -20,6 +20,7 @@ from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.load import load_robot
+from tests.helpers.refusals import refuses
 
 
 def along(curve: Curve, names: tuple[str, ...] = ("turn", "slide"), **timing: Any) -> Trajectory:
@@ -89,10 +90,8 @@ def test_splines_at_rest_need_no_connection() -> None:
         np.testing.assert_array_equal(q[-50:], np.broadcast_to(spline.control_points[-1], (50, 2)))
         for rate in (v, a):
             assert not np.concatenate([rate[:51], rate[-50:]]).any()
-    with pytest.raises(DataError, match="periods=1"):
-        along(resting(0, closed=False), periods=2)
-    with pytest.raises(DataError, match="connection"):
-        along(moving(0)[0])
+    refuses(DataError, "periods=1", along, resting(0, closed=False), periods=2)
+    refuses(DataError, "connection", along, moving(0)[0])
 
 
 def sampled(orders: int) -> SampledCurve:
@@ -136,8 +135,7 @@ def test_damaged_files_are_refused(tmp_path: Path, kind: str, junk: str) -> None
         # These may be negative, and be another motion.
         if " =" in line and key not in ("name", "notes", "velocity_limit", "center"):
             file.write_text("\n".join([*good[:k], f"{key} = {junk}", *good[k + 1 :]]))
-            with pytest.raises(DataError, match=re.escape(str(file))):
-                Trajectory.from_toml(file)
+            refuses(DataError, re.escape(str(file)), Trajectory.from_toml, file)
 
 
 @pytest.mark.parametrize("closed", [True, False])

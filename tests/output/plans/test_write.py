@@ -21,6 +21,7 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.plans import write
 from sdpid.output.plans.write import write_plan
 from tests.helpers.plans import AROUND, LIMITS, small_plan
+from tests.helpers.refusals import refuses
 
 FILES = {
     "trajectory.csv",
@@ -132,8 +133,7 @@ def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
     write_plan(small_plan(), tmp_path, figures=False, config="seed = 1\n")
     assert not (tmp_path / "limits.toml").exists()
     (tmp_path / "plan.toml").write_text("# my own\n")
-    with pytest.raises(ExportError, match="which no run wrote"):
-        write_plan(small_plan(), tmp_path, figures=False)
+    refuses(ExportError, "which no run wrote", write_plan, small_plan(), tmp_path, figures=False)
     assert (tmp_path / "plan.toml").read_text() == "# my own\n"
 
 
@@ -163,8 +163,7 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         write_plan(small_plan(), tmp_path / "plan", figures=False)
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
-    with pytest.raises(ExportError, match="it is a file"):
-        write_plan(small_plan(), tmp_path / "file")
+    refuses(ExportError, "it is a file", write_plan, small_plan(), tmp_path / "file")
 
 
 def test_it_can_be_rehearsed(folder: Path) -> None:

@@ -9,6 +9,7 @@ pytest.importorskip("matplotlib")
 
 from sdpid.errors import DataError
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 
 
 def test_every_joint_has_effort_error_and_friction() -> None:
@@ -28,5 +29,4 @@ def test_every_joint_has_effort_error_and_friction() -> None:
     # A notebook shows axes as their figure, but for a figure that belongs to others.
     assert axes._repr_png_().startswith(b"\x89PNG")
     assert not hasattr(result.plot(axes=np.array(axes)), "_repr_png_")
-    with pytest.raises(DataError, match="2 axes were given to draw in, 6 are needed"):
-        result.plot(axes=axes[0, :2])
+    refuses(DataError, "2 axes were given to draw in, 6 are needed", result.plot, axes=axes[0, :2])

@@ -34,6 +34,7 @@ from sdpid.output.report.sections import mass_matrix, parameters
 from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm as recorded_arm
 from tests.helpers.runs import recorded
 
@@ -323,8 +324,7 @@ def test_without_matplotlib_the_page_has_no_plots_and_says_so(
     assert said in words(without)
     assert "matplotlib" not in words(page)
     # Only when they are asked for.
-    with pytest.raises(sdpid.errors.MissingExtraError, match=r"matplotlib>="):
-        report_html(result, figures=True)
+    refuses(sdpid.errors.MissingExtraError, r"matplotlib>=", report_html, result, figures=True)
 
 
 def test_a_long_record_is_drawn_with_few_points_and_says_so() -> None:

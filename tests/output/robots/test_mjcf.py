@@ -19,6 +19,7 @@ from sdpid.robot.friction.terms import RotorInertia
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
 from tests.helpers.verified import differences
@@ -237,8 +238,7 @@ def test_refusals(tmp_path: Path) -> None:
     target = tmp_path / "out.xml"
 
     def refused(source: str, match: str, kind: type[Exception] = ExportError) -> None:
-        with pytest.raises(kind, match=match):
-            write_mjcf(good, source=source, target=target)
+        refuses(kind, match, write_mjcf, good, source=source, target=target)
 
     refused(USERS.replace('name="two"', 'name="three"'), "no joint 'two'")
     refused(USERS.replace('pos="0 0.1 0">', 'pos="0 0.1 0"><joint name="pan"/>'), "lacks: pan")

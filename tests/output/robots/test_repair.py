@@ -23,6 +23,7 @@ from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.inertia import second_moment_from_inertia
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
+from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, bodies, reals
 
 GOOD = diagonal(1.0, 0.01, 0.01, 0.012)
@@ -153,8 +154,7 @@ def test_what_cannot_be_known_is_left() -> None:
 
 
 def test_mjcf_is_refused() -> None:
-    with pytest.raises(ExportError, match="MJCF"):
-        repair_urdf("<mujoco/>")
+    refuses(ExportError, "MJCF", repair_urdf, "<mujoco/>")
 
 
 def exact(matrix: np.ndarray) -> list[list[Fraction]]:
@@ -165,8 +165,7 @@ def test_proofs_refuse_what_is_not_nearest() -> None:
     P, floor = np.diag([-1.0, 2.0, 3.0]), Fraction(1, 1000)
     right = np.diag([1.1e-3, 2.0, 3.0])
     assert prove_nearest(exact(P), exact(np.diag([1.0000001e-3, 2.0, 3.0])), floor).distance > 1.0
-    with pytest.raises(CertificateError, match="proven"):
-        prove_nearest(exact(P), exact(right), floor)
+    refuses(CertificateError, "proven", prove_nearest, exact(P), exact(right), floor)
     with pytest.raises(CertificateError, match="below"):
         prove_nearest(exact(P), exact(np.diag([0.9e-3, 2.0, 3.0])), floor)
     with pytest.raises(CertificateError, match="proven"):

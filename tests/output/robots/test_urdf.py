@@ -24,6 +24,7 @@ from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.small_robots import URDFS
 from tests.helpers.verified import differences
 
@@ -404,9 +405,7 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
         write_urdf(good, target=target, source=ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"))
     with pytest.raises(ModelError, match="link 'tool': value of <mass>"):
         write_urdf(good, target=target, source=ARM.replace('value="0.2"', 'value="heavy"'))
-    with pytest.raises(ExportError, match="cannot write"):
-        write_urdf(good, target=tmp_path / "no" / "out.urdf")
+    refuses(ExportError, "cannot write", write_urdf, good, target=tmp_path / "no" / "out.urdf")
     nameless = replace(arm, robot=replace(arm.robot, urdf=None))
-    with pytest.raises(ExportError, match="as source"):
-        write_urdf(estimate_of(nameless, links), target=target)
+    refuses(ExportError, "as source", write_urdf, estimate_of(nameless, links), target=target)
     assert list(tmp_path.iterdir()) == []

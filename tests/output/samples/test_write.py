@@ -21,6 +21,7 @@ from sdpid.robot.description import mjcf, mjcf_bodies
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from tests.helpers.drawn import draws_about, estimate_of, tree
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
 
 COUNT = 5
@@ -146,8 +147,7 @@ def test_a_failure_leaves_nothing(
         return real(text, path, folder, what)
 
     monkeypatch.setattr(patterns, "compiled", refusing)
-    with pytest.raises(ExportError, match="no"):
-        written(estimate, thetas, tmp_path / "new", "urdf", "mjcf")
+    refuses(ExportError, "no", written, estimate, thetas, tmp_path / "new", "urdf", "mjcf")
     assert not (tmp_path / "new").exists()
 
 
@@ -160,8 +160,7 @@ def test_impossible_draws_are_refused_by_name(
         written(estimate, wrong, tmp_path, "urdf")
     wrong = thetas.copy()
     wrong[2, -1] = -0.5
-    with pytest.raises(ExportError, match=r"Ia\d of joint"):
-        written(estimate, wrong, tmp_path, "mjcf")
+    refuses(ExportError, r"Ia\d of joint", written, estimate, wrong, tmp_path, "mjcf")
     assert not any(tmp_path.iterdir())
 
 
@@ -176,15 +175,13 @@ def test_impossible_draws_are_refused_by_name(
 def test_what_cannot_be_written(
     estimate: Estimate, thetas: Array, kinds: Any, source: str | None, words: str
 ) -> None:
-    with pytest.raises(ExportError, match=words):
-        SampleWriter(estimate, thetas, kinds=kinds, source=source)
+    refuses(ExportError, words, SampleWriter, estimate, thetas, kinds=kinds, source=source)
 
 
 def test_a_robot_without_a_urdf_has_an_mjcf(tmp_path: Path) -> None:
     estimate = estimate_of(sdpid.RobotModel.from_pinocchio(small_arm(2).pin_model))
     thetas = draws_about(estimate, 2)
-    with pytest.raises(ExportError, match="not loaded from a URDF"):
-        written(estimate, thetas, tmp_path, "urdf")
+    refuses(ExportError, "not loaded from a URDF", written, estimate, thetas, tmp_path, "urdf")
     written(estimate, thetas, tmp_path, "mjcf")
     assert load_robot(tmp_path / "robot_0002.xml").n == 2
 

@@ -16,6 +16,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.output.tables.parameters_file import read_parameters, write_parameters
 from sdpid.robot.model.load import load_robot
 from tests.helpers.data import make_samples, random_theta
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE
 
 SUFFIXES = [".json", ".yaml", ".yml"]
@@ -121,8 +122,7 @@ def test_numbers_written_by_hand(tmp_path: Path) -> None:
 def test_files_that_are_none(tmp_path: Path, text: str, match: str) -> None:
     path = tmp_path / "p.json"
     path.write_text(text)
-    with pytest.raises(DataError, match=match):
-        read_parameters(path)
+    refuses(DataError, match, read_parameters, path)
 
 
 def test_other_refusals(
@@ -130,11 +130,9 @@ def test_other_refusals(
 ) -> None:
     with pytest.raises(ExportError, match=r"\.json, \.yaml or \.yml"):
         write_parameters(estimate, tmp_path / "p.toml")
-    with pytest.raises(DataError, match=r"cannot read .*absent"):
-        read_parameters(tmp_path / "absent.json")
+    refuses(DataError, r"cannot read .*absent", read_parameters, tmp_path / "absent.json")
     (tmp_path / "p.yaml").write_text("a: [1\nb: }")
-    with pytest.raises(DataError, match="not YAML"):
-        read_parameters(tmp_path / "p.yaml")
+    refuses(DataError, "not YAML", read_parameters, tmp_path / "p.yaml")
     monkeypatch.setitem(sys.modules, "yaml", None)
     with pytest.raises(MissingExtraError, match=r"pip install .pyyaml"):
         write_parameters(estimate, tmp_path / "q.yaml")

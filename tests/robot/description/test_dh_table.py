@@ -20,6 +20,7 @@ from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.description.origin import matrix_rpy, rpy_matrix
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
 from tests.helpers.tolerances import KINEMATICS
 
@@ -208,8 +209,7 @@ def test_sources_of_a_table_agree() -> None:
     ],
 )
 def test_bad_tables_are_model_errors(table: Any, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
-        RobotModel.from_mdh(table)
+    refuses(ModelError, says, RobotModel.from_mdh, table)
 
 
 @pytest.mark.parametrize("convention", ["modified", "standard"])
@@ -223,14 +223,10 @@ def test_lengths_a_and_d_are_khalils_d_and_r(convention: Any) -> None:
 
 def test_bad_options_are_model_errors() -> None:
     rows = [DhJoint(r=0.2)]
-    with pytest.raises(ModelError, match="gravity"):
-        RobotModel.from_mdh(rows, gravity=(0.0, -9.81))
-    with pytest.raises(ModelError, match="gravity"):
-        RobotModel.from_mdh(rows, gravity=(0.0, math.nan, 0.0))
-    with pytest.raises(ModelError, match="inertias"):
-        RobotModel.from_mdh(rows, inertias=np.ones((2, 10)))
-    with pytest.raises(ModelError, match="mass"):
-        RobotModel.from_mdh(rows, inertias=np.zeros((1, 10)))
+    refuses(ModelError, "gravity", RobotModel.from_mdh, rows, gravity=(0.0, -9.81))
+    refuses(ModelError, "gravity", RobotModel.from_mdh, rows, gravity=(0.0, math.nan, 0.0))
+    refuses(ModelError, "inertias", RobotModel.from_mdh, rows, inertias=np.ones((2, 10)))
+    refuses(ModelError, "mass", RobotModel.from_mdh, rows, inertias=np.zeros((1, 10)))
 
 
 def test_a_missing_or_broken_file(tmp_path: Path) -> None:
@@ -238,5 +234,4 @@ def test_a_missing_or_broken_file(tmp_path: Path) -> None:
         RobotModel.from_mdh(tmp_path / "nothing.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("joint = [[")
-    with pytest.raises((ModelError, DataError), match="not a TOML file"):
-        RobotModel.from_mdh(broken)
+    refuses((ModelError, DataError), "not a TOML file", RobotModel.from_mdh, broken)

@@ -14,6 +14,7 @@ from sdpid.robot.description import mjcf
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -132,8 +133,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("text", "says"), REFUSED)
 def test_refusals(text: str, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
-        load_robot(text)
+    refuses(ModelError, says, load_robot, text)
 
 
 SPRING = """<mujoco><worldbody><body name="a" gravcomp="1"><joint name="j" stiffness="3"
@@ -162,8 +162,7 @@ def test_what_the_model_lacks_is_told() -> None:
     ],
 )
 def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
-    with pytest.raises(ModelError, match=words):
-        load_robot(ARM.replace(*change))
+    refuses(ModelError, words, load_robot, ARM.replace(*change))
 
 
 def test_a_root_is_refused() -> None:
@@ -177,8 +176,7 @@ def test_a_file_that_includes_itself_ends_nothing_but_a_child(tmp_path: Path) ->
     from sdpid.assurance.descriptions.audit import audit_urdf
 
     for read in (load_robot, audit_urdf):
-        with pytest.raises(ModelError, match=r"self\.xml"):
-            read(path)
+        refuses(ModelError, r"self\.xml", read, path)
 
 
 def test_endless_replication_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from sdpid.errors import ModelError
 from sdpid.output.robots.repair import repair_urdf
 from sdpid.robot.model.load import load_robot
 from tests.helpers.descriptions import chain
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE
 
 pytest.importorskip("xacrodoc")
@@ -60,10 +61,8 @@ def test_what_cannot_be_expanded_is_refused(package: Path, monkeypatch: pytest.M
         load_robot(package / "bad.xacro")
     monkeypatch.setattr("sdpid.robot.description.xacro.TIMEOUT", 2.0)
     (package / "loop.xacro").write_text(ARM.replace("${2*pi}", "${[0 for i in range(10**12)]}"))
-    with pytest.raises(ModelError, match=r"loop\.xacro"):
-        load_robot(package / "loop.xacro")
-    with pytest.raises(ModelError, match="no xacro file"):
-        load_robot(TREE, xacro_args={"tool": "drill"})
+    refuses(ModelError, r"loop\.xacro", load_robot, package / "loop.xacro")
+    refuses(ModelError, "no xacro file", load_robot, TREE, xacro_args={"tool": "drill"})
 
 
 BODIES = """<robot name="a" xmlns:xacro="http://ros.org/wiki/xacro">
@@ -100,10 +99,8 @@ def test_names_of_robot_descriptions(
     monkeypatch.setitem(sys.modules, "robot_descriptions.macro_description", macro)
     assert load_robot("plain_description").name == "tree"
     assert load_robot("macro_description").link_names == ("hand",)
-    with pytest.raises(ModelError, match=r"'gone_description' cannot be fetched"):
-        load_robot("gone_description")
-    with pytest.raises(ModelError, match=r"near it are .*plain_description"):
-        load_robot("plain_descriptoin")
+    refuses(ModelError, r"'gone_description' cannot be fetched", load_robot, "gone_description")
+    refuses(ModelError, r"near it are .*plain_description", load_robot, "plain_descriptoin")
 
 
 def test_without_robot_descriptions_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

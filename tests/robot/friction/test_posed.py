@@ -16,6 +16,7 @@ from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
 from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import random_states
@@ -68,8 +69,7 @@ def test_horizontal_axes_are_across_gravity(gravity: tuple[float, float, float])
 
 def test_the_axes_of_an_upright_base_are_its_own() -> None:
     np.testing.assert_array_equal(horizontal_axes(np.array([0.0, 0.0, -9.81])), np.eye(3)[:2])
-    with pytest.raises(ModelError, match="no gravity"):
-        horizontal_axes(np.zeros(3))
+    refuses(ModelError, "no gravity", horizontal_axes, np.zeros(3))
 
 
 @pytest.mark.parametrize("robot", [ARM, load_robot(TREE_MIMIC), *MODELS.values()])
@@ -89,8 +89,7 @@ def test_friction_of_the_load_may_share_its_sign_with_a_sigmoid() -> None:
     v, c = motion.velocity, np.array(share)
     sign = (1.0 - c) * np.sign(v) + c * np.tanh(v / np.array(speeds))
     np.testing.assert_allclose(found, np.abs(efforts(ARM, motion, bodies)) * sign, atol=1e-10)
-    with pytest.raises(ModelError, match="one a joint of each"):
-        LoadFriction(share=(0.5,))
+    refuses(ModelError, "one a joint of each", LoadFriction, share=(0.5,))
 
 
 def test_bodies_of_the_description_are_the_default() -> None:
@@ -118,8 +117,7 @@ def test_what_cannot_be_evaluated_is_refused(term: PosedTerm) -> None:
         acceleration=np.zeros((1, floating.n - 6)),
         robot=floating,
     )
-    with pytest.raises(ModelError, match="floats"):
-        term.columns_in(state, floating.joint_names[6:])
+    refuses(ModelError, "floats", term.columns_in, state, floating.joint_names[6:])
 
 
 def test_base_parameters_hold_them() -> None:

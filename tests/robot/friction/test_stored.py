@@ -13,6 +13,7 @@ from sdpid.errors import ModelError
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb
+from tests.helpers.refusals import refuses
 from tests.helpers.strategies import friction_terms_of
 
 
@@ -28,8 +29,7 @@ class _Own(Coulomb):
 
 
 def test_a_class_of_ones_own_is_refused() -> None:
-    with pytest.raises(ModelError, match="_Own is a class of your own"):
-        term_to_dict(_Own())
+    refuses(ModelError, "_Own is a class of your own", term_to_dict, _Own())
 
 
 @pytest.mark.parametrize(
@@ -46,5 +46,4 @@ def test_a_class_of_ones_own_is_refused() -> None:
     ],
 )
 def test_what_is_no_term_is_refused_in_words(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        term_from_dict(given)
+    refuses(ModelError, message, term_from_dict, given)

@@ -24,6 +24,7 @@ from sdpid.robot.friction.terms import (
     Stribeck,
     Viscous,
 )
+from tests.helpers.refusals import refuses
 from tests.helpers.strategies import states
 
 NAMES = ("a", "b", "c")
@@ -156,8 +157,7 @@ def test_a_floating_base_has_no_friction() -> None:
     ],
 )
 def test_bad_terms_are_model_errors(terms: Any, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
-        FrictionModel.from_terms(terms, NAMES)
+    refuses(ModelError, says, FrictionModel.from_terms, terms, NAMES)
 
 
 @pytest.mark.parametrize("field", ["width", "dead_zone"])
@@ -186,8 +186,7 @@ def test_bad_widths_are_model_errors(field: str, value: float) -> None:
     ],
 )
 def test_bad_speeds_are_model_errors(make: Any, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
-        make()
+    refuses(ModelError, says, make)
 
 
 OPEN: list[FrictionTerm] = [

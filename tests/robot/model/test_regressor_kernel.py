@@ -21,6 +21,7 @@ from sdpid.robot.description.catalog import example_robots
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET, pendulum
 from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS, dh_tables
@@ -140,8 +141,7 @@ def test_memory_of_the_wrong_shape_is_refused(denso: RobotModel) -> None:
         np.zeros((4, 6, 60), dtype=np.float32),
         np.zeros((60, 6, 4)).T,
     ):
-        with pytest.raises(DataError, match="out: shape"):
-            denso.regressor(q, q, q, out=wrong)
+        refuses(DataError, "out: shape", denso.regressor, q, q, q, out=wrong)
     out = np.zeros((4, 6, 60))
     assert denso.regressor(q, q, q, out=out) is out
     with pytest.raises(DataError, match="places: 60 entries up to 60"):
@@ -227,13 +227,11 @@ def test_without_a_folder_for_the_cache_it_is_compiled_again(
 def test_joints_that_screw_and_gravity_that_turns_are_refused() -> None:
     model = pin.Model()
     model.addJoint(0, pin.JointModelHelicalUnaligned(np.eye(3)[0], 0.1), pin.SE3.Identity(), "x")
-    with pytest.raises(ModelError, match="'x' is a JointModelHelical"):
-        RobotModel.from_pinocchio(model)
+    refuses(ModelError, "'x' is a JointModelHelical", RobotModel.from_pinocchio, model)
     turning = pin.buildSampleModelHumanoid()
     RobotModel.from_pinocchio(turning)
     turning.gravity.angular = np.ones(3)
-    with pytest.raises(ModelError, match="angular"):
-        RobotModel.from_pinocchio(turning)
+    refuses(ModelError, "angular", RobotModel.from_pinocchio, turning)
 
 
 def test_long_compilation_is_announced(

@@ -23,6 +23,7 @@ from sdpid.verifier.result import Result
 from sdpid.verifier.results.manifest import sealed
 from sdpid.workflow.verify import Verification
 from tests.helpers.forged import edit, reseal
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 SHARP = ("coulomb", "viscous")
@@ -71,8 +72,7 @@ def test_files_of_any_size_are_not_hashed(copy: Path, sizes: dict[str, int]) -> 
         data["files"][name] = {"bytes": size, "sha256": "0" * 64}
     del data["sha256"]
     (copy / "manifest.json").write_text(json.dumps(sealed(data)))
-    with pytest.raises(MalformedError, match=r"bytes, and less than|not an integer from 0"):
-        verified(copy)
+    refuses(MalformedError, r"bytes, and less than|not an integer from 0", verified, copy)
 
 
 def test_what_was_written_holds(folder: Path) -> None:
@@ -424,8 +424,7 @@ def test_a_manifest_that_is_none(copy: Path, change: Callable[[Any], Any]) -> No
 
 
 def test_a_folder_without_a_manifest(tmp_path: Path) -> None:
-    with pytest.raises(sdpid.errors.CertificateError, match=r"no manifest\.json"):
-        sdpid.verify(tmp_path)
+    refuses(sdpid.errors.CertificateError, r"no manifest\.json", sdpid.verify, tmp_path)
 
 
 def test_through_the_package(folder: Path) -> None:

@@ -17,6 +17,7 @@ from sdpid.errors import DataError
 from sdpid.workflow.result import Identification
 from sdpid.workflow.runs.compare import RunComparison, compare_runs
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
 BELIEF = sdpid.Prior(bodies=1.2 * arm_theta()[:20].reshape(2, 10))
@@ -171,8 +172,7 @@ def test_damaged_files_are_refused_in_words(
 
 
 def test_folders_that_are_none(runs: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="is no folder"):
-        compare_runs(tmp_path / "no", runs["first"])
+    refuses(DataError, "is no folder", compare_runs, tmp_path / "no", runs["first"])
     with pytest.raises(DataError, match=r"has no result\.json and no parameters\.json"):
         compare_runs(runs["first"], tmp_path)
 
@@ -180,8 +180,7 @@ def test_folders_that_are_none(runs: dict[str, Path], tmp_path: Path) -> None:
         content["problem"]["joints"] = list(small_arm(3).joint_names)
 
     alien = changed(runs["first"], tmp_path / "x", "result.json", three)
-    with pytest.raises(DataError, match="compare runs of one robot"):
-        compare_runs(runs["first"], alien)
+    refuses(DataError, "compare runs of one robot", compare_runs, runs["first"], alien)
 
 
 def test_the_command(runs: dict[str, Path], tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from sdpid.experiment.plant.legged.truth import changed_parameters
 from sdpid.robot.inertia import margin
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.refusals import refuses
 
 # What forces from the simulator may leave of the equation of motion, N and N·m.
 EQUATION = 1e-6
@@ -130,8 +131,7 @@ def test_a_humanoid_walks_on_soles() -> None:
     assert log.contacts.wrenches is not None
     assert 0 < np.count_nonzero(~moved.down) < len(moved.down)
     assert np.ptp(log.position, axis=0).min() > 1e-3
-    with pytest.raises(DataError, match=r"'trot'.*2 soles"):
-        simulate_legged(talos, "trot")
+    refuses(DataError, r"'trot'.*2 soles", simulate_legged, talos, "trot")
 
 
 def test_dry_friction_follows_a_law_that_friction_terms_know() -> None:
@@ -143,8 +143,7 @@ def test_dry_friction_follows_a_law_that_friction_terms_know() -> None:
     smooth, falling = law.terms
     shape = smooth.shape(speed, speed) + 0.4 * falling.shape(speed, speed)
     np.testing.assert_allclose(run.motion.friction, coulomb * shape + viscous * speed, atol=1e-12)
-    with pytest.raises(DataError, match=r"too steep.*limit is 0.03"):
-        DryFriction(peak=1.0)
+    refuses(DataError, r"too steep.*limit is 0.03", DryFriction, peak=1.0)
 
 
 def test_a_light_quadruped_trots_without_chatter() -> None:
@@ -169,21 +168,13 @@ def test_changed_links_are_bodies_and_seeds_repeat() -> None:
 
 def test_what_cannot_be_simulated_is_refused() -> None:
     fixed = sdpid.load_robot("go1")
-    with pytest.raises(ModelError, match=r"fixed base.*free_flyer"):
-        simulate_legged(fixed)
-    with pytest.raises(DataError, match=r"'dance'.*stand, trot"):
-        simulate_legged(robot(), "dance")
-    with pytest.raises(DataError, match="expected 166"):
-        simulate_legged(robot(), theta=np.ones(130))
-    with pytest.raises(DataError, match="no channel 'torque'"):
-        Sensors(delays={"torque": 0.1})
-    with pytest.raises(ModelError, match="no frame 'paw'"):
-        find_legs(robot(), feet=["paw"])
-    with pytest.raises(ModelError, match="mimic"):
-        simulate_legged("talos_full_v2")
-    with pytest.raises(ModelError, match=r"romeo.*no body has the parameters"):
-        simulate_legged("romeo_small")
+    refuses(ModelError, r"fixed base.*free_flyer", simulate_legged, fixed)
+    refuses(DataError, r"'dance'.*stand, trot", simulate_legged, robot(), "dance")
+    refuses(DataError, "expected 166", simulate_legged, robot(), theta=np.ones(130))
+    refuses(DataError, "no channel 'torque'", Sensors, delays={"torque": 0.1})
+    refuses(ModelError, "no frame 'paw'", find_legs, robot(), feet=["paw"])
+    refuses(ModelError, "mimic", simulate_legged, "talos_full_v2")
+    refuses(ModelError, r"romeo.*no body has the parameters", simulate_legged, "romeo_small")
     heavy = np.array(changed_parameters(robot()))
     heavy[:10] *= 30.0
-    with pytest.raises(DataError, match="falls"):
-        simulate_legged(robot(), "trot", theta=heavy, duration=3.0)
+    refuses(DataError, "falls", simulate_legged, robot(), "trot", theta=heavy, duration=3.0)

@@ -10,6 +10,7 @@ import pytest
 from sdpid import Samples
 from sdpid.errors import DataError
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from tests.helpers.refusals import refuses
 
 FEET = ("left", "right")
 
@@ -65,8 +66,7 @@ def test_parts_and_joins_keep_contacts() -> None:
     ],
 )
 def test_refuses(given: dict[str, Any], said: str) -> None:
-    with pytest.raises(DataError, match=said):
-        contacts(**given)
+    refuses(DataError, said, contacts, **given)
 
 
 def test_refuses_other_contacts_in_one_join() -> None:
