@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import sdpid
-from sdpid import cli
 from sdpid.cli import endings, printing, values
 from sdpid.errors import ModelError
 from sdpid.experiment.plant.simulate import true_parameters
@@ -25,6 +23,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.bags import write_bag
+from tests.helpers.commands import ran, refused, run
 from tests.helpers.refusals import refuses
 
 ROBOT = "denso_vp6242"
@@ -43,23 +42,8 @@ def log(tmp_path_factory: pytest.TempPathFactory, denso: RobotModel) -> Path:
 def results(tmp_path_factory: pytest.TempPathFactory, log: Path) -> Path:
     """Return the folder that `sdpid identify` filled."""
     out = tmp_path_factory.mktemp("identified")
-    done = run("identify", log, "--robot", ROBOT, "--out", out, "--no-figures")
-    assert done.exit_code == 0, done.output
+    ran("identify", log, "--robot", ROBOT, "--out", out, "--no-figures")
     return out
-
-
-def run(*arguments: Any) -> Result:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
-
-
-def refused(done: Result, status: int, *words: str) -> None:
-    """Check an exit status and a message of one line, without a traceback."""
-    assert done.exit_code == status, done.output
-    assert done.stderr.startswith("sdpid: ")
-    assert len(done.stderr.splitlines()) == 1
-    assert "Traceback" not in done.output
-    for word in words:
-        assert word in done.stderr
 
 
 def shell(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -108,8 +92,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     assert f"sdpid identify {log} --robot {ROBOT} --out {results} --no-figures" in page
     assert sdpid.load_robot(results / "identified.urdf").n == 6
     out = results / "again"
-    done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
-    assert done.exit_code == 0
+    done = ran("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
     assert done.stderr == ""
     # What the verdict stands beside, its three lines, the test of bias, and the certificate last.
     last = [line.split(":")[0] for line in done.stdout.splitlines()[-6:]]
@@ -123,8 +106,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
 
 
 def test_identify_with_details(log: Path, tmp_path: Path) -> None:
-    done = run("identify", log, "--robot", ROBOT, "--out", tmp_path / "out", "--no-figures", "-v")
-    assert done.exit_code == 0
+    done = ran("identify", log, "--robot", ROBOT, "--out", tmp_path / "out", "--no-figures", "-v")
     for text in (
         *("relative residual", "joint_6", "NRMSE", "zero-phase", "notes:", "files:", "verdict:"),
         *("5 blocks, held out, in motion", "least squares", "held out RMSE"),
@@ -171,12 +153,11 @@ def test_friction_options() -> None:
 
 
 def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
-    done = run(
+    done = ran(
         *("identify", log, "--robot", ROBOT, "--json", "--no-figures", "--out", tmp_path / "x"),
         *("--friction", "coulomb=fit", "--friction", "viscous", "--friction", "square_root"),
         *("--friction", "stribeck"),
     )
-    assert done.exit_code == 0, done.output
     problem = json.loads(done.stdout)["problem"]
     terms = [term["term"] for term in problem["friction_terms"]]
     assert terms == ["Coulomb", "Viscous", "SquareRootFriction", "Stribeck"]
@@ -185,24 +166,21 @@ def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
 
 
 def test_without_consistency_there_is_no_urdf(log: Path, tmp_path: Path) -> None:
-    done = run(
+    ran(
         *("identify", log, "--robot", ROBOT, "--consistency", "none"),
         *("--out", tmp_path, "--no-figures"),
     )
-    assert done.exit_code == 0, done.output
     assert not (tmp_path / "identified.urdf").exists()
     assert (tmp_path / "certificate.json").exists()
 
 
 def test_simulate_then_info(tmp_path: Path) -> None:
     path = tmp_path / "run.parquet"
-    done = run("simulate", ROBOT, "--out", path, "--periods", 1, "--period", 10, "--seed", 2)
-    assert done.exit_code == 0, done.output
+    done = ran("simulate", ROBOT, "--out", path, "--periods", 1, "--period", 10, "--seed", 2)
     assert "peak velocity" in done.stdout
     record = sdpid.read_recording(path)
     assert (record.period, record.periods) == (10.0, 1)
-    shown = run("info", path, "--robot", ROBOT)
-    assert shown.exit_code == 0, shown.output
+    shown = ran("info", path, "--robot", ROBOT)
     assert "cutoff hz 15, order 2" in shown.stdout
     # The robot's description has no masses, which is all that there is to say.
     (said,) = shown.stdout.split("findings:\n")[1].splitlines()
@@ -223,10 +201,8 @@ def test_simulate_then_info(tmp_path: Path) -> None:
 def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
     first, second, motion = (tmp_path / name for name in ("a.parquet", "b.csv", "m.toml"))
     options = ("--period", 8, "--periods", 1, "--seed", 4)
-    made = run("simulate", "ur5_robot", "--out", first, "--write-trajectory", motion, *options)
-    assert made.exit_code == 0, made.output
-    again = run("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
-    assert again.exit_code == 0, again.output
+    ran("simulate", "ur5_robot", "--out", first, "--write-trajectory", motion, *options)
+    again = ran("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
     assert "no place for the period" not in again.stdout  # of one period there is none to tell
     shown = run("info", second, "--robot", "ur5_robot").stdout
     assert shown.splitlines()[-1] == "findings: none"
@@ -240,8 +216,7 @@ def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
 def test_simulate_says_that_the_base_of_a_robot_on_legs_was_held(tmp_path: Path) -> None:
     """And its mapping says so, word for word."""
     out, options = tmp_path / "hung.csv", ("--periods", 1, "--period", 6.5)
-    made = run("simulate", "solo12", "--out", out, *options)
-    assert made.exit_code == 0, made.output
+    made = ran("simulate", "solo12", "--out", out, *options)
     assert "the base was held; --motion walk" in made.stdout
     said = '[base] held = "base_link"'
     assert f"{said} in hung.toml" in made.stdout
@@ -261,8 +236,7 @@ def test_simulate_along_samples(tmp_path: Path) -> None:
     swing = np.outer(1.0 - np.cos(np.pi * time), np.full(6, 0.1))
     header = ",".join(["time", *columns])
     np.savetxt(motion, np.column_stack([time, swing]), delimiter=",", header=header, comments="")
-    made = run("simulate", "ur5_robot", "--out", out, "--trajectory", motion)
-    assert made.exit_code == 0, made.output
+    made = ran("simulate", "ur5_robot", "--out", out, "--trajectory", motion)
     assert "within the limit of 180.48 deg/s" in made.stdout
     assert "no limit" not in made.stdout
     record = sdpid.read_recording(out)
@@ -270,8 +244,8 @@ def test_simulate_along_samples(tmp_path: Path) -> None:
     assert record.duration == pytest.approx(8.0, abs=0.01)
     written, again = tmp_path / "motion.toml", tmp_path / "again.parquet"
     options = ("--trajectory", motion, "--write-trajectory", written)
-    assert run("simulate", "ur5_robot", "--out", out, *options).exit_code == 0
-    assert run("simulate", "ur5_robot", "--out", again, "--trajectory", written).exit_code == 0
+    ran("simulate", "ur5_robot", "--out", out, *options)
+    ran("simulate", "ur5_robot", "--out", again, "--trajectory", written)
     np.testing.assert_array_equal(sdpid.read_recording(again).position, record.position)
 
 
@@ -279,10 +253,9 @@ def test_simulate_a_robot_on_legs(tmp_path: Path) -> None:
     """A CSV file with the mapping beside it, and a Parquet file, are read as the same log."""
     first, second = tmp_path / "trot.csv", tmp_path / "trot.parquet"
     options = ("--motion", "trot", "--duration", 0.1, "--seed", 3)
-    made = run("simulate", "solo12", "--out", first, *options)
-    assert made.exit_code == 0, made.output
+    made = ran("simulate", "solo12", "--out", first, *options)
     assert "true total mass 2.48" in made.stdout
-    assert run("simulate", "solo12", "--out", second, *options).exit_code == 0
+    ran("simulate", "solo12", "--out", second, *options)
     one, other = sdpid.read_recording(first), sdpid.read_recording(second)
     for log in (one, other):
         np.testing.assert_array_equal(log.effort, one.effort)
@@ -325,8 +298,7 @@ def test_compare(log: Path, tmp_path: Path) -> None:
         "--max-iterations",
         20,
     )
-    done = run(*arguments, "--out", tmp_path / "c.csv")
-    assert done.exit_code == 0, done.output
+    done = ran(*arguments, "--out", tmp_path / "c.csv")
     assert "random 1" in done.stdout
     assert (tmp_path / "c.csv").read_text().startswith("solver,")
     found = json.loads(run(*arguments, "--starts", 0, "--json").stdout)
@@ -341,8 +313,7 @@ def test_compare(log: Path, tmp_path: Path) -> None:
 
 def test_verify(results: Path, tmp_path: Path) -> None:
     certificate = results / "certificate.json"
-    done = run("verify", certificate)
-    assert done.exit_code == 0, done.output
+    done = ran("verify", certificate)
     assert done.stdout.splitlines()[-1].startswith("PROVEN")
     assert "No feasible parameters cost less than" in done.stdout
     assert json.loads(run("verify", certificate, "--json").stdout)["passed"] is True
@@ -386,11 +357,9 @@ def test_verify_a_folder(results: Path, log: Path, tmp_path: Path) -> None:
 
 
 def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
-    without = run("verify", results, "-v")
-    assert without.exit_code == 0, without.output
+    without = ran("verify", results, "-v")
     assert "the log 'run.parquet', SHA-256 " in without.stdout
-    done = run("verify", results, "--data", log, "--robot", ROBOT, "--json")
-    assert done.exit_code == 0, done.output
+    done = ran("verify", results, "--data", log, "--robot", ROBOT, "--json")
     content = json.loads(done.stdout)
     assert content["passed"] is True
     assert {each["name"] for each in content["log"]["links"]} >= {"log", "compression", "total"}
@@ -410,8 +379,7 @@ def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
 
 def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
     urdf, figure = results / "identified.urdf", tmp_path / "f.png"
-    done = run("validate", log, "--robot", urdf, "--figure", figure)
-    assert done.exit_code == 0, done.output
+    done = ran("validate", log, "--robot", urdf, "--figure", figure)
     assert "relative residual" in done.stdout
     assert figure.read_bytes().startswith(b"\x89PNG")
     found = json.loads(run("validate", log, "--robot", urdf, "--json").stdout)
@@ -498,8 +466,7 @@ def test_a_mapping_elsewhere(tmp_path: Path) -> None:
     options = ("--mapping", mapping, "--unit", "time=s")
     assert json.loads(run("info", path, *options, "--json").stdout)["rate_hz"] == pytest.approx(0.1)
     arguments = ("--robot", ROBOT, "--mapping", mapping, "--json")
-    validated = run("validate", path, *arguments)
-    assert validated.exit_code == 0, validated.output
+    ran("validate", path, *arguments)
     # The one beside the log is followed without asking, and ignored when asked.
     mapping.replace(tmp_path / "log.toml")
     assert json.loads(run("info", path, "--json").stdout)["mapping"] == str(tmp_path / "log.toml")
@@ -578,8 +545,7 @@ def test_names_that_do_not_match(tmp_path: Path, denso: RobotModel) -> None:
     path = csv_log(tmp_path / "log.csv", wave(), names)
     arguments = ("identify", path, *READ, "--robot", ROBOT, "--out", tmp_path / "out")
     refused(run(*arguments), 2, "joint_6")
-    shown = run("info", path, *READ, "--robot", ROBOT)
-    assert shown.exit_code == 0
+    shown = ran("info", path, *READ, "--robot", ROBOT)
     assert "joint_6" in shown.stdout
 
 
@@ -678,8 +644,7 @@ def test_real_recordings(data_folder: Path, tmp_path: Path) -> None:
     shown = run("info", log, "--robot", urdf)
     assert "fer_joint1 is panda_joint1" in shown.stdout
     options = ("--cutoff", 4, "--velocity", "measured", "--no-figures", "--json")
-    done = run("identify", log, "--robot", urdf, "--out", tmp_path, *options)
-    assert done.exit_code == 0, done.output
+    done = ran("identify", log, "--robot", urdf, "--out", tmp_path, *options)
     found = json.loads(done.stdout)
     assert found["certified"] is True
     assert list(found["training"]["joints"]) == [f"panda_joint{j}" for j in range(1, 8)]
@@ -876,7 +841,6 @@ def test_names_of_a_description_forge_no_line(folder_of_arm: Path, tmp_path: Pat
     for recorded in (log, named):
         found = sdpid.identify(str(urdf), str(recorded), intervals=False, effects="none")
         assert found.training.relative < 0.05
-    done = run("validate", log, "--robot", urdf)
-    assert done.exit_code == 0, done.output
+    done = ran("validate", log, "--robot", urdf)
     assert "a\ufffdb" in done.stdout
     assert "\u202e" not in done.output

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import etree
-from typer.testing import CliRunner
 
-from sdpid import cli
 from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.commands import ran, run
 from tests.helpers.damage import damaged, misspelt, spoiled
 
 # Damaged files of each kind.
@@ -68,11 +67,10 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savez(folder / "log.npz", t=t, q=q, tau=tau, joint_names=["a", "b"])
     np.savez(folder / "raw.npz", t=t, enc=q, i1=tau[:, 0], i2=tau[:, 1])
     (folder / "map.toml").write_text(MAPPING)
-    done = run(
+    ran(
         *("identify", folder / "log.csv", "--robot", folder / "arm.urdf", "--no-figures"),
         *("--friction", "coulomb", "--friction", "viscous", "--out", folder / "out"),
     )
-    assert done.exit_code == 0, done.output
     shutil.copy(folder / "out" / "certificate.json", folder)
     shutil.copy(folder / "out" / "base_parameters.csv", folder / "table.csv")
     return folder
@@ -86,10 +84,6 @@ ARM_XML = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><wor
 <inertial pos="0.15 0.01 0" mass="1.5" fullinertia="0.005 0.012 0.012 0 0 0"/></body></body>
 </worldbody></mujoco>
 """
-
-
-def run(*arguments: Any) -> Any:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
 
 
 @contextmanager
@@ -278,8 +272,7 @@ def test_motions_and_mjcf_of_wrong_numbers_end_well(kind: str, sound: Path, tmp_
     else:
         motion, drawn = tmp_path / kind, ("--seed", "0", "--period", "8", "--periods", "1")
         out = ("--out", tmp_path / "run.csv")
-        done = run("simulate", sound / "arm.urdf", *drawn, *out, "--write-trajectory", motion)
-        assert done.exit_code == 0, done.output
+        ran("simulate", sound / "arm.urdf", *drawn, *out, "--write-trajectory", motion)
         commands = [("simulate", sound / "arm.urdf", *out, "--trajectory", motion)]
     content = (tmp_path / kind).read_bytes()
     rng = np.random.default_rng([COUNT, *kind.encode()])

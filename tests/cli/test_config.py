@@ -12,11 +12,10 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from sdpid import cli
 from sdpid._common.toml import load_toml
 from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.commands import ran, refused, run
 
 
 @pytest.fixture
@@ -27,10 +26,6 @@ def folder(tmp_path: Path) -> Path:
     np.savez(tmp_path / "log.npz", t=t, q=q, tau=tau)
     np.savez(tmp_path / "raw.npz", t=t, enc=np.degrees(q), i1=tau[:, 0], i2=tau[:, 1])
     return tmp_path
-
-
-def run(*arguments: Any) -> Any:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
 
 
 CONFIG = """
@@ -54,18 +49,16 @@ def test_a_run_from_a_file_is_that_of_the_options(folder: Path) -> None:
     (folder / "logs").mkdir()
     (folder / "raw.npz").rename(folder / "logs" / "raw.npz")
     (folder / "my.toml").write_text(CONFIG)
-    done = run("identify", "--config", folder / "my.toml", "--no-figures", "--json")
-    assert done.exit_code == 0, done.output
+    done = ran("identify", "--config", folder / "my.toml", "--no-figures", "--json")
     inputs = json.loads((folder / "results" / "manifest.json").read_text())["inputs"]
     assert [each["name"] for each in inputs if each["role"] == "config"] == ["my.toml"]
     options = ("--cutoff", 6, "--no-prior", "--friction", "coulomb=0.05", "--friction", "viscous")
     reading = ("--unit", "position=deg", "--column", "position=enc", "--column", "effort=i1,i2")
-    typed = run(
+    ran(
         *("identify", folder / "logs" / "raw.npz", "--robot", folder / "arm.urdf", *options),
         *(*reading, "--effort-scale", "1,1", "--out", folder / "typed", "--no-intervals"),
         *("--no-figures", "--json"),
     )
-    assert typed.exit_code == 0, typed.output
     assert same(folder / "results", folder / "typed")
     assert json.loads(done.stdout)["intervals"] is None
 
@@ -80,12 +73,11 @@ def same(one: Path, other: Path) -> bool:
 
 def test_the_written_file_repeats_the_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    done = run(
+    done = ran(
         *("identify", "log.npz", "--robot", "arm.urdf", "--out", "deep/out", "--no-figures"),
         *("--validation", "log.npz", "--order", 3, "--friction", "viscous", "--no-prior"),
         *("--friction", "coulomb", "--margin", 1e-4, "--folds", 2, "-q"),
     )
-    assert done.exit_code == 0, done.output
     assert done.output == ""
     written = load_toml("deep/out/run.toml")
     assert written["log"] == ["../../log.npz"]
@@ -99,27 +91,21 @@ def test_the_written_file_repeats_the_run(folder: Path, monkeypatch: pytest.Monk
     (folder / "deep/out/manifest.json").rename(folder / "first.json")
     monkeypatch.chdir("/")
     # Without the list of files it is not known who wrote the configuration: it is not replaced.
-    again = run("identify", "--config", folder / "deep/out/run.toml")
-    assert again.exit_code == 2
-    assert "run.toml, which this run reads" in again.stderr
+    again = ("identify", "--config", folder / "deep/out/run.toml")
+    refused(run(*again), 2, "run.toml, which this run reads")
     (folder / "first.json").rename(folder / "deep/out/manifest.json")
-    repeated = run("identify", "--config", folder / "deep/out/run.toml", "--out", folder / "second")
-    assert repeated.exit_code == 0, repeated.output
+    ran(*again, "--out", folder / "second")
     assert same(folder / "deep/out", folder / "second")
     # The configuration of an earlier run may be replaced, and is the same after that.
-    again = run("identify", "--config", folder / "deep/out/run.toml")
-    assert again.exit_code == 0, again.output
+    ran(*again)
     assert (folder / "deep/out/run.toml").read_bytes() == before
 
 
 def test_the_command_line_wins(folder: Path) -> None:
     (folder / "run.toml").write_text('log = "nowhere.npz"\nrobot = "arm.urdf"\n')
-    done = run("info", folder / "log.npz", "--config", folder / "run.toml", "--json")
-    assert done.exit_code == 0, done.output
+    done = ran("info", folder / "log.npz", "--config", folder / "run.toml", "--json")
     assert json.loads(done.stdout)["samples"] == 400
-    refused = run("info", "--config", folder / "run.toml")
-    assert refused.exit_code == 2
-    assert f"{folder / 'nowhere.npz'}" in refused.stderr
+    refused(run("info", "--config", folder / "run.toml"), 2, f"{folder / 'nowhere.npz'}")
 
 
 @pytest.mark.parametrize(
@@ -150,28 +136,15 @@ def test_files_that_are_refused(folder: Path, text: str, words: str) -> None:
 
 def test_a_missing_file(folder: Path) -> None:
     done = run("info", folder / "log.npz", "--config", folder / "no.toml")
-    assert done.exit_code == 2
-    assert done.stderr.startswith(f"sdpid: cannot read {folder / 'no.toml'}")
+    refused(done, 2, f"sdpid: cannot read {folder / 'no.toml'}")
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "identify",
-        "info",
-        "validate",
-        "compare",
-        "simulate",
-        "payload",
-        "audit",
-        "certify",
-        "verify",
-        "sample",
-    ],
-)
+COMMANDS = "identify info validate compare simulate payload audit certify verify sample"
+
+
+@pytest.mark.parametrize("command", COMMANDS.split())
 def test_every_command_has_the_shared_options(command: str) -> None:
-    done = run(command, "--help")
-    assert done.exit_code == 0
+    done = ran(command, "--help")
     for option in ("--config", "--json", "--quiet", "-q"):
         assert option in done.stdout
 
@@ -193,8 +166,7 @@ def test_quiet_prints_errors_only(folder: Path) -> None:
     done = run(*arguments)
     assert (done.exit_code, done.output) == (0, "")
     done = run(*arguments, "--order", "99")
-    assert done.exit_code == 2
-    assert done.stderr.startswith("sdpid: order: is 99")
+    refused(done, 2, "sdpid: order: is 99")
     assert done.stdout == ""
 
 
@@ -251,6 +223,5 @@ def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
     """Such as the mapping of a log run.csv that this run does not read."""
     (folder / "run.toml").write_text("[columns]\n")
     done = run("identify", folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder)
-    assert done.exit_code == 2
-    assert "run.toml, which no run wrote" in done.stderr
+    refused(done, 2, "run.toml, which no run wrote")
     assert (folder / "run.toml").read_text() == "[columns]\n"

@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import sdpid
-from sdpid import cli
 from sdpid._common.toml import load_toml
 from sdpid.cli.excite.surroundings import Surroundings
 from sdpid.excitation.geometry.obstacles import Mesh
 from sdpid.experiment.trajectory.reading import read_trajectory
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.commands import ran, refused, run
 
 LIMITS = """
 [a]
@@ -35,19 +34,6 @@ height = -0.5
 OPTIONS = ("--duration", 4, "--starts", 1, "--seed", 3, "--no-figures")
 
 
-def run(*arguments: Any) -> Result:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
-
-
-def refused(done: Result, status: int, *words: str) -> None:
-    """Check an exit status and a message of one line that says what is wrong."""
-    assert done.exit_code == status, done.output
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("sdpid: ")
-    for word in words:
-        assert word in done.stderr
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot, limits, and a plan."""
@@ -55,8 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "arm.urdf").write_text(ARM_URDF)
     (made / "limits.toml").write_text(LIMITS)
     files = ("arm.urdf", "--limits", made / "limits.toml", "--out", made / "plan")
-    done = run("excite", made / files[0], *files[1:], "--wall", "-x=0.7", *OPTIONS)
-    assert done.exit_code == 0, done.output
+    done = ran("excite", made / files[0], *files[1:], "--wall", "-x=0.7", *OPTIONS)
     assert done.stderr == ""
     (made / "told.txt").write_text(done.stdout)
     return made
@@ -88,8 +73,7 @@ def test_the_written_file_makes_the_plan_again(
     assert config["limits"] == "../limits.toml"
     assert config["for"] == "all"
     monkeypatch.chdir(tmp_path)
-    done = run("excite", "--config", folder / "plan" / "plan.toml", "--out", "again", "--json")
-    assert done.exit_code == 0, done.output
+    done = ran("excite", "--config", folder / "plan" / "plan.toml", "--out", "again", "--json")
     for name in ("trajectory.csv", "trajectory.toml", "coefficients.json"):
         one, other = (folder / "plan" / name).read_bytes(), Path("again", name).read_bytes()
         assert one == other
@@ -102,8 +86,7 @@ def test_any_trajectory_is_checked(folder: Path, tmp_path: Path) -> None:
     """A plan holds its limits; faster it does not, and the excess is named."""
     plan = folder / "plan" / "trajectory.csv"
     checked = ("excite", folder / "arm.urdf", "--limits", folder / "limits.toml", "--check")
-    done = run(*checked, plan)
-    assert done.exit_code == 0, done.output
+    done = ran(*checked, plan)
     assert "every limit holds at every instant" in done.stdout
     motion = read_trajectory(plan, ("a", "b"))
     t = np.linspace(0.0, motion.period, 401)
@@ -196,14 +179,12 @@ def test_ctrl_c_writes_the_best_so_far(folder: Path, tmp_path: Path) -> None:
 
 def test_a_robot_that_stands(tmp_path: Path) -> None:
     out = tmp_path / "plan"
-    done = run("excite", "solo12", "--stand", "--duration", "2", "--steps", "3",
+    done = ran("excite", "solo12", "--stand", "--duration", "2", "--steps", "3",
                "--no-figures", "--grip", "0.4", "--out", out)  # fmt: skip
-    assert done.exit_code == 0, done.output
     assert "of 130 base parameters known ten times as well as before" in done.output
     assert {file.name for file in out.iterdir()} == {"trajectory.csv", "plan.toml", "plan.json"}
     log = tmp_path / "run.csv"
-    done = run("simulate", "solo12", "--motion", out / "trajectory.csv", "--out", log)
-    assert done.exit_code == 0, done.output
+    done = ran("simulate", "solo12", "--motion", out / "trajectory.csv", "--out", log)
     assert sdpid.read_recording(log).contacts is not None
     for wrong, told in (
         (("--stand", "--periods", "2"), "--periods: is for robots on a fixed base"),

@@ -5,19 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import sdpid
-from sdpid import cli
 from tests.helpers.arm_files import ARM_URDF, arm_log
-
-
-def run(*arguments: Any) -> Result:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+from tests.helpers.commands import ran, refused, run
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     t, q, tau = arm_log(folder / "arm.urdf")
     np.savez(folder / "log.npz", t=t, q=q, tau=tau, joint_names=["a", "b"])
     arguments = (folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder / "results")
-    done = run("identify", *arguments, "--no-figures", "--no-intervals", "--effects", "none")
-    assert done.exit_code == 0, done.output
+    ran("identify", *arguments, "--no-figures", "--no-intervals", "--effects", "none")
     return folder
 
 
@@ -37,8 +30,7 @@ def test_robots_of_a_results_folder(folder: Path, tmp_path: Path) -> None:
     results, out = folder / "results", tmp_path / "robots"
     before = {path.name: path.read_bytes() for path in results.iterdir()}
     arguments = ("sample", results, "-n", 3, "--out", out, "--urdf", "--mjcf")
-    done = run(*arguments, "--json")
-    assert done.exit_code == 0, done.output
+    done = ran(*arguments, "--json")
     content = json.loads(done.stdout)
     names = {Path(file).name for file in content["files"]}
     assert names == {path.name for path in out.iterdir()}
@@ -59,8 +51,7 @@ def test_robots_of_a_results_folder(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_single_robot_has_no_ranges_to_speak_of(folder: Path, tmp_path: Path) -> None:
-    done = run("sample", folder / "results", "-n", 1, "--out", tmp_path / "robots")
-    assert done.exit_code == 0, done.output
+    done = ran("sample", folder / "results", "-n", 1, "--out", tmp_path / "robots")
     assert "ranges of one robot have no width" in done.stdout
     assert "draw 40 or more" in " ".join(done.stdout.split())
 
@@ -75,9 +66,8 @@ def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> 
         entry["value"] *= 1.2
     (results / "parameters.json").write_text(json.dumps(content))
     done = run("sample", results, "--out", tmp_path / "robots")
-    assert done.exit_code == 2
-    assert "the run, made again, predicts efforts that differ by" in done.stderr
-    assert "at most 1e-05 is rounding" in done.stderr
+    words = "the run, made again, predicts efforts that differ by", "at most 1e-05 is rounding"
+    refused(done, 2, *words)
     assert not (tmp_path / "robots").exists()
 
 

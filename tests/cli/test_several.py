@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from sdpid import cli
 from sdpid._common import progress as _progress
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.commands import ran, refused, run
 from tests.helpers.runs import recorded
 
 
@@ -29,18 +27,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(*arguments: Any) -> Any:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
-
-
 def test_several_logs(folder: Path) -> None:
     logs = [folder / f"run{i}.csv" for i in (1, 2, 3)]
     out = folder / "out"
-    done = run(
+    done = ran(
         *("identify", *logs[:2], "--robot", folder / "arm.urdf", "--out", out, "--no-figures"),
         *("--validation", logs[2], "--folds", 3, "--filter", "bessel", "--json"),
     )
-    assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     assert found["certified"] is True
     assert found["validation"]["relative_residual"] < 0.02
@@ -58,11 +51,10 @@ def test_several_logs(folder: Path) -> None:
 
 
 def test_in_words_and_without_intervals(folder: Path) -> None:
-    done = run(
+    done = ran(
         *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "b"),
         *("--no-figures", "--no-intervals", "--folds", 2, "--derivative", "central6", "-v"),
     )
-    assert done.exit_code == 0, done.output
     assert "2 blocks of time held out in turn" in done.stdout
     assert "block 2 of 2" in done.stdout
     assert "intervals" not in done.stdout
@@ -70,11 +62,10 @@ def test_in_words_and_without_intervals(folder: Path) -> None:
 
 
 def test_other_intervals(folder: Path) -> None:
-    done = run(
+    done = ran(
         *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "c"),
         *("--no-figures", "--interval-method", "profile", "--json"),
     )
-    assert done.exit_code == 0, done.output
     labels = {entry["label"] for entry in json.loads(done.stdout)["intervals"]["parameters"]}
     assert "from data" in labels
     assert len(labels) > 1
@@ -92,9 +83,7 @@ def test_other_intervals(folder: Path) -> None:
 def test_what_is_refused(folder: Path, options: tuple[str, ...], words: str) -> None:
     logs = [folder / "run1.csv", folder / "run2.csv"]
     done = run("identify", *logs, "--robot", folder / "arm.urdf", "--out", folder / "d", *options)
-    assert done.exit_code == 2
-    assert words in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    refused(done, 2, words)
     assert not (folder / "d").exists()
 
 
