@@ -19,8 +19,6 @@ import sdpid
 from sdpid.cli import endings, printing, values
 from sdpid.errors import ModelError
 from sdpid.experiment.plant.simulate import true_parameters
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.bags import write_bag
 from tests.helpers.commands import ran, refused, run
@@ -30,7 +28,7 @@ ROBOT = "denso_vp6242"
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory, denso: RobotModel) -> Path:
+def log(tmp_path_factory: pytest.TempPathFactory, denso: sdpid.RobotModel) -> Path:
     """Return the file of a small simulated experiment."""
     path = tmp_path_factory.mktemp("log") / "run.parquet"
     trajectory = sdpid.paper_excitation(ROBOT, 5, periods=2, period=20.0)
@@ -540,7 +538,7 @@ def test_files_that_cannot_be_read(name: str, words: str, tmp_path: Path) -> Non
     refused(run("info", tmp_path / name), 2, words)
 
 
-def test_names_that_do_not_match(tmp_path: Path, denso: RobotModel) -> None:
+def test_names_that_do_not_match(tmp_path: Path, denso: sdpid.RobotModel) -> None:
     names = [f"position_{name}" for name in (*denso.joint_names[:5], "wrist")]
     path = csv_log(tmp_path / "log.csv", wave(), names)
     arguments = ("identify", path, *READ, "--robot", ROBOT, "--out", tmp_path / "out")
@@ -736,7 +734,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
         assert done.returncode == 2
         assert len(done.stderr.splitlines()) == 1
         assert "no regular file" in done.stderr
-    refuses(ModelError, r"arm\.urdf: it is no regular file", load_robot, robot)
+    refuses(ModelError, r"arm\.urdf: it is no regular file", sdpid.load_robot, robot)
 
 
 @pytest.fixture(scope="module")

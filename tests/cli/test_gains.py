@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 import sdpid
 from sdpid.cli import app
-from sdpid.experiment.recording.recording import Recording
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.world import GAINS as TRUE
 from tests.helpers.world import LOAD, write_world
@@ -32,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("currents")
     (folder / "arm.urdf").write_text(ARM_URDF, encoding="utf-8")
     time, q, effort = arm_log(folder / "arm.urdf")
-    log = Recording(
+    log = sdpid.Recording(
         time=time, position=q, effort=effort / GAINS, joint_names=("a", "b"), currents=True
     )
     log.to_csv(folder / "run.csv")

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import sdpid
 from sdpid.cli import app
-from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.inertia import theta_from_physical
-from sdpid.robot.model.load import load_robot
 
 MASS = 1.5
 
@@ -23,7 +21,7 @@ MASS = 1.5
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Return recordings with and without a payload, of an arm as described."""
     folder = tmp_path_factory.mktemp("logs")
-    robot = load_robot("ur5_robot")
+    robot = sdpid.load_robot("ur5_robot")
     rng = np.random.default_rng(0)
     time = np.arange(0.0, 20.0, 0.01)
     paths = []
@@ -40,7 +38,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         effort = robot.inverse_dynamics(theta, q, v, a) + 0.5 * np.tanh(v / 0.02)
         effort += 0.1 * rng.standard_normal(q.shape)
         path = folder / f"{name}.parquet"
-        Recording(time=time, position=q, effort=effort).to_parquet(path)
+        sdpid.Recording(time=time, position=q, effort=effort).to_parquet(path)
         paths.append(path)
     return paths[0], paths[1]
 
@@ -73,12 +71,12 @@ def test_a_joint_without_effort(logs: tuple[Path, Path], tmp_path: Path) -> None
     """Its effort is rubbish in both recordings; the others show the payload all the same."""
     paths = []
     for path in logs:
-        log = read_recording(path)
+        log = sdpid.read_recording(path)
         effort = np.array(log.effort)
         effort[:, 0] = 1e3 * np.random.default_rng(1).standard_normal(len(effort))
         paths.append(tmp_path / path.name)
         replace(log, effort=effort).to_parquet(paths[-1])
-    joint = load_robot("ur5_robot").joint_names[0]
+    joint = sdpid.load_robot("ur5_robot").joint_names[0]
     options = ("--robot", "ur5_robot", "--without-effort", joint, "--json")
     found = json.loads(run(paths[0], "--without", paths[1], *options))
     assert found["intervals"]["mass"][0] < MASS < found["intervals"]["mass"][1]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.constraints import (
     CenterOfMassInBox,
@@ -21,9 +22,7 @@ from sdpid.constraints import (
     TotalMass,
 )
 from sdpid.estimation.constraints.condition import Condition
-from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from tests.helpers.data import flat_links, make_samples, random_links, random_theta
@@ -69,7 +68,7 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
 def arm_problem(
     *others: Condition,
     consistency: Consistency = "pseudo_inertia",
-    prior: Prior | None = None,
+    prior: sdpid.Prior | None = None,
     **numbers: Any,
 ) -> Problem:
     """Return a problem of links that are point masses, with much noise."""
@@ -79,7 +78,7 @@ def arm_problem(
     samples = make_samples(ARM, theta, rng, noise=1.0)
     limits: dict[str, Any] = {"margin": 1e-3, "mass_max": 10.0, "theta_max": 20.0}
     limits = {**limits, "friction_max": 20.0, **numbers}
-    constraints = Constraints(others=others, **limits)
+    constraints = sdpid.Constraints(others=others, **limits)
     return build_problem(
         ARM, samples, consistency=consistency, constraints=constraints, prior=prior
     )

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import point_masses
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.strategies import random_states
 
 FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")
@@ -28,14 +27,14 @@ def random_links(rng: np.random.Generator, count: int, *, points: int = 8) -> Ar
 
 
 def friction_model(
-    robot: RobotModel, friction: Iterable[str | FrictionTerm] = FRICTION
+    robot: sdpid.RobotModel, friction: Iterable[str | FrictionTerm] = FRICTION
 ) -> FrictionModel:
     """Return the friction model of a robot."""
     return FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
 
 
 def random_theta(
-    robot: RobotModel,
+    robot: sdpid.RobotModel,
     rng: np.random.Generator,
     friction: Iterable[str | FrictionTerm] = FRICTION,
 ) -> Array:
@@ -51,7 +50,7 @@ def flat_links(rng: np.random.Generator, count: int) -> Array:
 
 
 def full_regressor(
-    robot: RobotModel,
+    robot: sdpid.RobotModel,
     states: tuple[Array, Array, Array],
     friction: Iterable[str | FrictionTerm] = FRICTION,
 ) -> Array:
@@ -62,7 +61,7 @@ def full_regressor(
 
 
 def make_samples(
-    robot: RobotModel,
+    robot: sdpid.RobotModel,
     theta: Array,
     rng: np.random.Generator,
     *,
@@ -70,12 +69,12 @@ def make_samples(
     noise: float | Array = 0.0,
     friction: Iterable[str | FrictionTerm] = FRICTION,
     **fields: Any,
-) -> Samples:
+) -> sdpid.Samples:
     """Return samples at generic states: exact efforts plus noise (a deviation, or an array)."""
     q, v, a = random_states(rng, robot.n, count)
     effort = full_regressor(robot, (q, v, a), friction) @ theta
     error = noise * rng.standard_normal(effort.shape) if np.ndim(noise) == 0 else noise
-    return Samples(position=q, velocity=v, acceleration=a, effort=effort + error, **fields)
+    return sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort + error, **fields)
 
 
 def random_covariance(rng: np.random.Generator, n: int, count: int | None = None) -> Array:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.samples.log_cholesky import changed
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import TREE_MIMIC
@@ -23,7 +22,7 @@ TERMS = ("coulomb", "viscous", "rotor_inertia")
 
 def tree() -> RobotModel:
     """Return a tree of every kind of joint, with a link fixed to a moving one, and a mimic."""
-    return load_robot(TREE_MIMIC)
+    return sdpid.load_robot(TREE_MIMIC)
 
 
 def estimate_of(robot: RobotModel, terms: tuple[str, ...] = TERMS, **options: str) -> Estimate:
@@ -32,7 +31,7 @@ def estimate_of(robot: RobotModel, terms: tuple[str, ...] = TERMS, **options: st
     states = generic_states(robot, 60, 5)
     effort = full_regressor(robot, states, terms) @ theta
     samples = Samples(position=states[0], velocity=states[1], acceleration=states[2], effort=effort)
-    problem = build_problem(robot, samples, friction=terms, check_excitation=False, **options)  # type: ignore[arg-type]
+    problem = sdpid.build_problem(robot, samples, friction=terms, check_excitation=False, **options)  # type: ignore[arg-type]
     return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
 
 

@@ -11,7 +11,6 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.processing.samples import Samples
 from sdpid.workflow.result import Identification
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import small_arm
@@ -37,7 +36,7 @@ def moved(
     robot: sdpid.RobotModel = ARM,
     noise_seed: int | None = None,
     **fields: Any,
-) -> Samples:
+) -> sdpid.Samples:
     """Return samples of a smooth motion; `noise_seed` changes the noise alone."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / RATE)
@@ -50,15 +49,15 @@ def moved(
     if noise_seed is not None:
         rng = np.random.default_rng((seed, noise_seed))
     effort = effort + noise * rng.standard_normal(effort.shape)
-    return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t, **fields)
+    return sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t, **fields)
 
 
 def identified(
-    samples: Samples | Problem, validation: Samples | None = None, **options: Any
+    samples: sdpid.Samples | Problem, validation: sdpid.Samples | None = None, **options: Any
 ) -> Identification:
     """Identify the arm."""
     problem = samples
-    if isinstance(problem, Samples):
+    if isinstance(problem, sdpid.Samples):
         problem = build_problem(
             options.pop("robot", ARM), problem, friction=FRICTION, weighting="residual", **options
         )

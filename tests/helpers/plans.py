@@ -5,20 +5,18 @@ from __future__ import annotations
 from functools import cache
 
 import sdpid
-from sdpid.excitation.design.design import design_excitation
 from sdpid.excitation.geometry.obstacles import Box, table
-from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan
 from tests.helpers.arm_files import ARM_URDF
 
-LIMITS = Limits(acceleration={"a": 5.0, "b": 8.0}, jerk=200.0, clearance=0.02)
+LIMITS = sdpid.Limits(acceleration={"a": 5.0, "b": 8.0}, jerk=200.0, clearance=0.02)
 AROUND = (table(-0.5), Box(size=(0.1, 0.1, 0.1), translation=(0.0, 2.0, 0.0), name="<b>box"))
 
 
 @cache
 def small_plan() -> Plan:
     """Return a plan for the arm of `ARM_URDF`, found from one start."""
-    return design_excitation(
+    return sdpid.design_excitation(
         sdpid.load_robot(ARM_URDF),
         duration=4.0,
         limits=LIMITS,

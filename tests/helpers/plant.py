@@ -8,13 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.plant.closed_loop import ClosedLoop
 from sdpid.experiment.plant.drives import Drives
 from sdpid.experiment.plant.mujoco_model import MujocoModel
 from sdpid.experiment.plant.simulate import plant_parts
-from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.model.model import RobotModel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,8 +46,8 @@ class PlantLog:
 
 
 def run_plant(
-    robot: RobotModel,
-    trajectory: Trajectory,
+    robot: sdpid.RobotModel,
+    trajectory: sdpid.Trajectory,
     *,
     theta: ArrayLike | None = None,
     drives: Drives | None = None,

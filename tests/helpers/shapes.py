@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.collision import CollisionModel
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 
 BALL = '<sphere radius="0.1"/>'
 ROD = '<cylinder radius="0.05" length="0.4"/>'
@@ -15,7 +14,7 @@ ROD = '<cylinder radius="0.05" length="0.4"/>'
 
 def shaped_arm(
     *shapes: str, spacing: float = 0.5, kinds: str = "rrrrrr", more: str = ""
-) -> RobotModel:
+) -> sdpid.RobotModel:
     """Return a chain whose joints follow each other along x and turn about z and y in turn.
 
     Parameters
@@ -41,7 +40,7 @@ def shaped_arm(
             f'<origin xyz="{spacing if i > 1 else 0} 0 0"/><axis xyz="{axis}"/>'
             '<limit lower="-2" upper="2" effort="9" velocity="3"/></joint>'
         )
-    return load_robot(f'<robot name="chain">{"".join(links + joints)}{more}</robot>')
+    return sdpid.load_robot(f'<robot name="chain">{"".join(links + joints)}{more}</robot>')
 
 
 def distances_and_gradients(model: CollisionModel, q: Array) -> tuple[Array, Array]:

@@ -19,7 +19,6 @@ from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Step
-from sdpid.experiment.processing.samples import Samples
 from sdpid.plots import (
     plot_against_limits,
     plot_convergence,
@@ -236,7 +235,7 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
     assert figure.axes[0].get_xlim() == pytest.approx((15.0, 25.0), abs=0.02)
     with pytest.raises(DataError, match="joint 2 does not exist"):
         sdpid.Processing.paper().stages(log, 2, window=(15.0, 25.0))
-    samples = Samples(
+    samples = sdpid.Samples(
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
     fit = Validation.of_prediction(("a", "b"), samples, q + 0.5)

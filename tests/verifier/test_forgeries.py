@@ -25,7 +25,6 @@ import sdpid
 from sdpid.constraints import CenterOfMassInEllipsoid, Condition, Fixed, Row
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior.prior import Prior
 from sdpid.verifier import certificate as checker
 from sdpid.verifier.command import main
 from sdpid.verifier.reading import MAX_BYTES, MalformedError, digest
@@ -38,7 +37,7 @@ VERIFIER = Path(checker.__file__).parent
 JUDGE = study("certificate_judge").Judge()
 MUTATIONS = study("certificate_mutations")
 FORGERIES = study("forgeries")
-ENTROPIC = Prior(kind="entropic", bodies=BODIES)
+ENTROPIC = sdpid.Prior(kind="entropic", bodies=BODIES)
 
 
 @cache
@@ -249,7 +248,7 @@ def test_a_prior_of_nothing_does_not_dilute_the_gap(honest: Data) -> None:
 
 def test_a_strong_prior_through_the_front_door_is_told() -> None:
     """No forging at all: a run whose prior outweighs the log says so in its text."""
-    prior = Prior(strength=1e7, bodies=1.5 * BODIES)
+    prior = sdpid.Prior(strength=1e7, bodies=1.5 * BODIES)
     data = sdpid.certify(sdpid.solve_sdp(arm_problem(prior=prior))).to_dict()
     result = checked(data)
     assert result.passed

@@ -11,7 +11,6 @@ import pytest
 import sdpid
 from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.errors import DataError
-from sdpid.estimation.problem import build_problem
 from sdpid.workflow.result import Identification
 from sdpid.workflow.sample import ParameterSamples
 from tests.helpers.identified import ARM, arm_theta, identified, moved
@@ -102,7 +101,7 @@ def test_shares_that_are_none(samples: ParameterSamples, probability: Any, tmp_p
 
 def test_a_robot_without_friction(tmp_path: Path) -> None:
     samples = moved(arm_theta(), 1, seconds=4.0)
-    estimate = sdpid.solve_sdp(build_problem(ARM, samples, friction=(), weighting="residual"))
+    estimate = sdpid.solve_sdp(sdpid.build_problem(ARM, samples, friction=(), weighting="residual"))
     sdpid.sample_parameters(estimate, 2).save(tmp_path)
     assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
     curve = joint_curve(estimate, 0)

@@ -11,7 +11,6 @@ import sdpid
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.problem import build_problem
 from sdpid.excitation.criterion.earlier import earlier_information
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
@@ -28,7 +27,7 @@ THETA = random_theta(ARM, np.random.default_rng(0))
 def estimated(count: int = 300, terms: tuple[str, ...] = TERMS) -> Estimate:
     samples = make_samples(ARM, THETA, np.random.default_rng(1), count=count, noise=0.1)
     samples = replace(samples, time=np.arange(count) / 50.0)
-    return sdpid.solve_wls(build_problem(ARM, samples, friction=terms))
+    return sdpid.solve_wls(sdpid.build_problem(ARM, samples, friction=terms))
 
 
 def scaled(J: np.ndarray, by: np.ndarray) -> np.ndarray:

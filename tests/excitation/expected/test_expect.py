@@ -22,7 +22,6 @@ from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
 from sdpid.excitation.expected.run_errors import RunErrors
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.trajectory.trajectory import Trajectory
 from tests.helpers.robots import TREE_MIMIC, small_arm
 
 ARM = small_arm(2)
@@ -35,7 +34,7 @@ factors = st.floats(0.1, 10.0)
 
 
 @cache
-def motion(periods: int = 1) -> Trajectory:
+def motion(periods: int = 1) -> sdpid.Trajectory:
     return replace(default_motion(ARM, 1, period=8.0, periods=periods), rate_hz=100.0)
 
 

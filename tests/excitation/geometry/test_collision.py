@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.collision import CollisionModel
@@ -17,8 +18,6 @@ from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Box, Obstacle, table
 from sdpid.excitation.geometry.pairs import Pair
 from sdpid.robot.description.catalog import find_robot
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.shapes import BALL, ROD, distances_and_gradients, shaped_arm
@@ -31,13 +30,13 @@ CHAIN = shaped_arm(BALL, ROD, "", BALL, '<box size="0.1 0.2 0.1"/>', spacing=0.3
 BOX = Box(size=(0.2, 0.3, 0.4), translation=(0.4, 0.6, 0.2), rpy=(0.3, 0.2, -0.5))
 ROBOTS = {
     "shapes": CollisionModel.of(CHAIN, [table(-0.6), BOX]),
-    "tree": CollisionModel.of(load_robot(TREE), [table(-3.0)], radius=0.05),
-    "mimic": CollisionModel.of(load_robot(TREE_MIMIC), [table(-3.0)], radius=0.05),
-    "panda": CollisionModel.of(load_robot("panda_description/panda"), [table(), BOX]),
+    "tree": CollisionModel.of(sdpid.load_robot(TREE), [table(-3.0)], radius=0.05),
+    "mimic": CollisionModel.of(sdpid.load_robot(TREE_MIMIC), [table(-3.0)], radius=0.05),
+    "panda": CollisionModel.of(sdpid.load_robot("panda_description/panda"), [table(), BOX]),
 }
 
 
-def positions(robot: RobotModel, seed: int, count: int) -> Array:
+def positions(robot: sdpid.RobotModel, seed: int, count: int) -> Array:
     lower, upper = np.clip(robot.position_limits, -3.0, 3.0).T
     return np.random.default_rng(seed).uniform(lower, upper, (count, robot.n))
 
@@ -279,7 +278,7 @@ def test_narrow_limits_do_not_make_a_collision_look_like_coarse_shapes() -> None
 
 
 def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
-    model = CollisionModel.of(load_robot("baxter_description/baxter"))
+    model = CollisionModel.of(sdpid.load_robot("baxter_description/baxter"))
     assert (model.distances(model.rest[None]) >= model.clearances(0.02)[None]).all()
     (sentence,) = [sentence for sentence in model.assumed if "moved" in sentence]
     assert sentence.count(" to ") <= 4
@@ -293,7 +292,7 @@ def test_pairs_are_left_out_on_demand() -> None:
 
 
 def test_links_without_shapes_are_assumed_and_told() -> None:
-    model = CollisionModel.of(load_robot("denso_vp6242"), [table()])
+    model = CollisionModel.of(sdpid.load_robot("denso_vp6242"), [table()])
     assert "no shapes" in model.assumed[0]
     assert "70 mm" in model.assumed[0]
     assert ("link_5", "table") in {(pair.first, pair.second) for pair in model.pairs}
@@ -336,7 +335,7 @@ def test_bad_arguments_are_named() -> None:
     with pytest.raises(DataError, match="is no Plane, Box or Mesh"):
         CollisionModel.of(arm, ["table"])  # type: ignore[list-item]
     with pytest.raises(ModelError, match="fixed base"):
-        CollisionModel.of(load_robot("a1_description/a1", root="free_flyer"))
+        CollisionModel.of(sdpid.load_robot("a1_description/a1", root="free_flyer"))
 
 
 def test_a_subset_and_a_pickled_copy_measure_the_same() -> None:

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid.excitation.geometry.solids import Solid, robot_solids
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.shapes import Shape
 from tests.helpers.robots import TREE
 from tests.helpers.shapes import BALL, shaped_arm
@@ -41,7 +40,7 @@ def test_a_flat_mesh_becomes_a_thin_box(tmp_path: Path) -> None:
 
 
 def test_visual_shapes_stand_for_missing_collision_shapes() -> None:
-    robot = load_robot(
+    robot = sdpid.load_robot(
         """<robot name="r"><link name="base"/><link name="arm"><visual><geometry>
         <sphere radius="0.2"/></geometry></visual></link><joint name="j" type="revolute">
         <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
@@ -62,7 +61,7 @@ def test_capsules_stand_for_missing_meshes_and_the_file_is_named() -> None:
 
 
 def test_a_robot_without_shapes_has_capsules_from_joint_to_joint() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     solids, (sentence,) = robot_solids(robot, radius=0.03)
     assert "no shapes" in sentence
     assert "30 mm" in sentence
@@ -78,7 +77,7 @@ def test_a_robot_without_shapes_has_capsules_from_joint_to_joint() -> None:
 
 
 def test_a_robot_that_is_no_urdf_is_told_apart_from_one_without_shapes() -> None:
-    robot = RobotModel.from_pinocchio(load_robot(TREE).pin_model)
+    robot = sdpid.RobotModel.from_pinocchio(sdpid.load_robot(TREE).pin_model)
     _, (sentence,) = robot_solids(robot)
     assert "is no URDF, so its shapes are not read" in sentence
 

@@ -20,15 +20,12 @@ from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Box, table
 from sdpid.excitation.limits.check import LimitCheck, LimitRow, check_trajectory
-from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
@@ -43,19 +40,19 @@ def spline(n: int, seed: int, *, duration: float = 3.0, size: float = 0.5) -> Sp
     return Spline.from_free(free, duration, closed=True)
 
 
-def unlimited(robot: RobotModel, **limits: Any) -> Limits:
+def unlimited(robot: sdpid.RobotModel, **limits: Any) -> sdpid.Limits:
     """Return limits that are so wide that every row exists and none is broken."""
     kinds = ("upper", "velocity", "acceleration", "jerk", "torque")
     wide: dict[str, Any] = dict.fromkeys(kinds, 1e4)
     sliding = {"upper": 12.0, "lower": -12.0, "velocity": 15.0}
-    return Limits(**{**wide, "tool_speed": 1e4, **sliding, **limits}, override=True)
+    return sdpid.Limits(**{**wide, "tool_speed": 1e4, **sliding, **limits}, override=True)
 
 
 def by_kind(check: LimitCheck, kind: str) -> list[LimitRow]:
     return [row for row in check.rows if row.kind == kind]
 
 
-def efforts(robot: RobotModel, q: Array, v: Array, a: Array) -> Array:
+def efforts(robot: sdpid.RobotModel, q: Array, v: Array, a: Array) -> Array:
     """Return Pinocchio's efforts, description's friction added."""
     model = robot.pin_model.copy()
     model.armature = np.zeros(model.nv)
@@ -66,7 +63,7 @@ def efforts(robot: RobotModel, q: Array, v: Array, a: Array) -> Array:
     return np.asarray(links + viscous * v + coulomb * np.sign(v))
 
 
-def tool_speeds(robot: RobotModel, frame: int, q: Array, v: Array) -> Array:
+def tool_speeds(robot: sdpid.RobotModel, frame: int, q: Array, v: Array) -> Array:
     """Return speeds of a frame by Pinocchio's Jacobian."""
     model, data = robot.pin_model, robot.pin_model.createData()
     where = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -80,7 +77,7 @@ def tool_speeds(robot: RobotModel, frame: int, q: Array, v: Array) -> Array:
 @pytest.mark.parametrize("source", ROBOTS)
 @given(seed=SEEDS, size=st.floats(0.05, 1.0))
 def test_bounds_hold_on_a_dense_grid(source: str, seed: int, size: float) -> None:
-    robot = load_robot(source)
+    robot = sdpid.load_robot(source)
     curve = spline(robot.n, seed, size=size)
     check = check_trajectory(robot, curve, unlimited(robot), collision=False)
     time = np.linspace(0.0, curve.duration, 3001)
@@ -110,7 +107,7 @@ def test_bounds_hold_on_a_dense_grid(source: str, seed: int, size: float) -> Non
 
 @given(seed=SEEDS, share=st.floats(0.3, 1.2), kind=st.sampled_from(["velocity", "torque", "jerk"]))
 def test_tighter_limits_never_gain(seed: int, share: float, kind: str) -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     curve = spline(robot.n, seed, size=0.3)
     loose = check_trajectory(robot, curve, unlimited(robot), collision=False)
     limits = {
@@ -132,11 +129,11 @@ def test_tighter_limits_never_gain(seed: int, share: float, kind: str) -> None:
 
 @given(seed=SEEDS, factor=st.floats(0.5, 3.0))
 def test_slower_motions_scale(seed: int, factor: float) -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     curve = spline(robot.n, seed)
     slow = Spline(duration=factor * curve.duration, control_points=curve.control_points)
     # Bounds are refined to a share of the limit, so that small ones are met closely.
-    limits = Limits(velocity=1e-3, acceleration=1e-3, jerk=1e-3)
+    limits = sdpid.Limits(velocity=1e-3, acceleration=1e-3, jerk=1e-3)
     fast, stretched = (
         check_trajectory(robot, each, limits, collision=False) for each in (curve, slow)
     )
@@ -147,7 +144,7 @@ def test_slower_motions_scale(seed: int, factor: float) -> None:
 
 @given(seed=SEEDS)
 def test_mirrored_motions_mirror_their_rows(seed: int) -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     curve = spline(robot.n, seed)
     mirrored = Spline(duration=curve.duration, control_points=-curve.control_points)
     a, b = (
@@ -163,7 +160,7 @@ def test_mirrored_motions_mirror_their_rows(seed: int) -> None:
 
 
 def test_a_limit_broken_between_points_of_a_grid_is_found() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     # Zero speed at every multiple of 0.05 s, and 2π·10·0.01 = 0.628 rad/s between them.
     series = FourierSeries(
         period=1.0,
@@ -175,7 +172,7 @@ def test_a_limit_broken_between_points_of_a_grid_is_found() -> None:
     grid = series.evaluate(np.arange(0.0, 1.0, 0.05), derivative=1)
     assert np.abs(grid).max() < 1e-9
     peak = 0.01 * 2.0 * math.pi * 10.0
-    broken = check_trajectory(robot, series, Limits(velocity=0.999 * peak), collision=False)
+    broken = check_trajectory(robot, series, sdpid.Limits(velocity=0.999 * peak), collision=False)
     rows = by_kind(broken, "velocity")
     assert {row.verdict for row in rows} == {"broken"}
     np.testing.assert_allclose([row.reached for row in rows], peak, rtol=1e-3)
@@ -183,36 +180,36 @@ def test_a_limit_broken_between_points_of_a_grid_is_found() -> None:
     assert "lift: velocity 0.62" in sentence
     assert sentence in broken.sentences()
     assert "above the limit of 0.62769" in sentence
-    held = check_trajectory(robot, series, Limits(velocity=1.001 * peak), collision=False)
+    held = check_trajectory(robot, series, sdpid.Limits(velocity=1.001 * peak), collision=False)
     assert {row.verdict for row in by_kind(held, "velocity")} == {"held"}
 
 
 def test_a_limit_that_is_touched_is_held() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     # The spline's control points are its positions where three are equal.
     points = np.zeros((12, robot.n))
     points[3:9] = 0.5
     curve = Spline(duration=2.0, control_points=points)
-    check = check_trajectory(robot, curve, Limits(upper=0.5, lower=0.0), collision=False)
+    check = check_trajectory(robot, curve, sdpid.Limits(upper=0.5, lower=0.0), collision=False)
     assert {row.verdict for row in by_kind(check, "position")} == {"held"}
 
 
 def test_jumps_at_samples_are_seen_from_both_sides() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     time = np.array([0.0, 1.0, 2.0])
     still = np.zeros((3, robot.n))
     # Accelerations jump at one second from −2·3·0.3/… to their mirror image.
     position = still.copy()
     position[1] = 0.3
     curve = SampledCurve(time=time, position=position, velocity=still)
-    check = check_trajectory(robot, curve, Limits(acceleration=1.0), collision=False)
+    check = check_trajectory(robot, curve, sdpid.Limits(acceleration=1.0), collision=False)
     rows = by_kind(check, "acceleration")
     np.testing.assert_allclose([row.reached for row in rows], 1.8)
     np.testing.assert_allclose([row.excess for row in rows], 0.8)
 
 
 @pytest.mark.parametrize("spread", [0.0, 2.0])
-def test_torques_of_an_estimate_and_their_spread(denso: RobotModel, spread: float) -> None:
+def test_torques_of_an_estimate_and_their_spread(denso: sdpid.RobotModel, spread: float) -> None:
     curve = spline(denso.n, 3)
     rng = np.random.default_rng(0)
     q, v, a = rng.normal(size=(3, 400, denso.n))
@@ -221,7 +218,7 @@ def test_torques_of_an_estimate_and_their_spread(denso: RobotModel, spread: floa
     effort += 0.05 * rng.normal(size=effort.shape)
     samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
     estimate = sdpid.solve_sdp(sdpid.build_problem(denso, samples))
-    limits = Limits(torque=500.0)
+    limits = sdpid.Limits(torque=500.0)
     check = check_trajectory(
         denso, curve, limits, collision=False, estimate=estimate, spread=spread
     )
@@ -240,7 +237,7 @@ def test_torques_of_an_estimate_and_their_spread(denso: RobotModel, spread: floa
 
 @pytest.mark.parametrize("source", ROBOTS)
 def test_derivatives_of_torques(source: str) -> None:
-    robot = load_robot(source)
+    robot = sdpid.load_robot(source)
     model = TorqueModel.of(robot)
     rng = np.random.default_rng(1)
     state = list(rng.normal(size=(3, 4, robot.n)))
@@ -258,7 +255,7 @@ def test_derivatives_of_torques(source: str) -> None:
             )
 
 
-def test_whole_trajectories_and_their_own_time(denso: RobotModel) -> None:
+def test_whole_trajectories_and_their_own_time(denso: sdpid.RobotModel) -> None:
     motion = default_motion(denso, 1, period=8.0)
     check = check_trajectory(denso, motion, collision=False)
     assert check.ok
@@ -273,9 +270,9 @@ def test_whole_trajectories_and_their_own_time(denso: RobotModel) -> None:
     assert any("no acceleration limits; they are not checked" in note for note in check.notes)
 
 
-def test_distances(denso: RobotModel) -> None:
+def test_distances(denso: sdpid.RobotModel) -> None:
     motion = default_motion(denso, 1, period=8.0)
-    limits = Limits(clearance=0.02)
+    limits = sdpid.Limits(clearance=0.02)
     check = check_trajectory(denso, motion, limits, obstacles=[table()])
     rows = by_kind(check, "distance")
     assert rows
@@ -290,7 +287,7 @@ def test_distances(denso: RobotModel) -> None:
     assert [row.subject for row in by_kind(same, "distance")] == [row.subject for row in rows]
 
 
-def test_files_and_columns(denso: RobotModel, tmp_path: Path) -> None:
+def test_files_and_columns(denso: sdpid.RobotModel, tmp_path: Path) -> None:
     time = np.linspace(0.0, 2.0, 201)
     curve = spline(denso.n, 2, duration=2.0, size=0.2)
     columns: dict[str, Array] = {"time": time}
@@ -315,7 +312,7 @@ def test_files_and_columns(denso: RobotModel, tmp_path: Path) -> None:
         check_trajectory(denso, 3.0, collision=False)  # type: ignore[arg-type]
 
 
-def test_wrong_joints_are_told(denso: RobotModel) -> None:
+def test_wrong_joints_are_told(denso: sdpid.RobotModel) -> None:
     refuses(DataError, "3 joints", check_trajectory, denso, spline(3, 0), collision=False)
     motion = default_motion(denso, 1, period=8.0)
     other = replace(motion, joint_names=tuple("abcdef"))
@@ -325,9 +322,9 @@ def test_wrong_joints_are_told(denso: RobotModel) -> None:
     straight = check_trajectory(denso, motion, collision=False)
     assert by_kind(turned, "velocity")[0].reached == by_kind(straight, "velocity")[5].reached
     with pytest.raises(DataError, match="they are of the joints"):
-        check_trajectory(denso, motion, Limits().of(load_robot(TREE)), collision=False)
+        check_trajectory(denso, motion, sdpid.Limits().of(sdpid.load_robot(TREE)), collision=False)
     with pytest.raises(ModelError, match="no frame 'hand'"):
-        check_trajectory(denso, motion, Limits(tool_speed=1.0, tool="hand"), collision=False)
+        check_trajectory(denso, motion, sdpid.Limits(tool_speed=1.0, tool="hand"), collision=False)
     refuses(DataError, "spread is -1", TorqueModel.of, denso, spread=-1.0)
     refuses(DataError, "reserve is 1", TorqueModel.of, denso, reserve=1.0)
 
@@ -335,7 +332,7 @@ def test_wrong_joints_are_told(denso: RobotModel) -> None:
 def test_friction_that_no_motor_overcomes_is_not_counted() -> None:
     text = TREE.replace('velocity="3"/></joint>', 'velocity="3"/>{}</joint>', 1)
     for coulomb, counted in ((3.0, True), (20.0, False)):
-        robot = load_robot(text.format(f'<dynamics friction="{coulomb}" damping="0"/>'))
+        robot = sdpid.load_robot(text.format(f'<dynamics friction="{coulomb}" damping="0"/>'))
         model = TorqueModel.of(robot)
         still, moving = np.zeros((1, robot.n)), np.full((1, robot.n), 1e-9)
         friction = model.friction(moving, still)[0, robot.joint_names.index("right")]
@@ -343,15 +340,15 @@ def test_friction_that_no_motor_overcomes_is_not_counted() -> None:
         assert any("right in the description would take" in note for note in model.notes) != counted
 
 
-def test_a_description_without_masses_has_no_torques(denso: RobotModel) -> None:
+def test_a_description_without_masses_has_no_torques(denso: sdpid.RobotModel) -> None:
     curve = spline(denso.n, 0, size=0.1)
-    check = check_trajectory(denso, curve, Limits(torque=10.0), collision=False)
+    check = check_trajectory(denso, curve, sdpid.Limits(torque=10.0), collision=False)
     assert not by_kind(check, "torque")
     assert "the description has no masses: torques are not checked." in check.notes
 
 
 def test_a_rail_without_limits_is_checked_as_far_as_the_motion_goes() -> None:
-    robot = load_robot(
+    robot = sdpid.load_robot(
         """<robot name="rail"><link name="base"/><link name="cart"><collision><geometry>
         <sphere radius="0.1"/></geometry></collision></link><joint name="slide" type="prismatic">
         <parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
@@ -370,7 +367,7 @@ def test_a_rail_without_limits_is_checked_as_far_as_the_motion_goes() -> None:
 
 
 def test_a_motion_that_begins_below_the_table_is_broken() -> None:
-    robot = load_robot("ur10_robot")
+    robot = sdpid.load_robot("ur10_robot")
     below = np.zeros((10, robot.n))
     below[:, 1] = 1.2
     curve = Spline.from_free(below, 2.0, closed=True)
@@ -381,7 +378,7 @@ def test_a_motion_that_begins_below_the_table_is_broken() -> None:
 
 @given(seed=SEEDS)
 def test_deviations_of_the_prior_are_bounded(seed: int) -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     curve = spline(robot.n, seed, size=0.3)
     model = TorqueModel.of(robot, spread=0.5, reserve=0.0)
     time = np.linspace(0.0, curve.duration, 1001)
@@ -397,7 +394,7 @@ def test_deviations_of_the_prior_are_bounded(seed: int) -> None:
 
 
 def test_deviations_are_those_of_the_prior() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     model = TorqueModel.of(robot, spread=0.1)
     q, v, a = np.random.default_rng(0).normal(size=(3, 3, robot.n))
     rows = link_rows(Prior(), robot)
@@ -411,7 +408,7 @@ def test_deviations_are_those_of_the_prior() -> None:
 
 
 def test_jumps_of_acceleration_break_limits_of_jerk() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     time = np.linspace(0.0, 2.0, 201)
     # Full acceleration, then full braking: a jump of 1 rad/s² at one second.
     position = np.where(time < 1.0, 0.25 * time**2, 0.5 - 0.25 * (2.0 - time) ** 2)
@@ -421,17 +418,17 @@ def test_jumps_of_acceleration_break_limits_of_jerk() -> None:
         key: value if key == "time" else np.tile(value[:, None], robot.n)
         for key, value in columns.items()
     }
-    check = check_trajectory(robot, motion, Limits(jerk=400.0), collision=False)
+    check = check_trajectory(robot, motion, sdpid.Limits(jerk=400.0), collision=False)
     rows = by_kind(check, "jerk")
     assert {row.verdict for row in rows} == {"broken"}
     np.testing.assert_allclose([row.time for row in rows], 1.0)
     np.testing.assert_allclose([row.reached for row in rows], 1000.0, rtol=1e-6)
     assert any("starts with a jolt from rest" in note for note in check.notes)
-    wide = check_trajectory(robot, motion, Limits(jerk=1001.0), collision=False)
+    wide = check_trajectory(robot, motion, sdpid.Limits(jerk=1001.0), collision=False)
     assert {row.verdict for row in by_kind(wide, "jerk")} == {"held"}
 
 
-def test_motions_that_begin_in_motion_are_told(denso: RobotModel) -> None:
+def test_motions_that_begin_in_motion_are_told(denso: sdpid.RobotModel) -> None:
     motion = default_motion(denso, 1, period=8.0)
     assert not any(
         "the motion" in n for n in check_trajectory(denso, motion, collision=False).notes
@@ -451,7 +448,7 @@ SLIDER = """<robot name="slider"><link name="base"/><link name="cart"><inertial>
     "limit", ["", '<limit lower="-1" upper="1" effort="9" velocity="99"/>'], ids=["none", "beyond"]
 )
 def test_obstacles_outside_of_the_limits_are_met(limit: str) -> None:
-    robot = load_robot(SLIDER.format(limit or '<limit effort="9" velocity="99"/>'))
+    robot = sdpid.load_robot(SLIDER.format(limit or '<limit effort="9" velocity="99"/>'))
     points = np.zeros((12, 1))
     points[3:9] = 12.0
     curve = Spline(duration=20.0, control_points=points)

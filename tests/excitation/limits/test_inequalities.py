@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin
-from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
-from sdpid.robot.model.load import load_robot
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
 
@@ -32,8 +31,8 @@ def differences(inequality: Any, state: list[Array], which: int) -> Array:
 @pytest.mark.parametrize("source", [TREE, TREE_MIMIC, *URDFS])
 @pytest.mark.parametrize("kind", ["torque", "tool"])
 def test_derivatives(source: str, kind: str) -> None:
-    robot = load_robot(source)
-    limits = Limits(tool_speed=0.7).of(robot, assume=False)
+    robot = sdpid.load_robot(source)
+    limits = sdpid.Limits(tool_speed=0.7).of(robot, assume=False)
     inequality: Any = ToolSpeedWithin.of(robot, limits)
     if kind == "torque":
         inequality = TorqueWithin(model=TorqueModel.of(robot), limits=limits)
@@ -47,8 +46,8 @@ def test_derivatives(source: str, kind: str) -> None:
 
 
 def test_limits_are_met_at_zero() -> None:
-    robot = load_robot(TREE)
-    limits = Limits(tool_speed=0.7).of(robot, assume=False)
+    robot = sdpid.load_robot(TREE)
+    limits = sdpid.Limits(tool_speed=0.7).of(robot, assume=False)
     model = TorqueModel.of(robot, reserve=0.0)
     state = np.random.default_rng(1).normal(size=(3, 4, robot.n))
     torque = TorqueWithin(model=model, limits=limits)
@@ -58,12 +57,12 @@ def test_limits_are_met_at_zero() -> None:
     speed = ToolSpeedWithin.of(robot, limits)
     at_rest = state * np.array([1.0, 0.0, 0.0])[:, None, None]
     np.testing.assert_array_equal(speed.evaluate(*at_rest), 1.0)
-    assert ToolSpeedWithin.of(robot, Limits().of(robot, assume=False)) is None
+    assert ToolSpeedWithin.of(robot, sdpid.Limits().of(robot, assume=False)) is None
 
 
 def test_deviations_are_added() -> None:
-    robot = load_robot(TREE)
-    limits = Limits().of(robot, assume=False)
+    robot = sdpid.load_robot(TREE)
+    limits = sdpid.Limits().of(robot, assume=False)
     state = np.random.default_rng(1).normal(size=(3, 4, robot.n))
     nominal, robust = (
         TorqueWithin(model=TorqueModel.of(robot, spread=spread), limits=limits).evaluate(*state)

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.limits.joint_limits import rest_to_rest
 from sdpid.excitation.limits.limits import Limits
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm
 
 ARM = """<robot name="arm"><link name="base"/>{links}{joints}</robot>"""
@@ -27,7 +26,7 @@ JOINT = """<joint name="{name}" type="{kind}"><parent link="{before}"/><child li
 LIMIT = '<limit lower="-2" upper="1" velocity="3" effort="100"/>'
 
 
-def arm(*kinds: str, limit: str = LIMIT) -> RobotModel:
+def arm(*kinds: str, limit: str = LIMIT) -> sdpid.RobotModel:
     """Return an arm of joints a, b, … with the same limits."""
     names = "abcdef"[: len(kinds)]
     links = "".join(LINK.format(i) for i in range(len(kinds)))
@@ -35,7 +34,7 @@ def arm(*kinds: str, limit: str = LIMIT) -> RobotModel:
         JOINT.format(name=name, kind=kind, before=f"l{i - 1}" if i else "base", i=i, limit=limit)
         for i, (name, kind) in enumerate(zip(names, kinds, strict=True))
     )
-    return load_robot(ARM.format(links=links, joints=joints))
+    return sdpid.load_robot(ARM.format(links=links, joints=joints))
 
 
 TWO = ("revolute", "revolute")
@@ -188,12 +187,12 @@ def test_wrong_descriptions_are_told() -> None:
     with pytest.raises(DataError, match="from 1 to -2"):
         Limits().of(arm(*TWO, limit='<limit lower="1" upper="-2" velocity="3" effort="100"/>'))
     with pytest.raises(ModelError, match="floating base"):
-        Limits().of(load_robot(arm(*TWO).urdf, root="free_flyer"))
+        Limits().of(sdpid.load_robot(arm(*TWO).urdf, root="free_flyer"))
 
 
 def test_millimeters_are_told() -> None:
     with pytest.raises(DataError, match=r"looks like mm; give 0\.3 m"):
-        Limits(upper={"slide": 300.0}).of(load_robot(TREE))
+        Limits(upper={"slide": 300.0}).of(sdpid.load_robot(TREE))
 
 
 FILE = """
@@ -323,6 +322,6 @@ def test_limits_of_followers_hold_too() -> None:
         'lower="-1" upper="1" effort="5" velocity="3"/><mimic',
         'lower="-0.3" upper="0.3" effort="5" velocity="3"/><mimic',
     )
-    found = Limits().of(load_robot(text))
+    found = Limits().of(sdpid.load_robot(text))
     j = found.joint_names.index("finger")
     np.testing.assert_allclose([found.lower[j], found.upper[j]], [-0.1 / 0.7, 0.5 / 0.7])

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.norms import body_sizes, effort_norms, link_norms, product
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE
 from tests.helpers.strategies import SEEDS
 
@@ -31,7 +30,7 @@ def taylor(jet: Array, t: float) -> tuple[Array, Array, Array]:
     return out[0], out[1], out[2]
 
 
-def along(robot: RobotModel, jet: Array) -> tuple[Array, Array]:
+def along(robot: sdpid.RobotModel, jet: Array) -> tuple[Array, Array]:
     """Return efforts (7, n) and positions of the links (7, links, 3) about an instant."""
     model, data = robot.pin_model, robot.pin_model.createData()
     efforts, origins = [], []
@@ -46,7 +45,7 @@ def along(robot: RobotModel, jet: Array) -> tuple[Array, Array]:
 
 @given(seed=SEEDS, size=st.floats(0.1, 3.0))
 def test_bounds_hold(seed: int, size: float) -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     rng = np.random.default_rng(seed)
     jet = size * rng.normal(size=(5, robot.n))
     jet[0] = rng.uniform(-1.0, 1.0, robot.n)
@@ -76,7 +75,7 @@ def test_bounds_are_met_by_a_pendulum() -> None:
       <mass value="2"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>
       <joint name="j" type="continuous"><parent link="b"/><child link="l"/><axis xyz="0 1 0"/>
       <limit effort="1" velocity="1"/></joint></robot>"""
-    robot = load_robot(text)
+    robot = sdpid.load_robot(text)
     joints = np.array([1.0, 0.0, 3.0, 0.0, 0.0])[:, None, None]
     norms = link_norms(robot.pin_model, joints)
     (found,) = effort_norms(robot.pin_model, norms, 1, body_sizes(robot.prior)[0], 9.81)[0]

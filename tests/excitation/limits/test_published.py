@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid._common.arrays import Array
-from sdpid.excitation.limits.check import check_trajectory
-from sdpid.excitation.limits.limits import Limits
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.sampled import SampledCurve
-from sdpid.robot.model.load import load_robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +44,7 @@ class Sum:
         return bounds[0][0] + bounds[1][0], bounds[0][1] + bounds[1][1]
 
 
-def published(path: Path) -> tuple[Sum, Limits]:
+def published(path: Path) -> tuple[Sum, sdpid.Limits]:
     """Return a motion of the data, a Fourier series and a polynomial, and its limits."""
     from scipy.io import loadmat
 
@@ -71,7 +69,7 @@ def published(path: Path) -> tuple[Sum, Limits]:
     quintic = SampledCurve(
         time=ends, position=states[0], velocity=states[1], acceleration=states[2]
     )
-    limits = Limits(
+    limits = sdpid.Limits(
         lower=given["q_min"].tolist(),
         upper=given["q_max"].tolist(),
         velocity=given["qd_max"].tolist(),
@@ -96,9 +94,9 @@ def published(path: Path) -> tuple[Sum, Limits]:
 def test_broken_limits_are_named(data_folder: Path, name: str, beyond: float, share: float) -> None:
     folder = data_folder / "ur10e_innopolis"
     (path,) = folder.glob(f"optimal_trajectories/*{name}*.mat")
-    robot = load_robot(folder / "ur10e.urdf")
+    robot = sdpid.load_robot(folder / "ur10e.urdf")
     curve, limits = published(path)
-    check = check_trajectory(robot, curve, limits, collision=False)
+    check = sdpid.check_trajectory(robot, curve, limits, collision=False)
     excess = max(row.excess for row in check.rows if row.kind == "position")
     assert excess == pytest.approx(beyond, rel=0.1, abs=6e-4)
     rows = [row for row in check.rows if row.kind == "acceleration"]

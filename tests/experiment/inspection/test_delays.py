@@ -17,7 +17,6 @@ from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
-from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 
@@ -134,7 +133,7 @@ def test_free_rows_hold_no_moment_across_a_line() -> None:
     position = np.hstack([np.zeros((5, 3)), turned, rng.normal(size=(5, 12))])
     still = np.zeros((5, 18))
     edge = ContactSamples(frames=["FL_FOOT"], kind="line", down=np.ones((5, 1), dtype=bool))
-    samples = Samples(
+    samples = sdpid.Samples(
         position=position, velocity=still, acceleration=still, effort=still, contacts=edge
     )
     free = FreeRows.of(robot(), samples, np.arange(5), np.ones(18))

@@ -15,7 +15,6 @@ from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.several import prepare_recordings
-from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.refusals import refuses
 
@@ -313,18 +312,18 @@ def test_real_logs_raise_no_alarm(data_folder, name: str):
 def test_an_inferred_unit_of_time_is_said(log: Recording):
     columns = {"q1": log.position[:, 1], "tau1": log.effort[:, 1]}
     for stamps in (np.arange(len(T)) * 10.0, np.arange(len(T)) * 1.0):
-        read = read_recording(pd.DataFrame({"t": stamps, **columns}))
+        read = sdpid.read_recording(pd.DataFrame({"t": stamps, **columns}))
         (finding,) = [f for f in inspect_recording(read).findings if f.kind == "time_unit"]
         assert finding.severity == "note"
         assert "taken for ms" in finding.message
         assert "units={'time': 's'} (--unit time=s)" in finding.remedy
     # No whole numbers: nothing is inferred, and the rate is warned of.
     jitter = np.random.default_rng(0).uniform(-0.1, 0.1, len(T))
-    read = read_recording(pd.DataFrame({"t": np.arange(len(T)) * 10.0 + jitter, **columns}))
+    read = sdpid.read_recording(pd.DataFrame({"t": np.arange(len(T)) * 10.0 + jitter, **columns}))
     (finding,) = [f for f in inspect_recording(read).findings if f.kind == "time_unit"]
     assert finding.severity == "refuse"
     assert "0.1 Hz, limit 2 to 25000 Hz" in finding.message
-    given = read_recording(pd.DataFrame({"t": T, **columns}), units={"time": "s"})
+    given = sdpid.read_recording(pd.DataFrame({"t": T, **columns}), units={"time": "s"})
     assert "time_unit" not in [f.kind for f in inspect_recording(given).findings]
     # What else a recording says of itself has no unit to mend.
     simulated = replace(log, notes=("simulated without a controller",))

@@ -9,18 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
+import sdpid
 import sdpid.experiment.plant.simulate as plant_module
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics.validation import validate
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.problem import build_problem
-from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives
 from sdpid.experiment.plant.mujoco_model import build_mujoco
 from sdpid.experiment.plant.simulate import simulate, true_parameters
-from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import theta_from_physical
@@ -340,11 +338,11 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     log = simulate(robot, trajectory, noise=False, progress=False)
     assert log.n_samples == trajectory.n_samples
     theta = default_parameters(robot)
-    settings = Processing(covariance=None, cutoff_hz=20.0, order=4)
-    problem = build_problem(robot, process(log, settings), friction=("coulomb", "viscous"))
-    fit = solve_wls(problem)
+    settings = sdpid.Processing(covariance=None, cutoff_hz=20.0, order=4)
+    problem = build_problem(robot, sdpid.process(log, settings), friction=("coulomb", "viscous"))
+    fit = sdpid.solve_wls(problem)
     # The filter takes some of the fastest motion; 1e-4 of the effort is left.
-    assert validate(fit).relative < 3e-4
+    assert sdpid.validate(fit).relative < 3e-4
     truth = problem.base.matrix @ theta
     scale = np.linalg.norm(problem.A @ truth)
     assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale

@@ -11,14 +11,12 @@ import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.processing.settings import Processing
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
 
 @pytest.fixture(scope="module")
-def arm() -> RobotModel:
+def arm() -> sdpid.RobotModel:
     return small_arm(2)
 
 
@@ -28,7 +26,7 @@ def moved(time: np.ndarray, slow: float = 1.0) -> np.ndarray:
     return np.stack([np.sin(angle) + 0.3 * np.sin(3.0 * angle), np.cos(2.0 * angle)], axis=1)
 
 
-def recorded(time: np.ndarray, arm: RobotModel, **fields: object) -> sdpid.Recording:
+def recorded(time: np.ndarray, arm: sdpid.RobotModel, **fields: object) -> sdpid.Recording:
     rng = np.random.default_rng(0)
     position = moved(time) + 1e-3 * rng.standard_normal((len(time), 2))
     names = arm.joint_names
@@ -44,18 +42,18 @@ JITTERY = CLOCK + 5e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, CLOCK.size)
     ("logs", "processing"),
     [
         pytest.param([(CLOCK, {"period": 2.0})], None, id="periods"),
-        pytest.param([(CLOCK, {"period": 2.0})], Processing.paper(), id="paper"),
+        pytest.param([(CLOCK, {"period": 2.0})], sdpid.Processing.paper(), id="paper"),
         pytest.param([(CLOCK, {})], None, id="one record"),
         # The second piece is too short to be filtered.
         pytest.param([(np.delete(CLOCK, np.r_[600:640, 660:700]), {})], None, id="gaps"),
         pytest.param([(CLOCK, {}), (JITTERY[:1500], {})], {"cutoff_hz": 12.0}, id="several"),
         pytest.param(
-            [(JITTERY, {})], Processing(timing="resample", decimation=3), id="interpolated"
+            [(JITTERY, {})], sdpid.Processing(timing="resample", decimation=3), id="interpolated"
         ),
     ],
 )
 def test_a_twin_is_what_processing_that_motion_gives(
-    arm: RobotModel, logs: list, processing: Processing | None
+    arm: sdpid.RobotModel, logs: list, processing: sdpid.Processing | None
 ) -> None:
     records = [recorded(time, arm, **fields) for time, fields in logs]
     prepared = prepare_recordings(arm, records, processing)
@@ -88,7 +86,7 @@ def test_a_twin_is_what_processing_that_motion_gives(
     assert other.effort_periods is None
 
 
-def test_a_measured_velocity_is_replaced_too(arm: RobotModel) -> None:
+def test_a_measured_velocity_is_replaced_too(arm: sdpid.RobotModel) -> None:
     time = np.arange(900) / 30.0
     log = replace(recorded(time, arm), velocity=np.gradient(moved(time), time, axis=0))
     twin = Twin.of(arm, log)
@@ -100,7 +98,7 @@ def test_a_measured_velocity_is_replaced_too(arm: RobotModel) -> None:
     assert np.abs(splined.velocity - twin.measured.velocity).max() > 1.0
 
 
-def test_what_does_not_belong_together_is_refused(arm: RobotModel) -> None:
+def test_what_does_not_belong_together_is_refused(arm: sdpid.RobotModel) -> None:
     log = recorded(CLOCK, arm)
     samples = sdpid.process(log, {"cutoff_hz": 10.0})
     with pytest.raises(DataError, match=r"recording: its position, processed.*same processing"):

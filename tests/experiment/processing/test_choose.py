@@ -18,7 +18,6 @@ from sdpid.experiment.processing.choose import (
     default_processing,
 )
 from sdpid.experiment.processing.motion import motion_frequency, noise_limit
-from sdpid.experiment.processing.process import Processing, process
 from tests.helpers.refusals import refuses
 
 # The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
@@ -55,7 +54,7 @@ def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
     cutoff, velocity = DEFAULTS[name]
     log = sdpid.read_recording(data_folder / f"{name}.npz")
     chosen = default_processing(log)
-    expected = Processing(
+    expected = sdpid.Processing(
         cutoff_hz=chosen.cutoff_hz,
         order=4,
         decimation=None,
@@ -94,7 +93,7 @@ def test_the_choice_says_why() -> None:
     )
     assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
     # They end up in the notes of the samples.
-    assert process(log, choice.processing).notes[:2] == choice.reasons
+    assert sdpid.process(log, choice.processing).notes[:2] == choice.reasons
 
 
 @pytest.mark.parametrize("rate", [80.0, 250.0, 1000.0])
@@ -130,7 +129,7 @@ def test_noise_of_joints_at_rest_has_no_say() -> None:
     position = np.column_stack([moves, still, dragged])
     log = sdpid.Recording(time=time, position=position, effort=position)
     assert motion_frequency(log) == pytest.approx(0.5, abs=0.1)
-    samples = process(log)
+    samples = sdpid.process(log)
     np.testing.assert_array_equal(samples.velocity[:, 1:5], 0.0)
     assert samples.velocity[:, 5].any()
 
@@ -169,14 +168,14 @@ def test_what_is_given_stays(given_: dict[str, Any], expected: str | None) -> No
         assert any(reason.startswith(expected) for reason in choice.reasons)
     # Notes have later changes as well.
     changed = replace(plain.processing, **given_)
-    assert process(log, changed).notes[:2] == choice.reasons
+    assert sdpid.process(log, changed).notes[:2] == choice.reasons
 
 
 def test_records_with_periods_say_their_covariance() -> None:
     log, _ = sweep(noise=1e-5)
     for periods, covariance in ((8, "period"), (2, "pooled"), (1, None)):
         choice = choose_processing(replace(log, period=5.0, start=0.0, periods=periods))
-        assert choice.processing == Processing(covariance=covariance)  # type: ignore[arg-type]
+        assert choice.processing == sdpid.Processing(covariance=covariance)  # type: ignore[arg-type]
         assert choice.motion_hz is None
         assert choice.reasons[0].startswith(f"covariance {covariance}: {periods} period")
 

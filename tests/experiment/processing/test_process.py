@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import chosen_processing
 from sdpid.experiment.processing import process as processing_module
@@ -18,8 +19,6 @@ from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.derivatives import Weights, stencil
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.process import Processing, process
-from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import make_grid
 from tests.helpers.refusals import refuses
 
@@ -47,13 +46,13 @@ class Tones:
 
 def periodic(
     periods: int = 3, *, lead: float = 0.0, seed: int = 0, noise: float = 0.0, joints: int = 2
-) -> Recording:
+) -> sdpid.Recording:
     """Return a record of whole periods with a lead-in and a lead-out of the same motion."""
     count = round((periods * PERIOD + 2 * lead) * RATE)
     time = 7.0 + np.arange(count) / RATE
     rng = np.random.default_rng(seed)
     draw = lambda: noise * rng.standard_normal((count, joints))  # noqa: E731
-    return Recording(
+    return sdpid.Recording(
         time=time,
         position=Tones(seed, joints)(time) + draw(),
         effort=10.0 * Tones(seed + 100, joints)(time) + draw(),
@@ -180,7 +179,7 @@ def test_a_step_through_either_filter(kind: Any, overshoot: float):
 def test_local_polynomials_lose_less_noise_than_differences_let_pass():
     time = np.arange(4000) / RATE
     noise = np.random.default_rng(0).standard_normal((4000, 1))
-    log = Recording(time=time, position=noise, effort=noise)
+    log = sdpid.Recording(time=time, position=noise, effort=noise)
     rms = {}
     for derivative in ("central4", "savitzky_golay"):
         samples = process(log, replace(ALL_ROWS, derivative=derivative, decimation=1))
@@ -192,7 +191,7 @@ def test_local_polynomials_lose_less_noise_than_differences_let_pass():
 def test_without_periods_the_ends_are_trimmed(trim: float | None, tolerance: float):
     time = np.arange(6000) / RATE
     motion, torque = Tones(5), Tones(6)
-    log = Recording(time=time, position=motion(time), effort=torque(time))
+    log = sdpid.Recording(time=time, position=motion(time), effort=torque(time))
     samples = process(log, replace(ALL_ROWS, trim_s=trim, derivative="central6", decimation=1))
     cut = 0.076 if trim is None else trim
     assert samples.time[0] == pytest.approx(cut)
@@ -209,7 +208,7 @@ def test_without_periods_the_ends_are_trimmed(trim: float | None, tolerance: flo
 def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch):
     time = np.arange(6000) / RATE
     rng = np.random.default_rng(0)
-    log = Recording(
+    log = sdpid.Recording(
         time=time,
         position=Tones(5)(time) + 1e-4 * rng.standard_normal((6000, 2)),
         effort=rng.standard_normal((6000, 2)),
@@ -286,7 +285,7 @@ def test_effort_is_processed_linearly(factors: tuple[float, float], seed: int, a
 def test_averaging_and_filtering_commute(periods: int, seed: int):
     log = periodic(periods, seed=seed, noise=0.01)
     fold = lambda values: values.reshape(periods, -1, 2).mean(axis=0)  # noqa: E731
-    mean = Recording(
+    mean = sdpid.Recording(
         time=log.time[:2000],
         position=fold(log.position),
         effort=fold(log.effort),
@@ -434,7 +433,7 @@ def test_the_default_is_what_identify_chooses():
     rng = np.random.default_rng(1)
     time = np.arange(4000) / 200.0
     position = np.sin(2.0 * np.pi * time[:, None] * np.array([0.3, 0.5])) + 1.0
-    log = Recording(time=time, position=position, effort=rng.normal(size=position.shape))
+    log = sdpid.Recording(time=time, position=position, effort=rng.normal(size=position.shape))
     for each in (log, periodic(12, noise=0.5), periodic(2, noise=0.5), periodic(1)):
         own, chosen = process(each), process(each, default_processing(each))
         assert own.notes == chosen.notes
@@ -563,7 +562,7 @@ def test_bad_settings(changes: dict[str, Any], message: str):
 def test_cutoff_and_length_are_checked():
     with pytest.raises(DataError, match="500 Hz is not below half the sample rate of 1000 Hz"):
         process(periodic(2), replace(ALL_ROWS, cutoff_hz=500.0))
-    short = Recording(
+    short = sdpid.Recording(
         time=np.arange(50) / RATE, position=np.zeros((50, 1)), effort=np.zeros((50, 1))
     )
     with pytest.raises(DataError, match=r"lasts 0.049 s, and 0.076 s are cut off at either end"):
@@ -571,7 +570,7 @@ def test_cutoff_and_length_are_checked():
     assert process(short, replace(ALL_ROWS, trim_s=0.0)).n_samples == 5
 
 
-def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[Recording, Tones]:
+def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[sdpid.Recording, Tones]:
     """Regular samples with jittered stamps, or jittered samples with true stamps."""
     rng = np.random.default_rng(seed)
     regular = np.arange(4000) / RATE
@@ -580,7 +579,7 @@ def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[Recording, Tones]
         stamps = regular * (1.0 + 0.01 * regular)
     taken = regular if kind == "stamps" else stamps
     motion = Tones(seed)
-    return Recording(time=stamps, position=motion(taken), effort=motion(taken)), motion
+    return sdpid.Recording(time=stamps, position=motion(taken), effort=motion(taken)), motion
 
 
 @pytest.mark.parametrize(("kind", "resampled"), [("stamps", 0), ("samples", 1), ("drift", 1)])
@@ -651,7 +650,7 @@ REAL = {
 @pytest.mark.parametrize("name", REAL)
 def test_real_logs(data_folder: Path, name: str):
     note, rate = REAL[name]
-    log = read_recording(data_folder / name)
+    log = sdpid.read_recording(data_folder / name)
     grid = make_grid(log)
     assert (grid.note is None) if note is None else (note in grid.note)
     setting = Processing(cutoff_hz=4.0, order=4, decimation=1, covariance=None, trim_s=0.5)
@@ -669,7 +668,7 @@ def test_a_joint_that_stands_still_has_no_velocity(place: float) -> None:
     log = periodic()
     position = np.array(log.position)
     position[:, 0] = place
-    standing = Recording(time=log.time, position=position, effort=log.effort)
+    standing = sdpid.Recording(time=log.time, position=position, effort=log.effort)
     samples = process(standing)
     np.testing.assert_allclose(samples.position[:, 0], place, rtol=1e-9)
     assert not samples.velocity[:, 0].any()

@@ -23,10 +23,9 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
+import sdpid
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, SANDBOXED
-from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.recording import Recording
 from tests.helpers.bags import write_bag
 from tests.helpers.damage import damaged
 from tests.helpers.refusals import refuses
@@ -96,9 +95,9 @@ def write_h5(folder: Path) -> Path:
 def write_table(folder: Path, own: bool) -> Path:
     file = folder / "log.parquet"
     if own:
-        Recording(time=T, position=Q, effort=TAU, velocity=DQ, joint_names=("a", "b")).to_parquet(
-            file
-        )
+        sdpid.Recording(
+            time=T, position=Q, effort=TAU, velocity=DQ, joint_names=("a", "b")
+        ).to_parquet(file)
     else:
         pd.DataFrame({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}).to_parquet(file)
     return file
@@ -137,12 +136,12 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
     with warnings.catch_warnings():
         # Libraries may warn of what they find in a damaged file; that is not ours.
         warnings.simplefilter("ignore")
-        assert read_recording(log).n == 2
+        assert sdpid.read_recording(log).n == 2
         refused = 0
         for _ in range(count):
             file.write_bytes(damaged(content, rng, kind in ("csv", "toml")))
             try:
-                read_recording(log)
+                sdpid.read_recording(log)
             except SdpidError:
                 refused += 1
     assert 0 < refused <= count
@@ -157,14 +156,14 @@ def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
     # A child process for each takes a moment.
     for content in contents[: 1 if suffix in SANDBOXED else None]:
         file.write_bytes(content)
-        refuses(DataError, r"log\.", read_recording, file)
+        refuses(DataError, r"log\.", sdpid.read_recording, file)
 
 
 @pytest.mark.parametrize("content", [np.random.default_rng(0).bytes(500), b"", b"1,2\n3\n"])
 def test_garbage_in_a_folder_of_matrices_is_a_data_error(tmp_path: Path, content: bytes):
     for name in ("t", "q", "tau"):
         (tmp_path / f"{name}.dat").write_bytes(content)
-    refuses(DataError, r"\.dat: is", read_recording, tmp_path)
+    refuses(DataError, r"\.dat: is", sdpid.read_recording, tmp_path)
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -240,17 +239,17 @@ def test_files_that_did_harm_are_refused(
 ):
     monkeypatch.setattr("sdpid._common.sandbox._MOST_MEMORY", 100_000_000)
     (tmp_path / name).write_bytes(BOMBS[name]())
-    refuses(DataError, re.escape(name), read_recording, tmp_path / name)
+    refuses(DataError, re.escape(name), sdpid.read_recording, tmp_path / name)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 def test_a_fifo_is_no_log(tmp_path: Path):
     for name in ("log.csv", "log.toml"):
         os.mkfifo(tmp_path / name)
-    refuses(DataError, r"log\.csv: is no regular file", read_recording, tmp_path / "log.csv")
+    refuses(DataError, r"log\.csv: is no regular file", sdpid.read_recording, tmp_path / "log.csv")
     np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
     with pytest.raises(DataError, match=r"log\.toml: it is no regular file"):
-        read_recording(tmp_path / "log.npz", mapping=tmp_path / "log.toml")
+        sdpid.read_recording(tmp_path / "log.npz", mapping=tmp_path / "log.toml")
 
 
 @pytest.mark.parametrize(
@@ -274,4 +273,4 @@ def test_honest_compressed_bags_are_read(tmp_path: Path, mode: str, plugin: str)
             row = np.array([0.1 * k, 0.2])
             message = state(header(stamp(k, 0), ""), ["a", "b"], row, row, row)
             out.write(where, k * 10**9, store.serialize_cdr(message, state.__msgtype__))
-    assert read_recording(tmp_path / "bag").position.shape == (50, 2)
+    assert sdpid.read_recording(tmp_path / "bag").position.shape == (50, 2)

@@ -9,9 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.recording import Recording
 from tests.helpers.refusals import refuses
 
 N = 6
@@ -41,7 +40,7 @@ def table_csv(folder: Path, header: list[str], *tables: np.ndarray, delimiter: s
 
 def test_npz_by_the_usual_names(tmp_path: Path):
     file = npz(tmp_path, t=T, q=Q, tau=TAU, dq=DQ, joint_names=np.array(["a", "b"]), fs=2.0)
-    log = read_recording(file)
+    log = sdpid.read_recording(file)
     np.testing.assert_array_equal(log.time, T)
     np.testing.assert_array_equal(log.position, Q)
     np.testing.assert_array_equal(log.effort, TAU)
@@ -50,12 +49,12 @@ def test_npz_by_the_usual_names(tmp_path: Path):
 
 
 def test_time_from_the_sample_rate(tmp_path: Path):
-    np.testing.assert_array_equal(read_recording(npz(tmp_path, q=Q, tau=TAU, fs=2.0)).time, T)
+    np.testing.assert_array_equal(sdpid.read_recording(npz(tmp_path, q=Q, tau=TAU, fs=2.0)).time, T)
 
 
 def test_columns_units_and_overrides(tmp_path: Path):
     file = npz(tmp_path, stamp=T * 1e3, q=np.degrees(Q), current=TAU, v=DQ, velocity=Q)
-    log = read_recording(
+    log = sdpid.read_recording(
         str(file),
         columns={"effort": "current", "velocity": "v"},
         units={"position": "deg", "time": "ms", "velocity": "rpm", "effort": "A"},
@@ -70,7 +69,7 @@ def test_columns_units_and_overrides(tmp_path: Path):
     assert log.period_layout == (0, 2, 3)
     assert log.joint_names == ("x", "y")
     columns = {"effort": "current", "velocity": None}
-    assert read_recording(file, columns=columns).velocity is None
+    assert sdpid.read_recording(file, columns=columns).velocity is None
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -78,7 +77,7 @@ def test_columns_units_and_overrides(tmp_path: Path):
 def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, delimiter: str):
     header = ["time"] + [pattern.format(j) for j in (0, 1)] + ["tau_0", "tau_1", "tau_target_1"]
     file = table_csv(tmp_path, header, T, Q, TAU, DQ[:, 0], delimiter=delimiter)
-    log = read_recording(file)
+    log = sdpid.read_recording(file)
     np.testing.assert_array_equal(log.position, Q)
     np.testing.assert_array_equal(log.effort, TAU)
     assert log.joint_names is None
@@ -87,12 +86,12 @@ def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, delimiter: str)
 def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
     text = 'label,"time",position_up,position_down,effort_up,effort_down\n'
     text += "".join(f"go,{k},{k},{-k},{2 * k},{-2 * k}\n" for k in range(4))
-    log = read_recording(csv(tmp_path, "\ufeff" + text))
+    log = sdpid.read_recording(csv(tmp_path, "\ufeff" + text))
     assert log.joint_names == ("up", "down")
     assert log.effort[3].tolist() == [6.0, -6.0]
-    log = read_recording(csv(tmp_path, text), joint_names=("down", "up"))
+    log = sdpid.read_recording(csv(tmp_path, text), joint_names=("down", "up"))
     assert log.effort[3].tolist() == [-6.0, 6.0]
-    log = read_recording(
+    log = sdpid.read_recording(
         csv(tmp_path, text),
         columns={"position": ["position_down"], "effort": ["effort_down"]},
     )
@@ -101,19 +100,19 @@ def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
 
 def test_numbered_columns_are_in_numeric_order(tmp_path: Path):
     header = ["t", *(f"q{j}" for j in (10, 2, 1)), *(f"tau{j}" for j in (1, 2, 10))]
-    log = read_recording(table_csv(tmp_path, header, T, Q, Q[:, :1], TAU, TAU[:, :1]))
+    log = sdpid.read_recording(table_csv(tmp_path, header, T, Q, Q[:, :1], TAU, TAU[:, :1]))
     np.testing.assert_array_equal(log.position, np.column_stack([Q[:, 0], Q[:, 1], Q[:, 0]]))
 
 
 def test_own_parquet_and_overrides(tmp_path: Path):
     file = tmp_path / "log.PARQUET"
-    log = Recording(time=T, position=Q, effort=TAU, joint_names=("a", "b"), period=1.0)
+    log = sdpid.Recording(time=T, position=Q, effort=TAU, joint_names=("a", "b"), period=1.0)
     log.to_parquet(file)
-    again = read_recording(file)
+    again = sdpid.read_recording(file)
     assert again.period == 1.0
     assert again.effort.tobytes() == log.effort.tobytes()
-    assert read_recording(file, period=1.5).period == 1.5
-    turned = read_recording(file, joint_names=("b", "a"))
+    assert sdpid.read_recording(file, period=1.5).period == 1.5
+    turned = sdpid.read_recording(file, joint_names=("b", "a"))
     np.testing.assert_array_equal(turned.position, Q[:, ::-1])
     assert turned.period == 1.0
 
@@ -121,18 +120,18 @@ def test_own_parquet_and_overrides(tmp_path: Path):
 def test_foreign_parquet_with_lists(tmp_path: Path):
     file = tmp_path / "log.parquet"
     pq.write_table(pa.table({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}), file)
-    log = read_recording(file)
+    log = sdpid.read_recording(file)
     np.testing.assert_array_equal(log.position, Q)
     pq.write_table(
         pa.table({"t": [0.0, 1.0], "q": [[1.0], [1.0, 2.0]], "tau": [[1.0], [2.0]]}), file
     )
-    refuses(DataError, "'q' is ragged: its rows have 1 to 2", read_recording, file)
+    refuses(DataError, "'q' is ragged: its rows have 1 to 2", sdpid.read_recording, file)
     pq.write_table(pa.table({"t": [0.0, 1.0], "q": [1.0, None], "tau": [1.0, 2.0]}), file)
-    refuses(DataError, "row 2: position: 'q' has no value", read_recording, file)
+    refuses(DataError, "row 2: position: 'q' has no value", sdpid.read_recording, file)
 
 
 def test_single_joint_vectors(tmp_path: Path):
-    assert read_recording(npz(tmp_path, t=T, q=Q[:, 0], tau=TAU[:, 0])).n == 1
+    assert sdpid.read_recording(npz(tmp_path, t=T, q=Q[:, 0], tau=TAU[:, 0])).n == 1
 
 
 class Bomb:
@@ -144,13 +143,13 @@ def test_nothing_is_unpickled(tmp_path: Path):
     boxed = np.empty((), dtype=object)
     boxed[()] = Bomb()
     # An object beside the data does no harm, as long as it is not wanted.
-    log = read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, config=boxed))
+    log = sdpid.read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, config=boxed))
     assert log.n == 2
     with pytest.raises(DataError, match="'q' holds Python objects"):
-        read_recording(npz(tmp_path, t=T, q=boxed, tau=TAU))
+        sdpid.read_recording(npz(tmp_path, t=T, q=boxed, tau=TAU))
     file = tmp_path / "log.npz"
     file.write_bytes(pickle.dumps([1]))
-    refuses(DataError, "not a readable NumPy archive", read_recording, file)
+    refuses(DataError, "not a readable NumPy archive", sdpid.read_recording, file)
 
 
 ROBOTS = {
@@ -165,7 +164,7 @@ ROBOTS = {
 @pytest.mark.parametrize("name", ROBOTS)
 def test_real_logs(data_folder: Path, name: str):
     samples, joints, rate = ROBOTS[name]
-    log = read_recording(data_folder / name)
+    log = sdpid.read_recording(data_folder / name)
     assert (log.n_samples, log.n) == (samples, joints)
     assert log.rate_hz == pytest.approx(rate, rel=1e-4)
     assert log.joint_names is not None
@@ -173,6 +172,6 @@ def test_real_logs(data_folder: Path, name: str):
 
 def test_another_effort_of_a_real_log(data_folder: Path):
     file = data_folder / "kinova_gen3_dynamapp/opti_traj_testing1.npz"
-    log = read_recording(file, columns={"effort": "tau_current"})
+    log = sdpid.read_recording(file, columns={"effort": "tau_current"})
     with np.load(file) as arrays:
         np.testing.assert_array_equal(log.effort, arrays["tau_current"])

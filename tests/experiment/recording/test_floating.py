@@ -15,8 +15,6 @@ from sdpid.assurance.log_proof.inputs import recording_digest
 from sdpid.assurance.rollouts import setting
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.recording.floating.base import BaseMotion, Imu
-from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from tests.helpers.arm_files import ARM_URDF
@@ -25,7 +23,7 @@ from tests.helpers.refusals import refuses
 N = 40
 
 
-def base(**changes: Any) -> BaseMotion:
+def base(**changes: Any) -> sdpid.BaseMotion:
     turns = Rotation.from_rotvec(np.linspace(0.0, 7.0, N)[:, None] * [0.2, 0.5, -0.8])
     rng = np.random.default_rng(0)
     given = {
@@ -33,12 +31,12 @@ def base(**changes: Any) -> BaseMotion:
         "position": rng.standard_normal((N, 3)),
         "angular_velocity": rng.standard_normal((N, 3)),
         "velocity_frame": "world",
-        "imu": Imu(accelerometer=rng.standard_normal((N, 3)), translation=(0.1, 0.0, 0.0)),
+        "imu": sdpid.Imu(accelerometer=rng.standard_normal((N, 3)), translation=(0.1, 0.0, 0.0)),
     }
-    return BaseMotion(**{**given, **changes})
+    return sdpid.BaseMotion(**{**given, **changes})
 
 
-def contacts(**changes: Any) -> Contacts:
+def contacts(**changes: Any) -> sdpid.Contacts:
     rng = np.random.default_rng(1)
     given = {
         "frames": ("left", "right"),
@@ -46,7 +44,7 @@ def contacts(**changes: Any) -> Contacts:
         "forces": rng.standard_normal((N, 2, 3)),
         "offset": (0.0, 0.0, -0.02),
     }
-    return Contacts(**{**given, **changes})
+    return sdpid.Contacts(**{**given, **changes})
 
 
 def log(**changes: Any) -> Recording:
@@ -79,9 +77,9 @@ def test_orientations_are_unit_quaternions_without_changes_of_sign() -> None:
         (lambda: base(position=np.zeros((N - 1, 3))), "orientation 40, position 39"),
         (lambda: base(velocity_frame=None), "'world' or 'base': the axes of angular_velocity"),
         (lambda: base(angular_velocity=None), "without a velocity"),
-        (lambda: base(imu=Imu(gyroscope=np.zeros((3, 3)))), "base.imu: has 3 samples"),
-        (lambda: Imu(), "neither gyroscope nor accelerometer"),
-        (lambda: Imu(gyroscope=np.zeros((3, 3)), rotation=-np.eye(3)), "determinant is -1"),
+        (lambda: base(imu=sdpid.Imu(gyroscope=np.zeros((3, 3)))), "base.imu: has 3 samples"),
+        (lambda: sdpid.Imu(), "neither gyroscope nor accelerometer"),
+        (lambda: sdpid.Imu(gyroscope=np.zeros((3, 3)), rotation=-np.eye(3)), "determinant is -1"),
         (lambda: contacts(frames=("a", "a")), "a is there more than once"),
         (lambda: contacts(kind="blob"), "'blob' is not known; known are point, line, plane"),
         (lambda: contacts(down=np.full((N, 2), 0.5)), "holds 0.5, expected True or False"),

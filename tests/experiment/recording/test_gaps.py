@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
 
 RATE = 100.0
-SETTING = Processing(
+SETTING = sdpid.Processing(
     cutoff_hz=8.0, order=2, decimation=2, reversal_time=None, derivative="central4"
 )
 FIELDS = ("position", "velocity", "acceleration", "effort", "time")
@@ -69,10 +68,10 @@ def test_gaps_part_a_record_into_records(
         if stop - first < 2:
             continue
         try:
-            apart.append(process(rows(log, slice(first, stop)), setting))
+            apart.append(sdpid.process(rows(log, slice(first, stop)), setting))
         except DataError as cause:
             assert "cut off at either end" in str(cause)  # noqa: PT017 (not every piece is short)
-    together = process(log, setting)
+    together = sdpid.process(log, setting)
     joined = sdpid.Samples.join(apart)
     assert together.starts == joined.starts
     assert len(together.starts) == len(apart)
@@ -91,7 +90,7 @@ def test_what_comes_after_a_gap_does_not_reach_back(end: int, seed: int) -> None
     position[end:] += rng.standard_normal(position[end:].shape)
     effort[end:] += rng.standard_normal(position[end:].shape)
     changed = replace(log, position=position, effort=effort)
-    one, other = process(log, SETTING), process(changed, SETTING)
+    one, other = sdpid.process(log, SETTING), sdpid.process(changed, SETTING)
     count = one.starts[1]
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(one, name)[:count], getattr(other, name)[:count])
@@ -107,7 +106,7 @@ def test_the_notes_say_what_was_lost() -> None:
         "split at 3 gaps of more than 5 steps of 0.01 s, the largest 0.54 s before row 605: "
         "1.53 s of 19.99 s were not measured, 1 of the samples alone between gaps left out"
     ]
-    samples = process(log, SETTING)
+    samples = sdpid.process(log, SETTING)
     assert samples.notes[0] == notes[0]
     assert samples.notes[1] == (
         "1 of 3 pieces dropped, too short to be filtered: 3 samples, 0.02 s"
@@ -120,7 +119,7 @@ def test_nothing_between_gaps() -> None:
     log = record()
     keep = np.arange(log.n_samples) % 30 < 4
     with pytest.raises(DataError, match=r"split the record into 67 pieces, each too short; .* 4 s"):
-        process(rows(log, keep), SETTING)
+        sdpid.process(rows(log, keep), SETTING)
 
 
 def test_few_lost_samples_are_bridged() -> None:
@@ -128,7 +127,7 @@ def test_few_lost_samples_are_bridged() -> None:
     for lost, pieces in ((4, 1), (5, 2)):
         parts = split_at_gaps(without(log, (700, 700 + lost)))
         assert len(parts) == pieces
-    bridged = process(without(log, (700, 704)), SETTING)
+    bridged = sdpid.process(without(log, (700, 704)), SETTING)
     assert bridged.starts == (0,)
     assert "resampled" in bridged.notes[0]
 
@@ -144,7 +143,7 @@ def test_periods_with_a_gap_are_refused() -> None:
     whole = replace(log, period=5.0, start=5.0, periods=3)
     assert split_at_gaps(whole) == (whole,)
     with pytest.raises(DataError, match=r"gap of 0.51 s before row 601 .* without its period"):
-        process(whole, replace(SETTING, covariance=None))
+        sdpid.process(whole, replace(SETTING, covariance=None))
 
 
 def late(log: sdpid.Recording, row: int, count: int, spacing: float = 1e-4) -> np.ndarray:
@@ -164,7 +163,7 @@ def test_late_samples_are_taken_as_regular(period: float | None, count: int) -> 
     log = replace(log, position=position, period=period)
     setting = replace(SETTING, covariance=None)
     stalled = replace(log, time=late(log, 500, count))
-    samples, expected = process(stalled, setting), process(log, setting)
+    samples, expected = sdpid.process(stalled, setting), sdpid.process(log, setting)
     assert f"stamps of {count} samples after a gap of 0." in samples.notes[0]
     assert samples.n_samples == expected.n_samples
     np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-6)
@@ -191,9 +190,9 @@ def test_a_hiccup_of_5_ms_at_1_khz_is_bridged() -> None:
     fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
     lost = replace(log, **fields)
     setting = replace(SETTING, covariance=None)
-    samples, expected = process(lost, setting), process(log, setting)
+    samples, expected = sdpid.process(lost, setting), sdpid.process(log, setting)
     np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-3)
-    assert process(replace(lost, period=None), setting).starts == (0,)
+    assert sdpid.process(replace(lost, period=None), setting).starts == (0,)
 
 
 @settings(max_examples=25, deadline=None)
@@ -243,7 +242,7 @@ def test_wrapped_angles_are_processed_as_the_others() -> None:
     wrapped = np.array(turning)
     wrapped[:, 1] = np.mod(wrapped[:, 1], 2.0 * np.pi)
     samples, expected = (
-        process(replace(log, position=position), SETTING) for position in (wrapped, turning)
+        sdpid.process(replace(log, position=position), SETTING) for position in (wrapped, turning)
     )
     jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi)
     assert jumps > 3
@@ -290,7 +289,7 @@ def test_a_stored_record_is_split_and_continued_as_well(tmp_path: Path) -> None:
     log.to_parquet(tmp_path / "log.parquet")
     stored = sdpid.read_recording(tmp_path / "log.parquet", stored=True)
     assert stored.stored
-    samples, expected = (process(each, default_processing(each)) for each in (stored, log))
+    samples, expected = (sdpid.process(each, default_processing(each)) for each in (stored, log))
     assert samples.notes == expected.notes
     assert len(samples.starts) == 2
     for name in FIELDS:

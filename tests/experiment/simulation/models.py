@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 
 SLIDER = """<robot name="slider"><link name="base"/>
 <link name="mass"><inertial><mass value="2"/>
@@ -22,7 +21,7 @@ SLIDER = """<robot name="slider"><link name="base"/>
 
 
 def model_of(
-    robot: RobotModel,
+    robot: sdpid.RobotModel,
     terms: Sequence[str | FrictionTerm] = (),
     values: ArrayLike = (),
     bodies: Array | None = None,
@@ -39,4 +38,4 @@ def model_of(
 
 def slider(friction: Sequence[str | FrictionTerm], values: ArrayLike) -> RobotDynamics:
     """Return a mass of 2 kg on a horizontal rail."""
-    return model_of(load_robot(SLIDER), friction, values)
+    return model_of(sdpid.load_robot(SLIDER), friction, values)

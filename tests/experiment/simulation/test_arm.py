@@ -20,7 +20,6 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.kernels import loops
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.robot.model.load import load_robot
 from tests.experiment.simulation.models import model_of, slider
 from tests.helpers.data import random_links
 from tests.helpers.random_trees import random_tree
@@ -82,7 +81,7 @@ def test_terms_of_ones_own_are_simulated(function: Callable[[Array], Array]) -> 
 def test_masses_and_biases_are_those_of_pinocchio(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for text in (random_tree(rng, 6)[0], TREE, TREE_MIMIC):
-        robot = load_robot(text)
+        robot = sdpid.load_robot(text)
         model = model_of(robot, ("rotor_inertia", "offset"), rng.uniform(0.0, 1.0, 2 * robot.n))
         q, v = rng.normal(size=(2, 3, robot.n))
         M, h = SimulatedArm.of(model).mass_and_bias(q, v)

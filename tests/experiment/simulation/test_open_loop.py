@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sdpid.experiment.processing.samples import Samples
+import sdpid
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
 from sdpid.experiment.simulation.tip import tip_positions
@@ -14,7 +14,6 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import Coulomb
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.geometry import link_placements
-from sdpid.robot.model.load import load_robot
 from tests.helpers.data import random_theta
 from tests.helpers.robots import TREE, small_arm
 
@@ -37,7 +36,7 @@ def test_stretches_agree_with_scipy() -> None:
     start = np.array([0.3, -0.5, 0.2, 0.4])
     time = np.arange(0.0, 1.001, 0.02)
     exact = solve_ivp(rate, (0.0, 1.0), start, t_eval=time, rtol=1e-9, atol=1e-10).y.T
-    samples = Samples(
+    samples = sdpid.Samples(
         position=exact[:, :2],
         velocity=exact[:, 2:],
         acceleration=np.zeros((len(time), 2)),
@@ -67,7 +66,7 @@ def test_stretches_agree_with_scipy() -> None:
 def test_starts_stay_within_pieces() -> None:
     time = np.concatenate([np.arange(50), 80 + np.arange(30)]) / 50.0
     zero = np.zeros((80, 1))
-    samples = Samples(
+    samples = sdpid.Samples(
         position=time[:, None],
         velocity=zero + 1.0,
         acceleration=zero,
@@ -85,7 +84,7 @@ def test_starts_stay_within_pieces() -> None:
 
 
 def test_the_tip_is_where_the_last_link_ends() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     q = np.random.default_rng(0).uniform(-0.5, 0.5, (4, robot.n))
     q[2, 0] = np.nan
     found = tip_positions(robot, q)

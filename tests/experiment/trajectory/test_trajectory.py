@@ -12,14 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.plant.simulate import simulate
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.model.load import load_robot
 from tests.helpers.refusals import refuses
 
 
@@ -140,11 +139,11 @@ def test_damaged_files_are_refused(tmp_path: Path, kind: str, junk: str) -> None
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_robot_follows_a_spline(closed: bool) -> None:
-    robot = load_robot("ur5_robot")
+    robot = sdpid.load_robot("ur5_robot")
     trajectory = along(
         resting(2, robot.n, closed=closed), robot.joint_names, periods=2 if closed else 1
     )
-    log = simulate(robot, trajectory, noise=False, progress=False)
+    log = sdpid.simulate(robot, trajectory, noise=False, progress=False)
     assert log.n_samples == trajectory.n_samples
     assert log.periods == (2 if closed else None)
     # The loop lags behind by 1/8 s; a closed motion's record starts in the settling period.

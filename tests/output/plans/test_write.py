@@ -17,7 +17,6 @@ from sdpid.excitation.geometry.obstacles import obstacles_from_toml
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.experiment.trajectory.reading import read_trajectory
-from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.plans import write
 from sdpid.output.plans.write import write_plan
 from tests.helpers.plans import AROUND, LIMITS, small_plan
@@ -63,7 +62,7 @@ def test_the_files_are_there_and_listed(folder: Path) -> None:
 def test_the_motion_is_that_of_the_plan(folder: Path) -> None:
     """Whatever form it is read from, at other times too."""
     own = small_plan().trajectory
-    again = Trajectory.from_toml(folder / "trajectory.toml")
+    again = sdpid.Trajectory.from_toml(folder / "trajectory.toml")
     assert np.array_equal(again.series.control_points, own.series.control_points)  # type: ignore[attr-defined]
     time = np.linspace(0.0, own.period, 997)
     for name in ("trajectory.csv", "trajectory.parquet"):
@@ -169,6 +168,6 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_it_can_be_rehearsed(folder: Path) -> None:
     """The simulated robot follows the motion of the file."""
     pytest.importorskip("mujoco")
-    motion = Trajectory.from_toml(folder / "trajectory.toml")
+    motion = sdpid.Trajectory.from_toml(folder / "trajectory.toml")
     log = sdpid.simulate(small_plan().robot, motion, seed=1)
     assert log.n_samples >= motion.n_samples

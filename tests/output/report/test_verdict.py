@@ -12,7 +12,6 @@ from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed, MirrorPair
-from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import SMALL, Level, graded
 from sdpid.output.report.judged import errors_of
 from sdpid.output.report.prediction_verdict import prediction_findings
@@ -44,18 +43,18 @@ def unsaid(result: Identification, *words: str) -> None:
         assert not all(word in text for word in words), text
 
 
-def with_validation(result: Identification, samples: Samples) -> Identification:
+def with_validation(result: Identification, samples: sdpid.Samples) -> Identification:
     held_out = hold_out(result.estimate, result.wls, samples)
     return replace(result, validation=held_out.fit, validation_samples=samples, held_out=held_out)
 
 
-def grade(samples: Samples, fit: Validation) -> Level:
+def grade(samples: sdpid.Samples, fit: Validation) -> Level:
     """Return the grade of the only joint, by one prediction alone."""
     (only,) = graded(samples, fit)
     return only.level
 
 
-def trained_on(result: Identification, samples: Samples) -> Identification:
+def trained_on(result: Identification, samples: sdpid.Samples) -> Identification:
     """Return the result as if these had been its training samples."""
     problem = result.problem
     return replace(result, problem=replace(problem, rows=replace(problem.rows, samples=samples)))
@@ -106,12 +105,12 @@ def test_a_joint_worse_than_its_mean(good: Identification) -> None:
     said(result, f"{LAST} (worse than a constant)")
 
 
-def biased(effort: float, error: float, *, moving: bool = True) -> tuple[Samples, Validation]:
+def biased(effort: float, error: float, *, moving: bool = True) -> tuple[sdpid.Samples, Validation]:
     """Return samples of a joint with a nearly constant effort, and a prediction that is off."""
     t = np.arange(400) / RATE
     v = np.sin(t)[:, None] if moving else np.full((400, 1), 0.01)
     efforts = effort + 0.01 * np.cos(3.0 * t)[:, None]
-    samples = Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
+    samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
     return samples, Validation.of_prediction(("joint",), samples, efforts - error)
 
 
@@ -134,7 +133,7 @@ def test_a_lift_moves_in_meters_per_second(speed: float, moves: bool) -> None:
     lift = sdpid.load_robot(LIFT)
     t = np.arange(400) / RATE
     v = np.outer(np.sin(t), [speed, 1.0])
-    samples = Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
+    samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
     fit = Validation.of_prediction(lift.joint_names, samples, 1.0 + v, robot=lift)
     assert fit.moving.rows.tolist() == [len(t) if moves else 0, len(t)]
     assert [each.moved for each in graded(samples, fit)] == [moves, True]
@@ -254,7 +253,7 @@ def test_errors_of_white_noise(good: Identification) -> None:
     mask[: K // 2, 0] = False
     error = rng.standard_normal((K, 2))
     error[~mask] = 1e6
-    samples = Samples(position=v, velocity=v, acceleration=v, effort=error, time=t, mask=mask)
+    samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=error, time=t, mask=mask)
     fit = replace(good.training, effort_predicted=np.zeros((K, 2)))
     for each in joint_errors(samples, fit):
         assert each.autocorrelation[0] == pytest.approx(1.0)
@@ -271,7 +270,7 @@ def test_errors_of_white_noise(good: Identification) -> None:
 def test_a_joint_that_stands_still_has_no_friction_curve(good: Identification) -> None:
     v = np.zeros((100, 2))
     effort = np.random.default_rng(0).standard_normal((100, 2))
-    samples = Samples(position=v, velocity=v, acceleration=v, effort=effort)
+    samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=effort)
     fit = replace(good.training, effort_predicted=np.zeros((100, 2)))
     for each in joint_errors(samples, fit):
         assert len(each.velocity) == 0
@@ -292,7 +291,7 @@ def test_a_prediction_alone_is_judged(good: Identification) -> None:
     assert levels == ["good", "bad", "caution"]
 
 
-def one_way(samples: Samples, joint: int, sign: float) -> Samples:
+def one_way(samples: sdpid.Samples, joint: int, sign: float) -> sdpid.Samples:
     """Return samples in which a joint moves on in one direction only."""
     v = np.array(samples.velocity)
     v[:, joint] = sign * (np.abs(v[:, joint]) + 0.05)
@@ -353,7 +352,7 @@ def test_without_friction_directions_do_not_matter(good: Identification) -> None
 def test_all_pieces_count_for_directions(good: Identification) -> None:
     forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
     for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
-        joined = Samples.join(pieces)
+        joined = sdpid.Samples.join(pieces)
         result = trained_on(good, joined)
         assert bool(list(_one_way(result))) is named
 

@@ -18,7 +18,6 @@ from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
-from sdpid.experiment.processing.samples import Samples
 from sdpid.friction import AsymmetricCoulomb, Coulomb, RotorInertia, SigmoidFriction, Viscous
 from sdpid.output.robots.export_report import Errors, Written
 from sdpid.output.robots.joint_friction import joint_attributes
@@ -44,7 +43,7 @@ def estimate_of(
     q, a = rng.uniform(-2.0, 2.0, (2, *velocity.shape))
     effort = full_regressor(ARM, (q, velocity, a), terms) @ theta
     effort = effort + 0.1 * rng.standard_normal(effort.shape)
-    samples = Samples(position=q, velocity=velocity, acceleration=a, effort=effort, **fields)
+    samples = sdpid.Samples(position=q, velocity=velocity, acceleration=a, effort=effort, **fields)
     problem = build_problem(ARM, samples, friction=terms, check_excitation=False)
     return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
 

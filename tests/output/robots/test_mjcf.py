@@ -10,15 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.joint_friction import LeftOut
 from sdpid.output.robots.mjcf import write_mjcf
-from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.friction.terms import RotorInertia
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
@@ -41,7 +39,7 @@ FRICTION = ("coulomb", "viscous", "rotor_inertia")
 NUMBER = 0.75  # of every friction parameter
 
 
-def efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
+def efforts(path: Path, robot: sdpid.RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
     """Return MuJoCo's own efforts, armature and damping included, on a fixed base."""
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -67,7 +65,7 @@ def assert_identified(problem: Problem, links: np.ndarray, path: Path) -> None:
     [ARM, MIMIC, TREE, TREE_MIMIC, "denso_vp6242", "panda_description/panda", "ur5_robot", *URDFS],
 )
 def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) -> None:
-    problem = problem_of(load_robot(source), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(source), friction=FRICTION)
     links = bodies(np.random.default_rng(points), problem.robot.n_links, points)
     estimate = estimate_of(problem, links, NUMBER)
     report = write_mjcf(estimate, target=tmp_path / "out.xml")
@@ -78,7 +76,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
     assert_identified(problem, links, tmp_path / "out.xml")
     assert differences(estimate, tmp_path / "out.xml") == []
     # The URDF of the same estimate, in Pinocchio and in MuJoCo.
-    urdf = write_urdf(estimate, target=tmp_path / "out.urdf")
+    urdf = sdpid.write_urdf(estimate, target=tmp_path / "out.urdf")
     assert urdf.lumped == report.lumped
     assert differences(estimate, tmp_path / "out.urdf") == []
     assert_same_efforts(problem, links, tmp_path / "out.urdf")
@@ -89,7 +87,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
 
 
 def test_every_link_is_a_body_with_its_own_share(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
     links = bodies(np.random.default_rng(0), 3)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert report.lumped == ()
@@ -102,7 +100,7 @@ def test_every_link_is_a_body_with_its_own_share(tmp_path: Path) -> None:
 
 
 def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
     links = bodies(np.random.default_rng(0), 3)
     links[1] *= 0.05
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
@@ -114,7 +112,7 @@ def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
 
 def test_a_child_that_is_no_body_is_counted_in(tmp_path: Path) -> None:
     text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
-    problem = problem_of(load_robot(text), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(text), friction=FRICTION)
     links = bodies(np.random.default_rng(0), 3)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert "no body can have, now zero and counted in where they are fixed: tool" in (
@@ -124,7 +122,7 @@ def test_a_child_that_is_no_body_is_counted_in(tmp_path: Path) -> None:
 
 
 def test_a_floating_base(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM, root="free_flyer"))
+    problem = problem_of(sdpid.load_robot(ARM, root="free_flyer"))
     links = bodies(np.random.default_rng(2), 4)
     # Reading back compares with Pinocchio's floating base.
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
@@ -136,7 +134,7 @@ def test_a_floating_base(tmp_path: Path) -> None:
 
 def test_a_floating_base_called_world(tmp_path: Path) -> None:
     text = ARM.replace('"base"', '"world"')
-    problem = problem_of(load_robot(text, root="free_flyer"))
+    problem = problem_of(sdpid.load_robot(text, root="free_flyer"))
     links = bodies(np.random.default_rng(2), 4)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert report.links_changed[0] == "world_link"
@@ -186,7 +184,7 @@ def users_urdf() -> str:
 
 
 def test_a_users_file_is_patched(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(users_urdf()), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(users_urdf()), friction=FRICTION)
     links = bodies(np.random.default_rng(5), 2)
     links[1] *= 20.0  # heavier than the camera
     source = tmp_path / "mine.xml"
@@ -211,7 +209,7 @@ def test_a_users_file_is_patched(tmp_path: Path) -> None:
 
 
 def test_a_source_with_armature_that_the_links_hold(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(users_urdf()), friction=("coulomb",))
+    problem = problem_of(sdpid.load_robot(users_urdf()), friction=("coulomb",))
     links = 30.0 * bodies(np.random.default_rng(5), 2)
     target = tmp_path / "out.xml"
     report = write_mjcf(estimate_of(problem, links, NUMBER), source=USERS, target=target)
@@ -222,7 +220,7 @@ def test_a_source_with_armature_that_the_links_hold(tmp_path: Path) -> None:
 
 
 def test_a_robot_without_a_description(tmp_path: Path) -> None:
-    robot = load_robot(load_robot(TREE).pin_model)
+    robot = sdpid.load_robot(sdpid.load_robot(TREE).pin_model)
     problem = problem_of(robot, friction=(*FRICTION, "offset")).without_rows()
     links = bodies(np.random.default_rng(1), robot.n_links)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
@@ -232,7 +230,7 @@ def test_a_robot_without_a_description(tmp_path: Path) -> None:
 
 
 def test_refusals(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(users_urdf()), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(users_urdf()), friction=FRICTION)
     links = 30.0 * bodies(np.random.default_rng(5), 2)
     good = estimate_of(problem, links, NUMBER)
     target = tmp_path / "out.xml"
@@ -262,7 +260,7 @@ def test_refusals(tmp_path: Path) -> None:
 
 
 def test_a_real_robots_description(data_folder: Path, tmp_path: Path) -> None:
-    robot = load_robot(data_folder / "ur10_unisa" / "ur10.urdf")
+    robot = sdpid.load_robot(data_folder / "ur10_unisa" / "ur10.urdf")
     problem = problem_of(robot, friction=FRICTION)
     links = bodies(np.random.default_rng(10), robot.n_links)
     write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
@@ -270,7 +268,7 @@ def test_a_real_robots_description(data_folder: Path, tmp_path: Path) -> None:
 
 
 def test_fixed_bodies_without_names_are_lumped_one_by_one(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
     links = bodies(np.random.default_rng(5), 3)
     write_mjcf(estimate_of(problem, links), target=tmp_path / "first.xml")
     heavy = '<body><inertial pos="0 0 0" mass="900" diaginertia="1 1 1"/></body>'
@@ -284,7 +282,7 @@ def test_fixed_bodies_without_names_are_lumped_one_by_one(tmp_path: Path) -> Non
 
 
 def test_a_source_that_mujoco_crashes_on_is_refused(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
     links = bodies(np.random.default_rng(5), 3)
     source = tmp_path / "self.xml"
     source.write_text(f'<mujoco><include file="{source}"/></mujoco>')
@@ -295,10 +293,10 @@ def test_a_source_that_mujoco_crashes_on_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_the_robot_was_loaded_from_is_patched(tmp_path: Path) -> None:
     source = tmp_path / "mine.xml"
     source.write_text(USERS.replace('name="two" ', ""))  # joints need no names
-    problem = problem_of(load_robot(source), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(source), friction=FRICTION)
     links = 30.0 * bodies(np.random.default_rng(5), 2)
     write_mjcf(estimate_of(problem, links, NUMBER), source=source, target=tmp_path / "out.xml")
-    again = load_robot(tmp_path / "out.xml")
+    again = sdpid.load_robot(tmp_path / "out.xml")
     states = generic_states(again, 10, 3)
     expected = problem.robot.inverse_dynamics(links, *states)
     found = again.inverse_dynamics(again.prior, *states)
@@ -309,7 +307,7 @@ def test_a_file_that_the_robot_was_loaded_from_is_patched(tmp_path: Path) -> Non
 def test_a_body_with_several_joints_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "mine.xml"
     source.write_text(USERS.replace('<joint name="two"', '<joint name="mid"/><joint name="two"'))
-    problem = problem_of(load_robot(source), friction=FRICTION)
+    problem = problem_of(sdpid.load_robot(source), friction=FRICTION)
     estimate = estimate_of(problem, 30.0 * bodies(np.random.default_rng(5), 3), NUMBER)
     with pytest.raises(ExportError, match="body 'second' has several joints"):
         write_mjcf(estimate, source=source, target=tmp_path / "out.xml")

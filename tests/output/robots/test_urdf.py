@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.processing.samples import Samples
 from sdpid.output.robots.joint_friction import LeftOut
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
@@ -22,7 +22,6 @@ from sdpid.robot.description.xml import undeclared
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.small_robots import URDFS
@@ -107,7 +106,7 @@ def problem_of(robot: RobotModel, **options: object) -> Problem:
     tail = np.ones(len(terms.parameters))
     links = bodies(np.random.default_rng(1), robot.n_links)
     effort = robot.inverse_dynamics(links, q, v, a) + terms.columns(v, a) @ tail
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
     return build_problem(robot, samples, **options)  # type: ignore[arg-type]
 
 
@@ -119,13 +118,13 @@ def estimate_of(problem: Problem, links: np.ndarray, friction: float = 0.75) -> 
 
 @pytest.fixture(scope="module")
 def arm() -> Problem:
-    return problem_of(load_robot(ARM))
+    return problem_of(sdpid.load_robot(ARM))
 
 
 def assert_same_efforts(problem: Problem, links: np.ndarray, path: Path) -> RobotModel:
     robot = problem.robot
     root = "free_flyer" if robot.free_flyer else None
-    written = load_robot(path, root=root, gravity=robot.gravity)  # type: ignore[arg-type]
+    written = sdpid.load_robot(path, root=root, gravity=robot.gravity)  # type: ignore[arg-type]
     q, v, a = generic_states(robot, 20, 77)
     expected = robot.inverse_dynamics(links, q, v, a)
     found = (written.regressor(q, v, a) @ written.prior.ravel()) - expected
@@ -166,7 +165,7 @@ def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]
 @pytest.mark.parametrize("points", [8, 3, 2])
 @pytest.mark.parametrize("text", [ARM, MIMIC, *URDFS])
 def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) -> None:
-    problem = problem_of(load_robot(text))
+    problem = problem_of(sdpid.load_robot(text))
     links = bodies(np.random.default_rng(points), problem.robot.n_links, points)
     target = tmp_path / "out.urdf"
     estimate = estimate_of(problem, links)
@@ -182,7 +181,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) ->
 
 
 def test_example_robot_with_fixed_hand(tmp_path: Path) -> None:
-    problem = problem_of(load_robot("panda_description/panda"), friction=("viscous",))
+    problem = problem_of(sdpid.load_robot("panda_description/panda"), friction=("viscous",))
     rng = np.random.default_rng(4)
     for points in (8, 2):
         links = bodies(rng, problem.robot.n_links, points)
@@ -224,7 +223,7 @@ def test_friction_appears_where_there_was_none(tmp_path: Path, arm: Problem) -> 
     theta = np.concatenate([links.ravel(), [0.1, 0.2, 0.3, 1.1, 1.2, 1.3]])
     estimate = Estimate.of_theta(arm, theta, method="sdp", status="optimal")
     write_urdf(estimate, target=tmp_path / "out.urdf")
-    model = load_robot(tmp_path / "out.urdf").pin_model
+    model = sdpid.load_robot(tmp_path / "out.urdf").pin_model
     assert np.array_equal(model.friction, [0.1, 0.2, 0.3]) or np.array_equal(
         model.upperDryFrictionLimit, [0.1, 0.2, 0.3]
     )
@@ -232,7 +231,7 @@ def test_friction_appears_where_there_was_none(tmp_path: Path, arm: Problem) -> 
 
 
 def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(MIMIC), friction=("viscous", "offset")).without_rows()
+    problem = problem_of(sdpid.load_robot(MIMIC), friction=("viscous", "offset")).without_rows()
     links = bodies(np.random.default_rng(0), 3)
     report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
     out = (tmp_path / "out.urdf").read_text()
@@ -288,14 +287,14 @@ def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
 
 def test_lump_when_a_child_is_no_body(tmp_path: Path) -> None:
     text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
-    problem = problem_of(load_robot(text))
+    problem = problem_of(sdpid.load_robot(text))
     links = bodies(np.random.default_rng(0), 3)
     assert write_urdf(estimate_of(problem, links), target=tmp_path / "o.urdf").lumped == ("slide",)
 
 
 def test_what_readers_may_take_differently_is_refused(tmp_path: Path) -> None:
     text = ARM.replace('<origin xyz="0.02 0 0.01" rpy="0.3 0 0.1"/>', "<origin/><origin/>")
-    problem = problem_of(load_robot(text))
+    problem = problem_of(sdpid.load_robot(text))
     estimate = estimate_of(problem, bodies(np.random.default_rng(0), 3))
     with pytest.raises(ExportError, match=r"may differ on the source: .* several <origin>"):
         write_urdf(estimate, target=tmp_path / "o.urdf")
@@ -306,7 +305,7 @@ def test_written_bodies_are_consistent(tmp_path: Path, arm: Problem) -> None:
     for points in (1, 2, 3, 4, 8):
         links = bodies(rng, 3, points)
         write_urdf(estimate_of(arm, links), target=tmp_path / "out.urdf")
-        written = load_robot(tmp_path / "out.urdf")
+        written = sdpid.load_robot(tmp_path / "out.urdf")
         assert margin(written.prior, "pseudo_inertia").min() > -1e-15
 
 
@@ -325,7 +324,7 @@ def test_spatial_consistency_may_violate_the_triangle(tmp_path: Path, arm: Probl
 
 
 def test_free_flyer_writes_its_root(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(ARM, root="free_flyer"))
+    problem = problem_of(sdpid.load_robot(ARM, root="free_flyer"))
     links = bodies(np.random.default_rng(2), 4)
     report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
     assert report.links_changed[0] == "base"
@@ -366,7 +365,7 @@ def test_source_file_keeps_its_encoding(tmp_path: Path, arm: Problem, encoding: 
     assert target.read_bytes().decode(encoding).startswith(text[:60])
     assert_same_efforts(arm, links, target)
     # The same from the robot's own text.
-    own = problem_of(load_robot(source))
+    own = problem_of(sdpid.load_robot(source))
     write_urdf(estimate_of(own, links), target=tmp_path / "own.urdf")
     assert (tmp_path / "own.urdf").read_bytes() == target.read_bytes()
 

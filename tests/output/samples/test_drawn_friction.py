@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import build_problem
-from sdpid.experiment.processing.samples import Samples
 from sdpid.friction import Coulomb, SigmoidFriction, Viscous
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf import PLACES
@@ -35,8 +34,8 @@ def made(terms: Terms, friction: Array, links: Array, noise: float) -> Estimate:
     theta = np.concatenate([links, friction])
     effort = full_regressor(ARM, (q, v, a), terms) @ theta
     effort = effort + noise * rng.standard_normal(effort.shape)
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
-    problem = build_problem(ARM, samples, friction=terms, check_excitation=False)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    problem = sdpid.build_problem(ARM, samples, friction=terms, check_excitation=False)
     return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
 
 

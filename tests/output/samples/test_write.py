@@ -19,7 +19,6 @@ from sdpid.output.samples import patterns
 from sdpid.output.samples.write import SampleWriter, write_samples
 from sdpid.robot.description import mjcf, mjcf_bodies
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.load import load_robot
 from tests.helpers.drawn import draws_about, estimate_of, tree
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
@@ -71,7 +70,7 @@ def test_every_robot_is_the_draw(
         path = folder / f"{name}{suffix}"
         assert sdpid.audit_urdf(path).passed
         mujoco.MjModel.from_xml_path(str(path))
-        found = load_robot(path)
+        found = sdpid.load_robot(path)
         order = [found.joint_names.index(joint) for joint in robot.joint_names]
         inverse = np.argsort(order)
         efforts = found.inverse_dynamics(found.prior, *(each[:, inverse] for each in states))
@@ -94,8 +93,8 @@ def test_what_is_fixed_counts_where_it_is_fixed(folder: Path) -> None:
 
 
 def test_the_mean_of_the_robots_is_the_mean(folder: Path) -> None:
-    robots = [load_robot(path).prior for path in sorted(folder.glob("robot_*.urdf"))]
-    mean = load_robot(folder / "mean.urdf").prior
+    robots = [sdpid.load_robot(path).prior for path in sorted(folder.glob("robot_*.urdf"))]
+    mean = sdpid.load_robot(folder / "mean.urdf").prior
     assert np.allclose(np.mean(robots, axis=0), mean, rtol=1e-12, atol=1e-15)
 
 
@@ -183,13 +182,13 @@ def test_a_robot_without_a_urdf_has_an_mjcf(tmp_path: Path) -> None:
     thetas = draws_about(estimate, 2)
     refuses(ExportError, "not loaded from a URDF", written, estimate, thetas, tmp_path, "urdf")
     written(estimate, thetas, tmp_path, "mjcf")
-    assert load_robot(tmp_path / "robot_0002.xml").n == 2
+    assert sdpid.load_robot(tmp_path / "robot_0002.xml").n == 2
 
 
 def test_a_base_that_cannot_exist_is_nothing(tmp_path: Path) -> None:
     inertia = '<inertia ixx="1" iyy="1" izz="9" ixy="0" ixz="0" iyz="0"/>'
     base = f'<link name="base"><inertial><mass value="3"/>{inertia}</inertial></link>'
-    estimate = estimate_of(load_robot(TREE.replace('<link name="base"/>', base)))
+    estimate = estimate_of(sdpid.load_robot(TREE.replace('<link name="base"/>', base)))
     writer = SampleWriter(estimate, draws_about(estimate, 1), kinds=("urdf",))
     notes: list[str] = []
     write_samples(writer, tmp_path, **ARGUMENTS, report=notes.append)
@@ -199,7 +198,7 @@ def test_a_base_that_cannot_exist_is_nothing(tmp_path: Path) -> None:
 
 
 def test_a_floating_base_has_a_body_too(tmp_path: Path) -> None:
-    estimate = estimate_of(load_robot(TREE, root="free_flyer"), ("coulomb", "viscous"))
+    estimate = estimate_of(sdpid.load_robot(TREE, root="free_flyer"), ("coulomb", "viscous"))
     written(estimate, draws_about(estimate, 2), tmp_path, "urdf", "mjcf")
     assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "robot_0002.xml")).nv == 6 + 6

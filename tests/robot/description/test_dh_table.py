@@ -13,13 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.description.origin import matrix_rpy, rpy_matrix
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
 from tests.helpers.tolerances import KINEMATICS
@@ -64,7 +63,7 @@ def product(table: DhTable, q: Array) -> list[Array]:
     return frames
 
 
-def pinocchio_frames(robot: RobotModel, table: DhTable, q: Array) -> list[Array]:
+def pinocchio_frames(robot: sdpid.RobotModel, table: DhTable, q: Array) -> list[Array]:
     """Return the table's frames from Pinocchio's forward kinematics."""
     model, data = robot.pin_model, robot.pin_model.createData()
     pin.forwardKinematics(model, data, robot.configuration(q[None])[0])
@@ -80,7 +79,7 @@ def pinocchio_frames(robot: RobotModel, table: DhTable, q: Array) -> list[Array]
 
 @given(dh_tables(), SEEDS)
 def test_pinocchio_agrees_with_the_product(table: DhTable, seed: int) -> None:
-    robot = RobotModel.from_mdh(table)
+    robot = sdpid.RobotModel.from_mdh(table)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, robot.n)
     expected = product(table, q)
     np.testing.assert_allclose(table.forward_kinematics(q), expected, rtol=0, atol=KINEMATICS)
@@ -91,7 +90,7 @@ def test_pinocchio_agrees_with_the_product(table: DhTable, seed: int) -> None:
 
 @given(dh_tables(conventions=("standard",)), SEEDS)
 def test_the_tip_of_a_standard_table(table: DhTable, seed: int) -> None:
-    robot = RobotModel.from_mdh(table)
+    robot = sdpid.RobotModel.from_mdh(table)
     q = np.random.default_rng(seed).uniform(-np.pi, np.pi, robot.n)
     model, data = robot.pin_model, robot.pin_model.createData()
     pin.framesForwardKinematics(model, data, robot.configuration(q[None])[0])
@@ -102,11 +101,11 @@ def test_the_tip_of_a_standard_table(table: DhTable, seed: int) -> None:
 @given(dh_tables(), st.data())
 def test_link_inertias_survive_the_urdf(table: DhTable, data: st.DataObject) -> None:
     given_links = np.stack([data.draw(bodies()) for _ in table.joints])
-    robot = RobotModel.from_mdh(table, inertias=given_links)
+    robot = sdpid.RobotModel.from_mdh(table, inertias=given_links)
     np.testing.assert_allclose(robot.prior, given_links, rtol=0, atol=1e-13)
 
 
-def test_denso_frames(denso: RobotModel) -> None:
+def test_denso_frames(denso: sdpid.RobotModel) -> None:
     table = DhTable.from_toml(DENSO / "kinematics.toml")
     rng = np.random.default_rng(0)
     for q in rng.uniform(-np.pi, np.pi, (50, 6)):
@@ -126,7 +125,7 @@ def test_denso_urdf_is_what_its_script_writes(monkeypatch: pytest.MonkeyPatch) -
     assert written == {DENSO / "denso_vp6242.urdf": text}
 
 
-def test_denso_limits_are_those_of_the_table(denso: RobotModel) -> None:
+def test_denso_limits_are_those_of_the_table(denso: sdpid.RobotModel) -> None:
     table = DhTable.from_toml(DENSO / "kinematics.toml")
     assert denso.joint_names == tuple(f"joint_{i}" for i in range(1, 7))
     np.testing.assert_array_equal(denso.position_limits, [(j.lower, j.upper) for j in table.joints])
@@ -135,7 +134,7 @@ def test_denso_limits_are_those_of_the_table(denso: RobotModel) -> None:
 
 
 def test_unlimited_joints_have_infinite_limits() -> None:
-    robot = RobotModel.from_mdh([DhJoint(), DhJoint(kind="prismatic")])
+    robot = sdpid.RobotModel.from_mdh([DhJoint(), DhJoint(kind="prismatic")])
     np.testing.assert_array_equal(robot.position_limits, [[-np.inf, np.inf]] * 2)
     assert np.all(np.isinf(robot.velocity_limits))
 
@@ -163,13 +162,13 @@ def test_sources_of_a_table_agree() -> None:
     options: dict[str, Any] = {"base_translation": (0.0, 0.0, 0.28), "gravity": (0.0, 0.0, -9.81)}
     q = np.linspace(-1.0, 1.0, 6)[None]
     v, a = 2.0 * q, -3.0 * q
-    expected = RobotModel.from_mdh(table).regressor(q, v, a)
+    expected = sdpid.RobotModel.from_mdh(table).regressor(q, v, a)
     for robot in (
-        RobotModel.from_mdh(DENSO / "kinematics.toml"),
-        RobotModel.from_mdh(rows, **options),
-        RobotModel.from_mdh([DhJoint(**row) for row in rows], **options),
-        RobotModel.from_mdh({"joint": rows, "base": {"translation": [0, 0, 0.28]}}),
-        load_robot("denso_vp6242"),
+        sdpid.RobotModel.from_mdh(DENSO / "kinematics.toml"),
+        sdpid.RobotModel.from_mdh(rows, **options),
+        sdpid.RobotModel.from_mdh([DhJoint(**row) for row in rows], **options),
+        sdpid.RobotModel.from_mdh({"joint": rows, "base": {"translation": [0, 0, 0.28]}}),
+        sdpid.load_robot("denso_vp6242"),
     ):
         np.testing.assert_allclose(robot.regressor(q, v, a), expected, rtol=0, atol=1e-12)
 
@@ -209,7 +208,7 @@ def test_sources_of_a_table_agree() -> None:
     ],
 )
 def test_bad_tables_are_model_errors(table: Any, says: str) -> None:
-    refuses(ModelError, says, RobotModel.from_mdh, table)
+    refuses(ModelError, says, sdpid.RobotModel.from_mdh, table)
 
 
 @pytest.mark.parametrize("convention", ["modified", "standard"])
@@ -223,15 +222,15 @@ def test_lengths_a_and_d_are_khalils_d_and_r(convention: Any) -> None:
 
 def test_bad_options_are_model_errors() -> None:
     rows = [DhJoint(r=0.2)]
-    refuses(ModelError, "gravity", RobotModel.from_mdh, rows, gravity=(0.0, -9.81))
-    refuses(ModelError, "gravity", RobotModel.from_mdh, rows, gravity=(0.0, math.nan, 0.0))
-    refuses(ModelError, "inertias", RobotModel.from_mdh, rows, inertias=np.ones((2, 10)))
-    refuses(ModelError, "mass", RobotModel.from_mdh, rows, inertias=np.zeros((1, 10)))
+    refuses(ModelError, "gravity", sdpid.RobotModel.from_mdh, rows, gravity=(0.0, -9.81))
+    refuses(ModelError, "gravity", sdpid.RobotModel.from_mdh, rows, gravity=(0.0, math.nan, 0.0))
+    refuses(ModelError, "inertias", sdpid.RobotModel.from_mdh, rows, inertias=np.ones((2, 10)))
+    refuses(ModelError, "mass", sdpid.RobotModel.from_mdh, rows, inertias=np.zeros((1, 10)))
 
 
 def test_a_missing_or_broken_file(tmp_path: Path) -> None:
     with pytest.raises((ModelError, DataError), match=r"nothing\.toml"):
-        RobotModel.from_mdh(tmp_path / "nothing.toml")
+        sdpid.RobotModel.from_mdh(tmp_path / "nothing.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("joint = [[")
-    refuses((ModelError, DataError), "not a TOML file", RobotModel.from_mdh, broken)
+    refuses((ModelError, DataError), "not a TOML file", sdpid.RobotModel.from_mdh, broken)

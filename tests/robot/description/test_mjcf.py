@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid.errors import ModelError
-from sdpid.experiment.inspection.inspect import inspect_recording
-from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.description import mjcf
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 
@@ -74,7 +72,7 @@ def mujoco_efforts(text: str, robot: RobotModel, states: tuple[np.ndarray, ...])
 def test_efforts_are_those_of_mujoco(text: str, tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
     path.write_text(text)
-    robot = load_robot(path)
+    robot = sdpid.load_robot(path)
     assert robot.name == "odd arm"
     np.testing.assert_array_equal(robot.gravity, [1, -2, -9])
     states = generic_states(robot, 20, 1)
@@ -82,25 +80,25 @@ def test_efforts_are_those_of_mujoco(text: str, tmp_path: Path) -> None:
     found = robot.inverse_dynamics(robot.prior, *states)
     # Products and sums of a dozen numbers of order 1 to 100.
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-11)
-    assert load_robot(text).joint_names == robot.joint_names
+    assert sdpid.load_robot(text).joint_names == robot.joint_names
 
 
 def test_names_limits_and_bodies() -> None:
-    robot = load_robot(ARM)
+    robot = sdpid.load_robot(ARM)
     assert robot.joint_names == ("j1", "j2", "wrist_joint_2", "j4")
     assert robot.link_names == ("upper", "j2", "wrist", "second")
     np.testing.assert_array_equal(robot.position_limits[0], [-1, 2])
     assert np.isinf(robot.position_limits[1:]).all()
     np.testing.assert_array_equal(robot.effort_limits, [np.inf, np.inf, 5, np.inf])
-    assert load_robot(FOLLOWER).joint_names == ("j1", "j2", "wrist_joint_2")
-    viscous, coulomb = load_robot(FOLLOWER).described_friction()
+    assert sdpid.load_robot(FOLLOWER).joint_names == ("j1", "j2", "wrist_joint_2")
+    viscous, coulomb = sdpid.load_robot(FOLLOWER).described_friction()
     # Joint 4 turns twice as fast as joint 1 and hangs on it.
     np.testing.assert_array_equal(viscous, [3 + 4 * 3, 3, 3])
     np.testing.assert_array_equal(coulomb, [1 + 2 * 1, 1, 1])
 
 
 def test_a_free_joint_floats_the_base() -> None:
-    robot = load_robot(FLOATING)
+    robot = sdpid.load_robot(FLOATING)
     assert robot.free_flyer
     assert (robot.n, robot.n_links) == (10, 5)
     assert robot.link_names[0] == "base"
@@ -111,10 +109,10 @@ def test_what_is_read_survives_being_written(tmp_path: Path) -> None:
     from sdpid.output.robots.mjcf import write_mjcf
     from tests.output.robots.test_urdf import bodies, estimate_of, problem_of
 
-    problem = problem_of(load_robot(FOLLOWER))
+    problem = problem_of(sdpid.load_robot(FOLLOWER))
     links = bodies(np.random.default_rng(0), 4)
     write_mjcf(estimate_of(problem, links), target=tmp_path / "out.xml")
-    again = load_robot(tmp_path / "out.xml")
+    again = sdpid.load_robot(tmp_path / "out.xml")
     states = generic_states(again, 10, 2)
     expected = problem.robot.inverse_dynamics(links, *states)
     found = again.inverse_dynamics(again.prior, *states)
@@ -133,7 +131,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("text", "says"), REFUSED)
 def test_refusals(text: str, says: str) -> None:
-    refuses(ModelError, says, load_robot, text)
+    refuses(ModelError, says, sdpid.load_robot, text)
 
 
 SPRING = """<mujoco><worldbody><body name="a" gravcomp="1"><joint name="j" stiffness="3"
@@ -143,14 +141,14 @@ SPRING = """<mujoco><worldbody><body name="a" gravcomp="1"><joint name="j" stiff
 
 
 def test_what_the_model_lacks_is_told() -> None:
-    robot = load_robot(SPRING)
-    log = Recording(time=T, position=np.sin([T, 2.0 * T]).T, effort=np.cos([T, 2.0 * T]).T)
-    told = {each.kind: each for each in inspect_recording(log, robot).findings}
+    robot = sdpid.load_robot(SPRING)
+    log = sdpid.Recording(time=T, position=np.sin([T, 2.0 * T]).T, effort=np.cos([T, 2.0 * T]).T)
+    told = {each.kind: each for each in sdpid.inspect_recording(log, robot).findings}
     spring = "spring at j (stiffness 3, springref 1.571), gravcomp 1 of body a; they are taken for"
     assert spring in told["forces_ignored"].message
     assert told["forces_ignored"].severity == "warning"
     assert "p (gain 5, gear 1), 3 (gain 1, gear 9); efforts" in told["actuators_ignored"].message
-    assert not load_robot(ARM).forces + load_robot(ARM).actuators
+    assert not sdpid.load_robot(ARM).forces + sdpid.load_robot(ARM).actuators
 
 
 @pytest.mark.parametrize(
@@ -162,12 +160,12 @@ def test_what_the_model_lacks_is_told() -> None:
     ],
 )
 def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
-    refuses(ModelError, words, load_robot, ARM.replace(*change))
+    refuses(ModelError, words, sdpid.load_robot, ARM.replace(*change))
 
 
 def test_a_root_is_refused() -> None:
     with pytest.raises(ModelError, match="an MJCF says itself whether its base floats"):
-        load_robot(ARM, root="free_flyer")
+        sdpid.load_robot(ARM, root="free_flyer")
 
 
 def test_a_file_that_includes_itself_ends_nothing_but_a_child(tmp_path: Path) -> None:
@@ -175,7 +173,7 @@ def test_a_file_that_includes_itself_ends_nothing_but_a_child(tmp_path: Path) ->
     path.write_text('<mujoco><include file="self.xml"/></mujoco>')
     from sdpid.assurance.descriptions.audit import audit_urdf
 
-    for read in (load_robot, audit_urdf):
+    for read in (sdpid.load_robot, audit_urdf):
         refuses(ModelError, r"self\.xml", read, path)
 
 
@@ -185,4 +183,4 @@ def test_endless_replication_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None
     for _ in range(3):
         body = f'<replicate count="100000" offset="1 0 0">{body}</replicate>'
     with pytest.raises(ModelError, match=r"took more than 2 s|memory|crashed"):
-        load_robot(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        sdpid.load_robot(f"<mujoco><worldbody>{body}</worldbody></mujoco>")

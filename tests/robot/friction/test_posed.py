@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
 from sdpid.robot.model.base_parameters import structural_base
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
@@ -25,17 +24,17 @@ ARM = small_arm(4)
 GRAVITIES = ((0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (3.0, -5.0, 2.0))
 
 
-def bodies_of(robot: RobotModel, seed: int) -> tuple[tuple[float, ...], ...]:
+def bodies_of(robot: sdpid.RobotModel, seed: int) -> tuple[tuple[float, ...], ...]:
     links = random_links(np.random.default_rng(seed), robot.n_links)
     return tuple(tuple(float(x) for x in body) for body in links)
 
 
-def motion_of(robot: RobotModel, seed: int, count: int = 20) -> Motion:
+def motion_of(robot: sdpid.RobotModel, seed: int, count: int = 20) -> Motion:
     q, v, a = random_states(np.random.default_rng(seed), robot.n, count)
     return Motion(position=q, velocity=v, acceleration=a, robot=robot)
 
 
-def efforts(robot: RobotModel, motion: Motion, bodies: object) -> Array:
+def efforts(robot: sdpid.RobotModel, motion: Motion, bodies: object) -> Array:
     return robot.inverse_dynamics(
         np.ravel(np.asarray(bodies)), motion.position, motion.velocity, motion.acceleration
     )
@@ -45,13 +44,13 @@ def efforts(robot: RobotModel, motion: Motion, bodies: object) -> Array:
 def test_a_tilt_is_how_efforts_change_with_gravity(
     seed: int, gravity: tuple[float, float, float]
 ) -> None:
-    robot = RobotModel.from_pinocchio(ARM.pin_model, gravity=gravity)
+    robot = sdpid.RobotModel.from_pinocchio(ARM.pin_model, gravity=gravity)
     motion, bodies = motion_of(robot, seed), bodies_of(robot, seed)
     columns = Tilt(bodies).columns_in(motion, robot.joint_names)
     upright = efforts(robot, motion, bodies)
     for k, axis in enumerate(horizontal_axes(robot.gravity)):
         turned = robot.gravity + np.cross(axis, robot.gravity)
-        other = RobotModel.from_pinocchio(ARM.pin_model, gravity=turned.tolist())
+        other = sdpid.RobotModel.from_pinocchio(ARM.pin_model, gravity=turned.tolist())
         np.testing.assert_allclose(
             columns[:, :, k], efforts(other, motion, bodies) - upright, atol=1e-10
         )
@@ -72,8 +71,8 @@ def test_the_axes_of_an_upright_base_are_its_own() -> None:
     refuses(ModelError, "no gravity", horizontal_axes, np.zeros(3))
 
 
-@pytest.mark.parametrize("robot", [ARM, load_robot(TREE_MIMIC), *MODELS.values()])
-def test_friction_of_the_load_is_a_share_of_the_efforts(robot: RobotModel) -> None:
+@pytest.mark.parametrize("robot", [ARM, sdpid.load_robot(TREE_MIMIC), *MODELS.values()])
+def test_friction_of_the_load_is_a_share_of_the_efforts(robot: sdpid.RobotModel) -> None:
     motion, bodies = motion_of(robot, 1), bodies_of(robot, 1)
     columns = LoadFriction(bodies).columns_in(motion, robot.joint_names)
     share = np.linspace(0.05, 0.2, robot.n)
@@ -93,7 +92,7 @@ def test_friction_of_the_load_may_share_its_sign_with_a_sigmoid() -> None:
 
 
 def test_bodies_of_the_description_are_the_default() -> None:
-    robot = load_robot(TREE)
+    robot = sdpid.load_robot(TREE)
     motion = motion_of(robot, 2)
     described = tuple(tuple(float(x) for x in body) for body in robot.prior)
     for term in (Tilt, LoadFriction):
@@ -110,7 +109,7 @@ def test_what_cannot_be_evaluated_is_refused(term: PosedTerm) -> None:
         term.columns(motion.velocity, motion.acceleration, ARM.joint_names)
     with pytest.raises(ModelError, match="needs"):
         type(term)(((1.0,) * 10,)).columns_in(motion, ARM.joint_names)
-    floating = load_robot(TREE, root="free_flyer")
+    floating = sdpid.load_robot(TREE, root="free_flyer")
     state = Motion(
         position=np.zeros((1, floating.pin_model.nq)),
         velocity=np.zeros((1, floating.n - 6)),

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.friction.model import FrictionModel
@@ -21,8 +22,6 @@ from sdpid.robot.friction.terms import (
     Stribeck,
 )
 from sdpid.robot.model.base_parameters import BaseParameters, generic_states, structural_base
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import friction_model
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm, small_arm
 from tests.helpers.tolerances import REGROUPING
@@ -44,25 +43,25 @@ PLACES = ("vertical_slide", "planar", "arm", "tree", "mimic", "floating")
 
 
 @functools.cache
-def robot_of(place: str) -> RobotModel:
+def robot_of(place: str) -> sdpid.RobotModel:
     match place:
         case "vertical_slide":
             rows = (DhJoint(kind="prismatic"), DhJoint(alpha=np.pi / 2), DhJoint(d=0.3))
-            return RobotModel.from_mdh(DhTable(joints=rows, name=place))
+            return sdpid.RobotModel.from_mdh(DhTable(joints=rows, name=place))
         case "planar":
             return planar_arm()
         case "arm":
             return small_arm(4)
         case "floating":
-            return load_robot(TREE, root="free_flyer")
-    return load_robot(TREE_MIMIC if place == "mimic" else TREE)
+            return sdpid.load_robot(TREE, root="free_flyer")
+    return sdpid.load_robot(TREE_MIMIC if place == "mimic" else TREE)
 
 
-def base_of(robot: RobotModel, *terms: Term) -> BaseParameters:
+def base_of(robot: sdpid.RobotModel, *terms: Term) -> BaseParameters:
     return structural_base(robot, friction_model(robot, terms))
 
 
-def rows_of(robot: RobotModel, friction: FrictionModel, seed: int) -> Array:
+def rows_of(robot: sdpid.RobotModel, friction: FrictionModel, seed: int) -> Array:
     """Return regressor rows at states fast and slow, columns scaled to unit length."""
     q, v, a = generic_states(robot, 400, seed)
     v = v.copy()
@@ -72,7 +71,7 @@ def rows_of(robot: RobotModel, friction: FrictionModel, seed: int) -> Array:
     return W.reshape(-1, W.shape[2])
 
 
-def check(robot: RobotModel, terms: tuple[Term, ...], seed: int) -> BaseParameters:
+def check(robot: sdpid.RobotModel, terms: tuple[Term, ...], seed: int) -> BaseParameters:
     friction = friction_model(robot, terms)
     base = structural_base(robot, friction)
     W = rows_of(robot, friction, seed)

@@ -23,7 +23,6 @@ from sdpid.friction import (
 )
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import friction_model, full_regressor, make_samples, random_theta
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, pendulum, small_arm
@@ -48,7 +47,7 @@ ROBOTS = {
 
 
 def dynamics(
-    robot: RobotModel, seed: int, terms: tuple[FrictionTerm, ...] = TERMS
+    robot: sdpid.RobotModel, seed: int, terms: tuple[FrictionTerm, ...] = TERMS
 ) -> RobotDynamics:
     theta = random_theta(robot, np.random.default_rng(seed), terms)
     return RobotDynamics(robot=robot, terms=friction_model(robot, terms), theta=theta)
@@ -153,7 +152,7 @@ def test_rotor_inertia_is_pinocchios_armature_and_descriptions_have_no_say() -> 
     described = robot.pin_model.copy()
     described.armature = np.full(described.nv, 7.0)
     described.damping = np.full(described.nv, 7.0)
-    other = RobotModel.from_pinocchio(described)
+    other = sdpid.RobotModel.from_pinocchio(described)
     model = dynamics(other, 6, (RotorInertia(), Viscous()))
     n = other.n
     full = model.to_pinocchio()
@@ -190,7 +189,7 @@ def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
     upright = robot.inverse_dynamics(theta, q, rest, rest)
     tilt = model.gravity(q) - upright
     gravity = robot.gravity + np.cross([0.03, -0.02, 0.0], robot.gravity)
-    tilted = RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
+    tilted = sdpid.RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
     assert_same(tilt, tilted.inverse_dynamics(theta, q, v, a) - links)
     np.testing.assert_allclose(model.to_pinocchio().gravity.linear, gravity, atol=1e-12)
     expected = links + tilt + 0.1 * np.abs(links) * np.sign(v)
@@ -274,11 +273,11 @@ def test_the_curve_of_a_joint_is_its_friction() -> None:
 
 
 def test_a_notebook_shows_links_and_friction() -> None:
-    text = dynamics(RobotModel.from_pinocchio(renamed("<b>arm</b>")), 12)._repr_html_()
+    text = dynamics(sdpid.RobotModel.from_pinocchio(renamed("<b>arm</b>")), 12)._repr_html_()
     assert "&lt;b&gt;arm" in text
     assert "<b>arm" not in text
     assert "Fv3" in text
-    assert len(repr(dynamics(RobotModel.from_pinocchio(renamed("x" * 500)), 12))) < 200
+    assert len(repr(dynamics(sdpid.RobotModel.from_pinocchio(renamed("x" * 500)), 12))) < 200
 
 
 def renamed(name: str) -> object:

@@ -9,12 +9,11 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
+import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import find_robot
 from sdpid.robot.model.geometry import collision_points, link_placements
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, pendulum
 from tests.helpers.tolerances import KINEMATICS
@@ -26,9 +25,9 @@ WELD = """<joint name="weld" type="fixed"><parent link="arm"/><child link="hand"
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
-def arm(geometry: str, *, origin: str = "", more: str = "") -> RobotModel:
+def arm(geometry: str, *, origin: str = "", more: str = "") -> sdpid.RobotModel:
     shape = f"<collision>{origin}<geometry>{geometry}</geometry></collision>" if geometry else ""
-    return load_robot(
+    return sdpid.load_robot(
         f"""<robot name="r"><link name="base"><collision><geometry><sphere radius="9"/></geometry>
         </collision></link><link name="arm">{shape}</link><joint name="j" type="revolute">
         <parent link="base"/><child link="arm"/><origin xyz="3 2 1" rpy="1 2 3"/>
@@ -83,7 +82,7 @@ def test_round_shapes_are_inside_and_not_by_much() -> None:
 @pytest.mark.parametrize("link", ["panda_link3", "panda_link7"])
 def test_meshes_as_pinocchio_places_them(link: str) -> None:
     path = find_robot("panda")
-    robot = load_robot("panda")
+    robot = sdpid.load_robot("panda")
     share = next(p.parent for p in path.parents if p.name == "example-robot-data")
     geometry = pin.buildGeomFromUrdf(
         robot.pin_model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(share)]
@@ -137,7 +136,7 @@ def test_what_is_refused(geometry: str, message: str) -> None:
     # Pinocchio is not asked for the geometry, so that a model loads whatever its shapes are.
     robot = arm('<box size="1 1 1"/>')
     text = robot.urdf.replace('<box size="1 1 1"/>', geometry)
-    changed = RobotModel(**{**vars(robot), "urdf": text})
+    changed = sdpid.RobotModel(**{**vars(robot), "urdf": text})
     refuses(ModelError, message, collision_points, changed, "arm")
 
 
@@ -152,7 +151,7 @@ def test_links_without_a_shape() -> None:
     with pytest.raises(ModelError, match="'arm' and what is fixed to it have no collision"):
         collision_points(arm(""), "arm")
     with pytest.raises(ModelError, match="not loaded from a URDF"):
-        collision_points(load_robot(pin.buildModelFromXML(TREE)), "column")
+        collision_points(sdpid.load_robot(pin.buildModelFromXML(TREE)), "column")
     bare = pendulum()
     refuses(ModelError, "no collision geometry", collision_points, bare, bare.link_names[0])
 
@@ -167,8 +166,8 @@ def test_placements() -> None:
         [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]],
         atol=KINEMATICS,
     )
-    floating = load_robot(TREE, root="free_flyer")
-    fixed = load_robot(TREE)
+    floating = sdpid.load_robot(TREE, root="free_flyer")
+    fixed = sdpid.load_robot(TREE)
     np.testing.assert_allclose(
         link_placements(floating)[1:], link_placements(fixed), atol=KINEMATICS
     )

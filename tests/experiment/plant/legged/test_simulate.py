@@ -19,7 +19,6 @@ from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import changed_parameters
 from sdpid.robot.inertia import margin
 from sdpid.robot.legs.find import find_legs
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.refusals import refuses
 
 # What forces from the simulator may leave of the equation of motion, N and N·m.
@@ -27,7 +26,7 @@ EQUATION = 1e-6
 
 
 @cache
-def robot() -> RobotModel:
+def robot() -> sdpid.RobotModel:
     return sdpid.load_robot("go1", root="free_flyer")
 
 
@@ -37,7 +36,7 @@ def exact(motion: str) -> LeggedRun:
     return simulate_legged(robot(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
 
 
-def contact_torques(run: LeggedRun, moved: RobotModel) -> Array:
+def contact_torques(run: LeggedRun, moved: sdpid.RobotModel) -> Array:
     """Return J^T·f of the true wrenches by Pinocchio, sample by sample, shape (N, nv)."""
     model, contacts = moved.pin_model, run.recording.contacts
     assert contacts is not None
