@@ -3,8 +3,6 @@
 Longer runs: ``SDPID_FUZZ=1000 pytest -s tests/cli/test_cli_fuzz.py``.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import shutil

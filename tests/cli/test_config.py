@@ -1,7 +1,5 @@
 """Options in a file: what is given there counts, what a run writes repeats it."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """`sdpid excite`: what it writes and prints, how it ends, and that its plan can be made again."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

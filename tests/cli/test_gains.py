@@ -1,7 +1,5 @@
 """Currents and a file of gains on the command line: from the log to the proof."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A run that a signal ends leaves earlier results whole."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The command with logs of a robot on legs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

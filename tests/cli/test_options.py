@@ -1,7 +1,5 @@
 """What options of the command line become."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

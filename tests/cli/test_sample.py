@@ -1,7 +1,5 @@
 """``sdpid sample``: robots from the folder of a run, or one line and a status."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command with several logs, folds, intervals and other filters."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

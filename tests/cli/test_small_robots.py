@@ -1,7 +1,5 @@
 """Every command on the smallest robots: one joint, no limits, a joint without effort."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

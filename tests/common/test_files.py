@@ -1,7 +1,5 @@
 """Files that were read are known by the SHA-256 of their bytes."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Workers of joblib do not run modules of the current folder."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A progress bar is drawn where it can be taken back, and nowhere else."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

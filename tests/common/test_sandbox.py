@@ -1,7 +1,5 @@
 """A child process takes the harm that a file can do; the parent gets a result or one error."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

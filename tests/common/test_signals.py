@@ -1,7 +1,5 @@
 """Interrupts: noted where an exception would be lost, raised where it is caught."""
 
-from __future__ import annotations
-
 import os
 import signal
 

@@ -1,7 +1,5 @@
 """One table, written as text, CSV and HTML; one way to plain values."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import dataclass

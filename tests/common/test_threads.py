@@ -1,7 +1,5 @@
 """Linear algebra on one thread: as long as anyone needs it, and no longer."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Every code block of the documentation runs, page by page, in a folder with a user's files."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Tables of the evidence: kept, compared, made anew, and shown."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

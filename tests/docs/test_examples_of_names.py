@@ -1,7 +1,5 @@
 """Every public name is described, and its examples run."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """The code of docs/guides/fleet.md runs, and gives what one machine gives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

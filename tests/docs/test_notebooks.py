@@ -1,7 +1,5 @@
 """The notebooks are the tutorials."""
 
-from __future__ import annotations
-
 import runpy
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Measured numbers stand in tables that a command makes, and pages take them from there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Options that pages name exist, and those of a command that is written out are its own."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Messages and kinds of findings on the page of troubleshooting are those of the package."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A small arm whose data no body explains, and conditions that each cost it something."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small robot and its log, for tests that need files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

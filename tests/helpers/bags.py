@@ -1,7 +1,5 @@
 """ROS bags written by `rosbags`, with joint states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A headless browser that opens a file, and what happens in it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

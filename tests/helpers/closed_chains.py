@@ -1,7 +1,5 @@
 """Closed chains in MuJoCo on a base that is fixed or hangs: a leg with a four-bar, an ankle."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

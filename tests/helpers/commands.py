@@ -1,7 +1,5 @@
 """The command `sdpid`, run in this process, as it ends well and as it is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from typer.testing import CliRunner, Result

@@ -1,7 +1,5 @@
 """Damaged files: bytes flipped, pieces cut, dropped, doubled or put wrong."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Samples made from known parameters, and brute-force sums over their rows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The dense check of the studies, which knows nothing of `sdpid.excitation`."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Robot descriptions for the tests of audit and repair."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sdpid._common.arrays import Array

@@ -1,7 +1,5 @@
 """Draws made by hand: robots about an estimate, without a sampler."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import sdpid

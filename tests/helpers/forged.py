@@ -1,7 +1,5 @@
 """Folders of results that were changed and sealed again, as any forger can."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small identifications, made in a moment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -5,8 +5,6 @@ what they say, and the only numbers taken from a problem are A, B, rhs, floor, t
 and the numbers of its constraints.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cvxpy as cp

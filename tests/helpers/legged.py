@@ -1,7 +1,5 @@
 """Samples of a quadruped whose forces, motion and parameters are known: made by Pinocchio."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Linkages in MuJoCo: a crank that drives a rocker, and two arms that carry a point."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

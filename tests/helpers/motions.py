@@ -1,7 +1,5 @@
 """Trajectories of every kind that a plan may have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sdpid._common.arrays import Array

@@ -1,7 +1,5 @@
 """A small plan, made once for all tests of a process."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import sdpid

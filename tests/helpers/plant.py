@@ -1,7 +1,5 @@
 """True states and torques of a simulated plant, which a recording does not show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

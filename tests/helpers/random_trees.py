@@ -1,7 +1,5 @@
 """Random robots as URDF: chains and trees, sliding and continuous joints, followers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sdpid._common.arrays import Array

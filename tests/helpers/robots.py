@@ -1,7 +1,5 @@
 """Robots for the tests: a tree with every kind of joint, and small arms."""
 
-from __future__ import annotations
-
 import math
 
 from sdpid.robot.description.dh_table import DhJoint, DhTable

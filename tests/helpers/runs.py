@@ -1,7 +1,5 @@
 """Recordings of a small arm, as a log holds them: positions and efforts with noise."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

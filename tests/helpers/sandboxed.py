@@ -1,7 +1,5 @@
 """Functions that tests run in a child process."""
 
-from __future__ import annotations
-
 import os
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """What a page holds for its player, read back."""
 
-from __future__ import annotations
-
 import base64
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Arms with shapes, for tests of distances."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import sdpid

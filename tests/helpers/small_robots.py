@@ -1,7 +1,5 @@
 """The smallest robots, each with a log: where arrays lose an axis, and limits are missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small plan for a robot that stands, made once for all tests of a process."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from sdpid.excitation.standing.design import design_standing

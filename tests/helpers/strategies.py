@@ -4,8 +4,6 @@ Nothing is found by rejection: bodies are made of point masses, so they are cons
 of what they are.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Modules of the studies, as tests use them."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tolerances of the tests, each with its reason."""
 
-from __future__ import annotations
-
 # Forward kinematics: a product of at most eight transforms with entries of order one loses a
 # few dozen roundings of 2e-16.
 KINEMATICS = 1e-12

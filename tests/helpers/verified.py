@@ -1,7 +1,5 @@
 """Written robots, compared with what they were written from as `sdpid.verify` does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sdpid.estimation.estimate import Estimate

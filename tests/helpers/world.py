@@ -4,8 +4,6 @@ First those of random arms and of the arm of `runs`, then the files that the pag
 documentation speak of: a six-axis arm and its logs.
 """
 
-from __future__ import annotations
-
 import atexit
 import shutil
 import tempfile
@@ -18,6 +16,7 @@ import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.workflow.result import Identification
 from tests.helpers.arm_files import ARM_URDF
@@ -84,7 +83,7 @@ def problem(
     noise: float | Array = 0.0,
     count: int = 60,
     **options: Any,
-) -> sdpid.Problem:
+) -> Problem:
     """Return the problem of samples at random states."""
     made, _ = samples(robot, seed, flat=flat, noise=noise, count=count)
     return sdpid.build_problem(robot, made, **options)

@@ -1,7 +1,5 @@
 """The bundled Denso: its files agree with each other, and its plant is a real robot."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of what was found: friction curves, forests, and the mass matrix along a motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plots are drawn from arrays, without global state, and written whole."""
 
-from __future__ import annotations
-
 import base64
 import re
 import sys

@@ -1,7 +1,5 @@
 """The one way to make bodies consistent: what it promises, on bodies that cannot exist."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

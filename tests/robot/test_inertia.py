@@ -1,7 +1,5 @@
 """Algebra of single bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """The campaign of forgeries finds errors that are planted in the verifier, and none otherwise."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """The arithmetic of the stand-alone checker, against floating point and exact identities."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from fractions import Fraction

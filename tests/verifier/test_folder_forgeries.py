@@ -1,7 +1,5 @@
 """Forged results folders: whoever writes all digests anew is found by the numbers themselves."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

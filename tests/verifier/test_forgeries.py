@@ -1,7 +1,5 @@
 """Forgeries that were accepted once, each by name, and how little a hostile file can cost."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

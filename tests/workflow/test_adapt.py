@@ -1,7 +1,5 @@
 """Friction is refitted to another recording, and the rigid part stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Parameters that were found elsewhere, judged against the proven optimum."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

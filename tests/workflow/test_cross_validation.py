@@ -1,7 +1,5 @@
 """Blocks held out in turn: nothing of them reaches the fit, and the figures add up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

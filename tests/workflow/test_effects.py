@@ -1,7 +1,5 @@
 """The option of effects, and where the choice is told."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`identify` of a robot with a floating base, end to end, from motion with chosen forces."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ Everybody who can write all files anew makes every digest right. Whatever checks
 have to be told by `sdpid.verify` and the command.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Logs as data frames, joints without effort, and arguments of another kind."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Linkages in MuJoCo, from a recording of their motors to a result that is proven."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Loops that are not in a plane, and loops of robots that hang, with MuJoCo as the judge."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the estimators owe to real recordings: the Stäubli TX40, and the second run of an LWR 4+."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The folder that results are written into: every file of a run, or none."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

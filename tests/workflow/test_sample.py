@@ -1,7 +1,5 @@
 """Draws of an estimate as a user has them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

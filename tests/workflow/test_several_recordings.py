@@ -1,7 +1,5 @@
 """Several recordings in one fit, intervals by default, and what is said of them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """An effort that ruins the parameters of other joints is found by the fit without it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

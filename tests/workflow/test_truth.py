@@ -1,7 +1,5 @@
 """The default estimate finds the friction that a clean log was simulated with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The whole way: a recording in, certified parameters and a URDF that others load out."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What earlier runs tell, in a plan's coordinates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Information of some parameters, and of a prior, against dense inverses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

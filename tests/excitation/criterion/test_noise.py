@@ -1,7 +1,5 @@
 """Expected noise: densities, what is assumed, and what earlier residuals say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a robot is taken to be before a run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import sdpid

@@ -1,7 +1,5 @@
 """The objectives: their derivatives, and what each is invariant to."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Purposes: which functions of the base parameters count."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

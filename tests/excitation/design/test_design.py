@@ -1,7 +1,5 @@
 """Plans: within every limit at every instant, the same for a seed, and stoppable."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from typing import Any

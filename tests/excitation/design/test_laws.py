@@ -1,7 +1,5 @@
 """Laws of designs: tighter limits never gain, and scaled or mirrored tasks are the same task."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

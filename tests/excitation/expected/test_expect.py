@@ -1,7 +1,5 @@
 """What a run will buy: laws of the expected errors, and what the words say."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

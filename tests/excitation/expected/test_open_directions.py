@@ -1,7 +1,5 @@
 """What stays open, and why: by trial of other motions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Distances against closed forms and Pinocchio's own; bounds of their rates; what is left out."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Obstacles: what lies inside, their TOML, meshes with hollows, and errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

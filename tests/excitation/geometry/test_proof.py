@@ -1,7 +1,5 @@
 """Proofs that a distance is never small, on functions whose least value is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

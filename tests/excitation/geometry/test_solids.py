@@ -1,7 +1,5 @@
 """Solids of links: hulls of meshes, shapes of fixed links, and what is assumed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of whole motions: against dense evaluation, and what each broken limit is called."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

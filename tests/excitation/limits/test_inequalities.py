@@ -1,7 +1,5 @@
 """Limits as functions for a search: zero at the limit, and their derivatives."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

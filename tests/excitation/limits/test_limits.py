@@ -1,7 +1,5 @@
 """Limits: the tighter of what is given and described, and what is told before any search."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bounds on efforts and on the rates of efforts, against the derivatives themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """The published excitations of a UR10e break their own limits: by as much as a dense grid says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A plan draws its motion against its limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

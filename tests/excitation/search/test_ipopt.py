@@ -1,7 +1,5 @@
 """The call of IPOPT: limits hold at every step, and the best point is kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse import csr_array

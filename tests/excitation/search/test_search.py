@@ -1,7 +1,5 @@
 """The search: several starts, then the best of them refined; better, and within the limits."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -1,7 +1,5 @@
 """Motions of the search: linear in free numbers, at rest at the ends, bounded by their rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Plans for robots that stand: limits are held, feet stay down in MuJoCo, bad input is told."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kinematics, rows and loads of a stance, beside Pinocchio, differences, and an estimate's rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The folder of a plan for a robot that stands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

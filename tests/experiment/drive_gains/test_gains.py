@@ -1,7 +1,5 @@
 """Drive gains: their errors, and the file that keeps them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contacts at another frame or point than where feet touch the ground are found and named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Late channels of legged robots are found to 1 ms, and none where there is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

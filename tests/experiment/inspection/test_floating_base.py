@@ -1,7 +1,5 @@
 """Wrong recordings of legged robots are found and named, and good ones are left alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache

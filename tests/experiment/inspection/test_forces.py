@@ -1,7 +1,5 @@
 """Measured contact forces that are wrong are named, and right ones are left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The place, axes, biases and scales of an IMU are found to be wrong by the pose, and named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Findings about recordings: each check by a recording that has the defect, and one without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Logs that are wrong in one way each, of an arm whose bodies are not quite as described."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Callable, Iterator

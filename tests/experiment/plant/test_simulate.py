@@ -1,7 +1,5 @@
 """The simulated experiment obeys the equations that identification assumes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

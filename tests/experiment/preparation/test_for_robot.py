@@ -1,7 +1,5 @@
 """Defaults chosen from a recording, and what they predict on five real robots."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

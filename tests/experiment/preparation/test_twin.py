@@ -1,7 +1,5 @@
 """Another motion of a recording, aligned row by row with the measured one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

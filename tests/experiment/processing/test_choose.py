@@ -1,7 +1,5 @@
 """What is chosen from a recording, why, and what stays as it was given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

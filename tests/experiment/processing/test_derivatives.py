@@ -1,7 +1,5 @@
 """Derivatives: exact where they must be, and what they let pass of the noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

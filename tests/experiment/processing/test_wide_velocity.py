@@ -1,7 +1,5 @@
 """Friction columns that pass the filter of the efforts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

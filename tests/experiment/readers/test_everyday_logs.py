@@ -1,7 +1,5 @@
 """Logs as people have them: other names, units, decimal marks, stamps and gaps."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 from typing import Any

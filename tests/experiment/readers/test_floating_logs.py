@@ -1,7 +1,5 @@
 """Logs of robots with a floating base: poses, IMUs and feet, found by name or as told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

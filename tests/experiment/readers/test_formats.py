@@ -1,7 +1,5 @@
 """Readers against files that other programs and libraries wrote."""
 
-from __future__ import annotations
-
 import io
 import sys
 import zipfile

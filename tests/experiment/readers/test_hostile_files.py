@@ -3,8 +3,6 @@
 Longer runs: ``SDPID_FUZZ=5000 pytest tests/experiment/readers/test_fuzz.py``.
 """
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Mappings beside logs, units joint by joint, and the motors' side."""
 
-from __future__ import annotations
-
 import gzip
 import re
 from pathlib import Path

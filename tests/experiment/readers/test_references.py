@@ -1,7 +1,5 @@
 """Commanded positions: found where their names are clear, and kept by everything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

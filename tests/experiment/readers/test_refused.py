@@ -1,7 +1,5 @@
 """Arguments, mappings, arrays and lines of text that are refused, and what is said of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Currents and gains: what a recording of currents may be used for, and who finds which gain."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a recording has of a floating base: checked when made, kept wherever rows are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Records with gaps, wrapped angles and late stamps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

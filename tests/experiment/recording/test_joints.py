@@ -1,7 +1,5 @@
 """Joints of a recording matched with those of a robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings that stay in their file: the same results, and never in memory as a whole."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Recorded velocities held against positions."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Robots with known parameters for the tests of simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The simulated arm moves as Pinocchio and SciPy say, sticks, and never raises."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar

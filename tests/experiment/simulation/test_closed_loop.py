@@ -1,7 +1,5 @@
 """Closed loops move as SciPy and MuJoCo say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

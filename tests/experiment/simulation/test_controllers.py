@@ -1,7 +1,5 @@
 """Controllers give what their formulas say, with slopes, and refuse what is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Gains of controllers from logs of loops whose gains are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stretches of a recording move as SciPy integrates them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

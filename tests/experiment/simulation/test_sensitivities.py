@@ -1,7 +1,5 @@
 """Sensitivities of a controlled motion against differences of simulations."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

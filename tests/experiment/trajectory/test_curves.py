@@ -1,7 +1,5 @@
 """Laws of every curve: bounds hold at every instant, and time and sign scale as they should."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The paper's excitation keeps its own rule, and every trajectory is smooth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

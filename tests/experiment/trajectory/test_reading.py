@@ -1,7 +1,5 @@
 """Motions are read from files of any tool, and what is wrong with one is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

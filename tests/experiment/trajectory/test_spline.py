@@ -1,7 +1,5 @@
 """Splines: scipy's B-splines, with bounds that hold at every instant."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Trajectories along any curve: their samples, their parts and their files."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What controllers get is the motion, as independent readers find it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The page of a plan: valid, alone, told in words, and the arm moves."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The folder of a plan: every file, or none, and no one else's."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A joint is trusted on other motion by other motion, or by blocks with a margin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

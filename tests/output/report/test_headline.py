@@ -1,7 +1,5 @@
 """The verdict in three lines: the error, the worst joint, the next step."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

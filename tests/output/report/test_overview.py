@@ -1,7 +1,5 @@
 """The figure of all joints of a result."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What all pages share: a policy that lets named scripts run, and colors that can be read."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import re

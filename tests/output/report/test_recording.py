@@ -1,7 +1,5 @@
 """What the report says of a recording."""
 
-from __future__ import annotations
-
 import pytest
 
 import sdpid

@@ -1,7 +1,5 @@
 """The report is one valid page that needs nothing else and runs nothing."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import importlib.util

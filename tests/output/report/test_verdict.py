@@ -1,7 +1,5 @@
 """What is said of a model follows from what was put wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

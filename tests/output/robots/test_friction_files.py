@@ -1,7 +1,5 @@
 """Friction as Python and C++, run against the model that it was written from."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import runpy

@@ -1,7 +1,5 @@
 """Friction in written files predicts the recordings as well as its form allows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

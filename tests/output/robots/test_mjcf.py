@@ -1,7 +1,5 @@
 """Written MJCF is the identified robot in MuJoCo, and in a patched file nothing else changes."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

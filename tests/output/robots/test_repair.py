@@ -1,7 +1,5 @@
 """Repaired descriptions: nearest, nothing else changed, and every loader takes them."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A drive that turns two joints is a tendon in MuJoCo, with the same efforts as the model's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Written URDFs are the identified robot, and nothing else in them has changed."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Friction of draws is that of single robots, at the cost of one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

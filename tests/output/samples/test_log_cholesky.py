@@ -1,7 +1,5 @@
 """The log-Cholesky form of a change: round trips, and what each of its numbers does."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis.extra import numpy as hnp

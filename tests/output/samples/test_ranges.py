@@ -1,7 +1,5 @@
 """Ranges contain what they say, about the bodies that MuJoCo reads from the files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

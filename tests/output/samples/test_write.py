@@ -1,7 +1,5 @@
 """Every drawn robot is audited, loads, and is the draw; a folder holds all of them or none."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

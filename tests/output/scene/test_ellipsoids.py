@@ -1,7 +1,5 @@
 """Inertia ellipsoids: those of uniform ellipsoids are themselves; impossible bodies have none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

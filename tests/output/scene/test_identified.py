@@ -1,7 +1,5 @@
 """The robot of a report: its motion, its ellipsoids, and what is told of those it lacks."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Surfaces of links: what the description has, else what is assumed; thinned and still there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of parameters read back as they were written, by us and by other libraries."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Kinematic tables against the product of their transforms, and tables that are refused."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from pathlib import Path

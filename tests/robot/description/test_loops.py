@@ -1,7 +1,5 @@
 """Loops as descriptions tell them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Robots from MJCF: the same efforts as MuJoCo's, and hostile files that harm nobody."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a parser prints on file descriptor 2 is part of the error, and nowhere else."""
 
-from __future__ import annotations
-
 import os
 import threading
 

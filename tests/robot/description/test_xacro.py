@@ -1,7 +1,5 @@
 """Robots from xacro files, and from names of robot_descriptions."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Bounds of friction columns over ranges of motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

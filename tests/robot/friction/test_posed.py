@@ -1,7 +1,5 @@
 """Terms that depend on the position: gravity's direction, and friction of the load."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Rank and names of base parameters with every combination of friction terms."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

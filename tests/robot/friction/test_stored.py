@@ -1,7 +1,5 @@
 """A friction term is the same term after it was plain values."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from typing import Any

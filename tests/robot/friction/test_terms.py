@@ -1,7 +1,5 @@
 """Friction and drive terms: names, columns, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

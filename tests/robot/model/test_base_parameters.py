@@ -1,7 +1,5 @@
 """Base parameters: the rule, the names, and the regrouping at states it was not found at."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys

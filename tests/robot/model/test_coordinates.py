@@ -1,7 +1,5 @@
 """Which coordinates are lengths."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import pytest

@@ -1,7 +1,5 @@
 """The identified robot in use, against Pinocchio's own algorithms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -4,8 +4,6 @@ Pinocchio and MuJoCo know bodies, armature and gravity. Friction, couplings and 
 that follow others are added here, from their formulas.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The shape of links against Pinocchio's own reading, and shapes that the hull must contain."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where robots come from, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

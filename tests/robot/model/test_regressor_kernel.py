@@ -1,7 +1,5 @@
 """The compiled regressor against Pinocchio's, and what happens without Numba."""
 
-from __future__ import annotations
-
 import builtins
 import logging
 import subprocess

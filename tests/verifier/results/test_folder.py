@@ -1,7 +1,5 @@
 """A results folder whose files do not hold the proven numbers is named, sealed anew or not."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

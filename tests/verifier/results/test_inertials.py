@@ -1,7 +1,5 @@
 """Bodies without rounding: their laws, and libraries in floating point."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Two results folders against each other, from their files alone."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Quadrupeds obey the equation of motion that identification assumes, and sensors say so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

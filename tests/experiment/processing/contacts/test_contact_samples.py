@@ -1,7 +1,5 @@
 """Contacts of samples: checked, cut and joined with them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

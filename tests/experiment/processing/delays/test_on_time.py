@@ -1,7 +1,5 @@
 """Channels that were recorded late are taken at their time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A quadruped that crawls: motion as chosen, efforts and forces by Pinocchio's inverse dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

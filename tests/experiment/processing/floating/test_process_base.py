@@ -1,7 +1,5 @@
 """Recordings with a base: their states against those of the motion, and the equation of motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

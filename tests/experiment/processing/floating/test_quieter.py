@@ -1,7 +1,5 @@
 """The noise of a pose bounds the cut-off where the base's accelerations are its differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

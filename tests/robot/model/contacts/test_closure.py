@@ -1,7 +1,5 @@
 """Positions that close loops, beside the cosine rule."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Jacobians of contact points against Pinocchio's, and against differences of places."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
