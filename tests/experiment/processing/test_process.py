@@ -464,16 +464,15 @@ def test_an_outlier_is_named(size: float):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"cutoff_hz": "10"},
-        {"cutoff_hz": 1e-308},
-        {"order": 10**20},
-        {"order": 2.5},
-        {"order": None},
-        {"decimation": "2"},
-        {"reversal_time": 1e300},
-        {"reversal_speed": np.nan},
-        {"trim_s": True},
-        {"shrinkage": 1.1},
+        *({"cutoff_hz": value} for value in ("10", 1e-308, 0.0, np.nan)),
+        *({"order": value} for value in (10**20, 2.5, None, 0)),
+        *({"decimation": value} for value in ("2", 2.5)),
+        *({"reversal_time": value} for value in (1e300, -1.0)),
+        *({"reversal_speed": value} for value in (np.nan, -1.0)),
+        *({"trim_s": value} for value in (True, np.inf)),
+        *({"shrinkage": value} for value in (1.1, 1.5)),
+        {"covariance": "all"},
+        *({name: "x"} for name in ("velocity", "timing", "filter", "derivative")),
     ],
 )
 def test_settings_out_of_range_are_refused(changes: dict):
@@ -532,29 +531,6 @@ def test_decimation_by_the_papers_rule():
     for cutoff, kept in ((10.0, 200), (25.0, 500), (5.0, 100), (200.0, 2000)):
         setting = replace(ALL_ROWS, decimation=None, cutoff_hz=cutoff)
         assert process(periodic(2), setting).n_samples == kept
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"cutoff_hz": 0.0}, "cutoff_hz"),
-        ({"cutoff_hz": np.nan}, "cutoff_hz"),
-        ({"order": 0}, "order"),
-        ({"order": None}, "order"),
-        ({"decimation": 2.5}, "decimation"),
-        ({"shrinkage": 1.5}, "shrinkage"),
-        ({"reversal_time": -1.0}, "reversal_time"),
-        ({"reversal_speed": -1.0}, "reversal_speed"),
-        ({"trim_s": np.inf}, "trim_s"),
-        ({"covariance": "all"}, "covariance"),
-        ({"velocity": "x"}, "velocity"),
-        ({"timing": "x"}, "timing"),
-        ({"filter": "x"}, "filter"),
-        ({"derivative": "x"}, "derivative: is 'x', expected one of"),
-    ],
-)
-def test_bad_settings(changes: dict[str, Any], message: str):
-    refuses(DataError, message, Processing, **changes)
 
 
 def test_cutoff_and_length_are_checked():
