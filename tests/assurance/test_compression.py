@@ -1,7 +1,5 @@
 """The compressed cost and that of the rows, compared without rounding wherever it is claimed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

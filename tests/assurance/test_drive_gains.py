@@ -1,7 +1,5 @@
 """Gains are found from currents, or it is said why not."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

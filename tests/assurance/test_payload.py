@@ -1,7 +1,5 @@
 """Payloads are found from recordings with and without them, and intervals hold the truth."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

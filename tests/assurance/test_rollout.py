@@ -1,7 +1,5 @@
 """The truth moves as the robot did, a wrong model does not, and what runs away is told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

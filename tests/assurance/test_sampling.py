@@ -1,7 +1,5 @@
 """Draws obey every constraint, and have the distribution that they should."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Results show themselves in a line, and as HTML in a notebook."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from html.parser import HTMLParser

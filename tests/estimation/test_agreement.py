@@ -1,7 +1,5 @@
 """Two estimates of one robot agree as often as stated, and a changed robot is found out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

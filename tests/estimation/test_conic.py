@@ -1,7 +1,5 @@
 """Conic programs: solutions, attempts, and the derivative of a fit."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

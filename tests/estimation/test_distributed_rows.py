@@ -1,7 +1,5 @@
 """Pieces on the workers of a local cluster: the same answer, also when a worker is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

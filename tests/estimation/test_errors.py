@@ -1,7 +1,5 @@
 """Errors of estimates against dense formulas and against what simulated estimates scatter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,6 +16,7 @@ from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation import noise_spectrum
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.information import (
     UNDETERMINED,
@@ -50,7 +49,7 @@ BODIES = random_links(RNG, 2)
 THETA = np.concatenate([BODIES.ravel(), RNG.uniform(0.5, 2.0, 4)])
 
 
-def estimated(noise: float, prior: sdpid.Prior | None, *, count: int = 40) -> sdpid.Estimate:
+def estimated(noise: float, prior: sdpid.Prior | None, *, count: int = 40) -> Estimate:
     samples = make_samples(ARM, THETA, np.random.default_rng(1), count=count, noise=noise)
     return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior))
 
@@ -434,7 +433,7 @@ def test_slopes_are_those_of_the_fit(weighting: str) -> None:
     covariance = random_covariance(np.random.default_rng(2), 2, count)
     mask = np.random.default_rng(3).random((count, 2)) < 0.9
 
-    def fitted(off: Array) -> tuple[Problem, sdpid.Estimate]:
+    def fitted(off: Array) -> tuple[Problem, Estimate]:
         samples = replace(samples_of(off, count=count), covariance=covariance, mask=mask)
         problem = build_problem(ARM, samples, weighting=weighting)  # type: ignore[arg-type]
         return problem, sdpid.solve_wls(problem)
@@ -450,7 +449,7 @@ def test_slopes_are_those_of_the_fit(weighting: str) -> None:
 
 
 def test_slopes_of_an_instrumental_estimate() -> None:
-    def fitted(off: Array) -> sdpid.Estimate:
+    def fitted(off: Array) -> Estimate:
         samples = samples_of(off, count=200)
         rng = np.random.default_rng(8)
         shaken = replace(samples, position=samples.position + 0.01 * rng.standard_normal((200, 2)))
@@ -469,7 +468,7 @@ def test_slopes_of_an_instrumental_estimate() -> None:
 def test_a_prior_holds_against_gains() -> None:
     """With a prior the parameters follow the gains as the estimate without inequalities does."""
 
-    def fitted(off: Array) -> sdpid.Estimate:
+    def fitted(off: Array) -> Estimate:
         prior = sdpid.Prior(bodies=GAIN_THETA[:20].reshape(2, 10), strength=5.0)
         samples = samples_of(off)
         return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior, consistency="none"))

@@ -1,7 +1,5 @@
 """Instruments from a closed loop whose encoders are noisy, and two-stage least squares."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What noise in motion, landings, the filter and a wrong law of friction do to a fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +11,12 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise.bias import with_motion_bias
 from sdpid.estimation.motion_noise.friction import friction_bias
 from sdpid.estimation.motion_noise.landings import beyond_noise, landings_used
 from sdpid.estimation.motion_noise.twins import twins
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.preparation.for_robot import prepare
 from tests.helpers.arm import ARM
@@ -47,7 +47,7 @@ def recorded(noise: float, seed: int = 0) -> sdpid.Recording:
     )
 
 
-def problem_of(log: sdpid.Recording) -> sdpid.Problem:
+def problem_of(log: sdpid.Recording) -> Problem:
     samples = prepare(ARM, log, PROCESSING)
     return sdpid.build_problem(ARM, samples, friction=(), weighting="residual")
 
@@ -135,7 +135,7 @@ FRICTION = (sdpid.friction.Coulomb(width=0.02), "viscous", "rotor_inertia")
 
 def legged_problem(
     robot: sdpid.RobotModel, log: sdpid.Recording, processing: sdpid.Processing
-) -> sdpid.Problem:
+) -> Problem:
     problem = sdpid.build_problem(
         robot, [log], processing=processing, friction=FRICTION, weighting="residual"
     )
@@ -143,7 +143,7 @@ def legged_problem(
 
 
 def with_and_without(
-    estimate: sdpid.Estimate, without: sdpid.Problem, name: str
+    estimate: Estimate, without: Problem, name: str
 ) -> tuple[sdpid.Intervals, sdpid.Intervals]:
     """Return intervals that count a bias, and those that do not; its share is the difference."""
     honest, short = (
@@ -265,7 +265,7 @@ def test_what_no_other_filter_tells_is_not_counted(
 CHOSEN = (sdpid.friction.SigmoidFriction(), "viscous")
 
 
-def peaked(peak: float, friction: tuple[object, ...] = CHOSEN) -> tuple[sdpid.Problem, Array]:
+def peaked(peak: float, friction: tuple[object, ...] = CHOSEN) -> tuple[Problem, Array]:
     """Return the problem of a robot whose friction has a peak, and its links' parameters."""
     rng = np.random.default_rng(7)
     # Slow enough to see where friction bends; a motion that repeats as efforts do.
@@ -280,7 +280,7 @@ def peaked(peak: float, friction: tuple[object, ...] = CHOSEN) -> tuple[sdpid.Pr
     return problem, theta
 
 
-def bias_of(problem: sdpid.Problem) -> Array | None:
+def bias_of(problem: Problem) -> Array | None:
     assert isinstance(problem.rows, RowSource)
     return friction_bias(problem, problem.rows)
 

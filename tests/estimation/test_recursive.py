@@ -1,7 +1,5 @@
 """Recursive estimates against those of all samples, and against a robot that changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Robust costs: what they are, that their optimum is global, and what they are good for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The semidefinite program: its optima, proofs, contradictions, and what other solvers find."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import re

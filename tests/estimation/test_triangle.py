@@ -1,7 +1,5 @@
 """Compression of rows, against a Householder QR of all of them in extended precision."""
 
-from __future__ import annotations
-
 import itertools
 import tracemalloc
 from typing import Any
