@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
@@ -18,6 +19,7 @@ from sdpid.estimation.motion_noise.landings import beyond_noise, landings_used
 from sdpid.estimation.motion_noise.twins import twins
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.for_robot import prepare
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_links, random_theta
@@ -144,7 +146,7 @@ def legged_problem(
 
 def with_and_without(
     estimate: Estimate, without: Problem, name: str
-) -> tuple[sdpid.Intervals, sdpid.Intervals]:
+) -> tuple[Intervals, Intervals]:
     """Return intervals that count a bias, and those that do not; its share is the difference."""
     honest, short = (
         sdpid.confidence_intervals(each, method="gauss_markov", parameters=without.base.names)
@@ -225,7 +227,7 @@ SLOW = replace(LEGGED, cutoff_hz=12.0)
 
 
 @pytest.fixture(scope="module")
-def stand() -> tuple[sdpid.RobotModel, sdpid.LeggedRun]:
+def stand() -> tuple[sdpid.RobotModel, LeggedRun]:
     robot = sdpid.load_robot("solo12", root="free_flyer")
     return robot, sdpid.simulate_legged(
         robot, "stand", duration=2.0, seed=1, sensors=Sensors.exact()
@@ -233,7 +235,7 @@ def stand() -> tuple[sdpid.RobotModel, sdpid.LeggedRun]:
 
 
 def test_intervals_of_a_stand_count_what_the_filter_does(
-    stand: tuple[sdpid.RobotModel, sdpid.LeggedRun],
+    stand: tuple[sdpid.RobotModel, LeggedRun],
 ) -> None:
     robot, run = stand
     problem = legged_problem(robot, run.recording, SLOW)
@@ -251,7 +253,7 @@ def test_intervals_of_a_stand_count_what_the_filter_does(
 
 
 def test_what_no_other_filter_tells_is_not_counted(
-    stand: tuple[sdpid.RobotModel, sdpid.LeggedRun],
+    stand: tuple[sdpid.RobotModel, LeggedRun],
 ) -> None:
     robot, run = stand
     # Between these and half the rate there is no room for a higher one.
