@@ -10,6 +10,9 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from fractions import Fraction
+from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +29,9 @@ from sdpid.assurance.certificate.rows_digest import rows_digest
 from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Fixed
 from sdpid.errors import CertificateError, DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS
+from sdpid.estimation.duality.bound import evaluate
 from sdpid.estimation.estimate import Estimate
+from sdpid.friction import Coulomb, Coupling
 from sdpid.robot.inertia import Consistency, matrix_basis
 from sdpid.verifier import certificate as checker
 from sdpid.verifier import command, exact, reading
@@ -40,10 +45,12 @@ from tests.helpers.refusals import refuses
 # The stand-alone checker.
 FOLDER = Path(command.__file__).parent
 Data = dict[str, Any]
+KINDS = ("pseudo", "spatial", "prior", "entropic")
 Path_ = tuple[Any, ...]
 
 
-def certificate(kind: str) -> Data:
+@cache
+def stated(kind: str) -> Data:
     """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
     others = (
         LIGHT,
@@ -61,7 +68,9 @@ def certificate(kind: str) -> Data:
     return certify(solve_sdp(problem)).to_dict()
 
 
-MADE = {kind: certificate(kind) for kind in ("pseudo", "spatial", "prior", "entropic")}
+def made(kind: str) -> Data:
+    """Return a certificate that may be changed."""
+    return copy.deepcopy(stated(kind))
 
 
 def sealed(data: Data) -> Data:
@@ -101,9 +110,9 @@ def alone(path: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
-    data = MADE[kind]
+    data = stated(kind)
     found = checked(data, tmp_path)
     assert found.passed, found.problems
     assert found.problems == ()
@@ -123,13 +132,13 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
     assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
-    path.write_text(json.dumps(MADE[kind]), encoding="utf-8")
+    path.write_text(json.dumps(stated(kind)), encoding="utf-8")
     done = alone(path)
     assert done.returncode == 0, done.stderr
-    claims = MADE[kind]["claims"]
+    claims = stated(kind)["claims"]
     for said in (
         f"No feasible parameters cost less than {claims['lower_bound']!r}.",
         f"the least margin {min(claims['margins'])!r} kg.m2",
@@ -142,7 +151,7 @@ def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
 
 def test_status_of_the_script(tmp_path: Path) -> None:
     path = tmp_path / "c.json"
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["theta"][0] += 1.0
     path.write_text(json.dumps(data), encoding="utf-8")
     done = alone(path)
@@ -158,30 +167,28 @@ def test_status_of_the_script(tmp_path: Path) -> None:
 # ---- What is claimed is as strong as can be, and no stronger ------------------------------------
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("claim", "toward"), [("cost", -math.inf), ("lower_bound", math.inf), ("gap", -math.inf)]
 )
 def test_no_claim_can_be_better_by_a_digit(
     kind: str, claim: str, toward: float, tmp_path: Path
 ) -> None:
-    data = copy.deepcopy(MADE[kind])
+    data = made(kind)
     data["claims"][claim] = math.nextafter(data["claims"][claim], toward)
     assert rejected(sealed(data), tmp_path)
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 def test_margins_cannot_be_better(kind: str, tmp_path: Path) -> None:
-    for link, margin in enumerate(MADE[kind]["claims"]["margins"]):
-        data = copy.deepcopy(MADE[kind])
+    for link, margin in enumerate(stated(kind)["claims"]["margins"]):
+        data = made(kind)
         data["claims"]["margins"][link] = margin + 1e-12
         assert rejected(sealed(data), tmp_path)
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
-    from sdpid.estimation.duality.bound import evaluate
-
     problem = arm_problem(
         LIGHT,
         consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
@@ -216,18 +223,18 @@ def at(data: Data, path: Path_) -> Any:
     return value
 
 
-LEAVES = {
-    kind: [path for path in leaves(data) if path[0] not in ("metadata", "sha256")]
-    for kind, data in MADE.items()
-}
+@cache
+def leaves_of(kind: str) -> list[Path_]:
+    """Return the leaves of a certificate that are no descriptions."""
+    return [path for path in leaves(stated(kind)) if path[0] not in ("metadata", "sha256")]
 
 
 @given(st.data())
 def test_a_changed_digit_anywhere_that_matters_is_rejected(data: st.DataObject) -> None:
     """Without a new digest, every change of anything but descriptions is seen."""
-    kind = data.draw(st.sampled_from(list(MADE)))
-    path = data.draw(st.sampled_from(LEAVES[kind]))
-    forged = copy.deepcopy(MADE[kind])
+    kind = data.draw(st.sampled_from(KINDS))
+    path = data.draw(st.sampled_from(leaves_of(kind)))
+    forged = made(kind)
     where, value = at(forged, path[:-1]), at(forged, path)
     other = [True, "a half", None, 10**400, [], {}, float("nan"), float("inf"), -float("inf")]
     if type(value) in (int, float):
@@ -251,23 +258,23 @@ def test_a_changed_digit_anywhere_that_matters_is_rejected(data: st.DataObject) 
 @given(st.data())
 def test_so_is_any_character_of_the_file(data: st.DataObject) -> None:
     """One character of the text is another: it is refused, or means the same."""
-    kind = data.draw(st.sampled_from(list(MADE)))
-    text = json.dumps(MADE[kind])
+    kind = data.draw(st.sampled_from(KINDS))
+    text = json.dumps(stated(kind))
     k = data.draw(st.integers(0, len(text) - 1))
     forged = text[:k] + data.draw(st.sampled_from('0123456789-+.eE,[]{}" tx')) + text[k + 1 :]
     if not holds(forged):
         return
-    same, found = copy.deepcopy(MADE[kind]), checker.load(forged.encode())
+    same, found = made(kind), checker.load(forged.encode())
     assert {**found, "metadata": None} == {**same, "metadata": None}
 
 
 @given(st.data())
 def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) -> None:
     """Anything may stand anywhere: the check ends with an answer or says what is wrong."""
-    kind = data.draw(st.sampled_from(list(MADE)))
-    path = data.draw(st.sampled_from(LEAVES[kind]))
+    kind = data.draw(st.sampled_from(KINDS))
+    path = data.draw(st.sampled_from(leaves_of(kind)))
     depth = data.draw(st.integers(1, len(path)))
-    forged = copy.deepcopy(MADE[kind])
+    forged = made(kind)
     where, key = at(forged, path[: depth - 1]), path[depth - 1]
     odd = [None, True, -1, 10**400, 1e300, -1e300, 5e-324, "x", [], {}, [[]], [None], {"x": 1}]
     where[key] = data.draw(st.sampled_from(odd))
@@ -277,18 +284,18 @@ def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) 
         return
     if not result.problems and path[0] != "problem":
         # Other parameters or multipliers may do as well, but prove no more than there is.
-        claims = MADE[kind]["claims"]
+        claims = stated(kind)["claims"]
         assert forged["claims"]["lower_bound"] <= claims["cost"]
 
 
 def test_descriptions_may_be_changed(tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["metadata"]["message"] = "something else"
     assert checked(data, tmp_path).passed
 
 
 def test_a_key_occurs_once(tmp_path: Path) -> None:
-    text = json.dumps(MADE["pseudo"])
+    text = json.dumps(stated("pseudo"))
     assert holds(text)
     assert not holds(text[:-1] + ', "theta": null}')
     assert not holds(text.replace('"floor": ', '"floor": 0.0, "floor": ', 1))
@@ -296,8 +303,8 @@ def test_a_key_occurs_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000])
 def test_literals_that_are_no_numbers(literal: str) -> None:
-    text = json.dumps(MADE["pseudo"])
-    floor = json.dumps(MADE["pseudo"]["problem"]["floor"])
+    text = json.dumps(stated("pseudo"))
+    floor = json.dumps(stated("pseudo")["problem"]["floor"])
     forged = text.replace(f'"floor": {floor}', f'"floor": {literal}', 1)
     assert forged != text
     assert not holds(forged)
@@ -307,10 +314,8 @@ def change(path: tuple[Any, ...], how: Callable[[Any], Any]) -> Callable[[Data],
     """Return what changes one entry."""
 
     def apply(data: Data) -> None:
-        at: Any = data
-        for key in path[:-1]:
-            at = at[key]
-        at[path[-1]] = how(at[path[-1]])
+        where = at(data, path[:-1])
+        where[path[-1]] = how(where[path[-1]])
 
     return apply
 
@@ -368,29 +373,22 @@ ENTROPIC: dict[str, Callable[[Data], None]] = {
 }
 
 
-@pytest.mark.parametrize("kind", list(MADE))
-@pytest.mark.parametrize("name", list(TAMPERED))
+@pytest.mark.parametrize(
+    ("name", "kind"), [*product(TAMPERED, KINDS), *product(ENTROPIC, ["entropic"])]
+)
 def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE[kind])
-    TAMPERED[name](data)
-    assert rejected(sealed(data), tmp_path)
-
-
-@pytest.mark.parametrize("name", list(ENTROPIC))
-def test_so_is_what_was_changed_of_a_log_det_prior(name: str, tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["entropic"])
-    ENTROPIC[name](data)
+    data = made(kind)
+    {**TAMPERED, **ENTROPIC}[name](data)
     assert rejected(sealed(data), tmp_path)
 
 
 @pytest.mark.parametrize("field", ["Z", "W"])
 def test_matrices_must_be_symmetric(field: str, tmp_path: Path) -> None:
     """One triangle alone does not show that a multiplier is positive semidefinite."""
-    data = copy.deepcopy(MADE["entropic"])
+    data = made("entropic")
     matrix = data["multipliers"][field][0]
     matrix[0][1] += 1e-3 * max(map(max, matrix))
-    found = rejected(sealed(data), tmp_path)
-    assert found
+    assert rejected(sealed(data), tmp_path)
 
 
 def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
@@ -417,21 +415,21 @@ def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
     assert not checked(sealed(data), tmp_path).passed
 
 
-@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("kind", KINDS)
 def test_any_multipliers_prove_no_more_than_the_optimum(kind: str, tmp_path: Path) -> None:
     """Multipliers made up at random never reach the cost, let alone exceed it."""
     rng = np.random.default_rng(0)
-    best = MADE[kind]["claims"]["cost"]
+    best = stated(kind)["claims"]["cost"]
     for _ in range(10):
-        data = copy.deepcopy(MADE[kind])
-        Z = np.array(data["multipliers"]["Z"])
-        root = rng.standard_normal(Z.shape)
+        data = made(kind)
+        multipliers = data["multipliers"]
+        root = rng.standard_normal(np.shape(multipliers["Z"]))
         size = 10.0 ** rng.uniform(-4, 1)
-        data["multipliers"]["Z"] = (Z + size * root @ np.swapaxes(root, 1, 2)).tolist()
-        rows = np.array(data["multipliers"]["rows"])
-        data["multipliers"]["rows"] = (rows + size * rng.standard_normal(len(rows))).tolist()
-        y = np.array(data["multipliers"]["y"])
-        data["multipliers"]["y"] = (y + size * rng.standard_normal(len(y))).tolist()
+        changes = {"Z": root @ np.swapaxes(root, 1, 2)}
+        for name in ("rows", "y"):
+            changes[name] = rng.standard_normal(len(multipliers[name]))
+        for name, by in changes.items():
+            multipliers[name] = (np.array(multipliers[name]) + size * by).tolist()
         assert checked(sealed(data), tmp_path).lower_bound <= best * (1.0 + GAP)
 
 
@@ -447,17 +445,22 @@ def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
 # ---- Rows, cones and names ----------------------------------------------------------------------
 
 
+def with_row(data: Data, name: str, at: int, coefficient: float, least: float, by: float) -> None:
+    """Demand that a number times a parameter is at least something, with a multiplier."""
+    row = [0.0] * len(data["theta"])
+    row[at] = coefficient
+    data["problem"]["rows"].append(
+        {"name": name, "lower": least, "upper": None, "coefficients": row}
+    )
+    data["multipliers"]["rows"].append(by)
+
+
 @pytest.mark.parametrize("scale", [1.0, 1e-12, 1e12])
 def test_what_is_violated_counts_in_its_own_size(scale: float, tmp_path: Path) -> None:
     """Of a row ``m_1 ≥ 500`` that nothing obeys no unit makes rounding, nor a huge multiplier."""
     for multiplier in (0.0, 1.0 / scale, 1e30):
-        data = copy.deepcopy(MADE["pseudo"])
-        row = [0.0] * len(data["theta"])
-        row[0] = scale
-        data["problem"]["rows"].append(
-            {"name": "heavy", "lower": 500.0 * scale, "upper": None, "coefficients": row}
-        )
-        data["multipliers"]["rows"].append(multiplier)
+        data = made("pseudo")
+        with_row(data, "heavy", 0, scale, 500.0 * scale, multiplier)
         if multiplier:
             data["claims"]["lower_bound"] = 4.1e20
         found = checked(sealed(data), tmp_path)
@@ -467,15 +470,8 @@ def test_what_is_violated_counts_in_its_own_size(scale: float, tmp_path: Path) -
 
 def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> None:
     """A violation of 1e-10 is allowed for, so a multiplier of 1e30 buys nothing."""
-    data = copy.deepcopy(MADE["pseudo"])
-    mass = data["theta"][0]
-    row = [0.0] * len(data["theta"])
-    row[0] = 1.0
-    limit = mass * (1.0 + 1e-10)
-    data["problem"]["rows"].append(
-        {"name": "a little more", "lower": limit, "upper": None, "coefficients": row}
-    )
-    data["multipliers"]["rows"].append(1e30)
+    data = made("pseudo")
+    with_row(data, "a little more", 0, 1.0, data["theta"][0] * (1.0 + 1e-10), 1e30)
     data["claims"]["violation"] = 2e-10
     proof = checker.Proof(data)
     # What is left is what any numbers cost.
@@ -485,20 +481,15 @@ def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> N
 
 
 def test_the_mass_of_another_link_makes_no_violation_small(tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["problem"]["upper"][0], data["theta"][0] = 1e12, 1e12
     data["problem"]["rows"], data["multipliers"]["rows"] = [], []
-    row = [0.0] * len(data["theta"])
-    row[10] = 1.0
-    data["problem"]["rows"].append(
-        {"name": "heavy", "lower": 5000.0, "upper": None, "coefficients": row}
-    )
-    data["multipliers"]["rows"].append(0.0)
+    with_row(data, "heavy", 10, 1.0, 5000.0, 0.0)
     assert any("'heavy' is violated" in each for each in checked(sealed(data), tmp_path).problems)
 
 
 def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["theta"][0] *= 100.0
     found = checker.Proof(data)
     data["claims"]["cost"] = math.nextafter(float(found.cost), math.inf)
@@ -508,7 +499,7 @@ def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("margin", [0.0, 1.0, None])
 def test_a_body_without_mass_has_no_margin(margin: float | None, tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["problem"]["margin"], data["problem"]["lower"][0] = 0.0, 0.0
     data["theta"][:10] = [0.0] * 10
     data["claims"]["margins"][0] = margin
@@ -517,7 +508,7 @@ def test_a_body_without_mass_has_no_margin(margin: float | None, tmp_path: Path)
 
 
 def test_names_from_files_are_escaped(tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["origin"]["robot"] = "arm\x1b[2K\u202e\x9b31m\nPROVEN."
     data["problem"]["rows"][0]["name"] = "\x1b[8m"
     data["problem"]["rows"][0]["upper"] -= 1.0
@@ -535,7 +526,7 @@ def test_names_from_files_are_escaped(tmp_path: Path) -> None:
 
 def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
     """The same numbers with fewer demands are another statement."""
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     told = checked(data, tmp_path).statements
     assert "2 links" in told[1]
     fewer = copy.deepcopy(data)
@@ -552,7 +543,7 @@ def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
     ],
 )
 def test_unknown_keys_are_refused_at_every_level(path: Path_, tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     at(data, path)["more"] = 1
     refuses(CertificateError, "'more'", checked, sealed(data), tmp_path)
 
@@ -560,18 +551,18 @@ def test_unknown_keys_are_refused_at_every_level(path: Path_, tmp_path: Path) ->
 @pytest.mark.parametrize("version", [3, 4.0, True, "4"])
 def test_other_versions_are_refused(version: Any, tmp_path: Path) -> None:
     with pytest.raises(CertificateError, match="version 5 or 4"):
-        checked(sealed({**MADE["pseudo"], "version": version}), tmp_path)
+        checked(sealed({**stated("pseudo"), "version": version}), tmp_path)
 
 
 @pytest.mark.parametrize(("key", "value"), [("rows", {}), ("cones", ""), ("rows", None)])
 def test_what_should_be_lists_are_lists(key: str, value: Any, tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["pseudo"])
+    data = made("pseudo")
     data["problem"][key] = value
     refuses(CertificateError, "list", checked, sealed(data), tmp_path)
 
 
 def test_the_compression_is_in_cost_bound_and_gap(tmp_path: Path) -> None:
-    data = copy.deepcopy(MADE["prior"])
+    data = made("prior")
     before = checker.Proof({**data, "compression": None})
     data["compression"] = {"relative": 2.0**-10, "absolute": 0.5}
     after = checker.Proof(data)
@@ -605,7 +596,7 @@ def test_large_files_are_not_read(tmp_path: Path) -> None:
 def test_the_checker_runs_wherever_it_is_copied(tmp_path: Path) -> None:
     shutil.copytree(FOLDER, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("__pycache__"))
     path = tmp_path / "c.json"
-    path.write_text(json.dumps(MADE["pseudo"]), encoding="utf-8")
+    path.write_text(json.dumps(stated("pseudo")), encoding="utf-8")
     command = [sys.executable, "-I", "-S", str(tmp_path / "elsewhere"), str(path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd="/")
     assert done.returncode == 0, done.stderr
@@ -690,8 +681,6 @@ def test_the_rows_are_named_and_the_compression_is_proven(weighting: Any) -> Non
 
 
 def test_rounding_goes_the_safe_way() -> None:
-    from fractions import Fraction
-
     third = Fraction(1, 3)
     assert Fraction(downward(third)) < third < Fraction(exact.above(third))
     assert math.nextafter(downward(third), math.inf) == exact.above(third)
@@ -751,24 +740,13 @@ def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
 
 
 # Robot and record of each set, and one friction model.
+SMOOTH, WRIST = Coulomb(width=0.05), Coupling("joint_5", "joint_6")
 SETS: dict[str, tuple[str, str, tuple[Any, ...]]] = {
     "ur10_unisa": ("ur10.urdf", "ur10_exciting", ("coulomb",)),
     "panda_unisa": ("panda.urdf", "panda_exciting", ("coulomb",)),
     "kuka_lwr4plus": ("kuka_lwr4.urdf", "measurements_1", ("coulomb",)),
-    "staubli_tx40": (
-        "tx40.urdf",
-        "tx40_rows_0_24750",
-        (
-            sdpid.friction.Coulomb(width=0.05),
-            "rotor_inertia",
-            sdpid.friction.Coupling("joint_5", "joint_6"),
-        ),
-    ),
-    "kinova_gen3_dynamapp": (
-        "gen3.urdf",
-        "opti_traj_testing1",
-        (sdpid.friction.Coulomb(width=0.02),),
-    ),
+    "staubli_tx40": ("tx40.urdf", "tx40_rows_0_24750", (SMOOTH, "rotor_inertia", WRIST)),
+    "kinova_gen3_dynamapp": ("gen3.urdf", "opti_traj_testing1", (Coulomb(width=0.02),)),
 }
 
 
@@ -776,12 +754,7 @@ def proven_alone(certificate: Certificate, path: Path) -> None:
     """Write a certificate and have a bare Python check it."""
     assert certificate.passed, certificate.summary()
     certificate.to_json(path)
-    done = subprocess.run(
-        [sys.executable, "-I", "-S", str(Path(command.__file__).parent), str(path)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = alone(path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1] == "PROVEN, but for what was not checked."
     assert f"cost less than {certificate.lower_bound!r}." in done.stdout
@@ -811,12 +784,9 @@ def test_the_arm_of_the_case_study(
     samples = make_samples(denso, theta, rng, count=200, noise=0.1)
     bodies = random_links(rng, denso.n_links)
     prior = None if kind == "none" else sdpid.Prior(kind=kind, bodies=bodies)
-    problem = sdpid.build_problem(
-        denso,
-        samples,
-        consistency=consistency,
-        constraints=sdpid.Constraints(margin=1e-3),
-        prior=prior,
+    limits = sdpid.Constraints(margin=1e-3)
+    problem = build_problem(
+        denso, samples, consistency=consistency, constraints=limits, prior=prior
     )
     estimate = sdpid.solve_sdp(problem)
     proven_alone(sdpid.certify(estimate), tmp_path / "c.json")

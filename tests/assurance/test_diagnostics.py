@@ -81,7 +81,6 @@ def test_beside_no_effort_no_share_is_told() -> None:
     fit = sdpid.validate(estimate, replace(samples, effort=effort))
     assert fit.nrmse[0] == np.inf
     told = fit.to_dict()["joints"]
-    assert isinstance(told, dict)
     assert told["joint_1"]["nrmse"] is None
     assert told["joint_1"]["r2"] is None
     assert told["joint_1"]["rmse"] > 0.0
@@ -166,13 +165,9 @@ def test_the_base_is_judged_where_it_is_not_held(measured: bool) -> None:
     made = legged.gait(80)
     first = np.arange(80) < 50
     down = np.column_stack([made.samples.contacts.down & ~first[:, None], first])
-    contacts = ContactSamples(
-        frames=(*legged.FEET, "base_link"),
-        kind=(*["point"] * 4, "plane"),
-        down=down,
-        forces=np.zeros((80, 5, 6)) if measured else None,
-        force_covariance=np.eye(6) if measured else None,
-    )
+    known = {"forces": np.zeros((80, 5, 6)), "force_covariance": np.eye(6)} if measured else {}
+    frames, kind = (*legged.FEET, "base_link"), (*["point"] * 4, "plane")
+    contacts = ContactSamples(frames=frames, kind=kind, down=down, **known)
     samples = replace(made.samples, contacts=contacts)
     assert base_held(made.robot, samples).tolist() == first.tolist()
     errors = validate_robot(made.robot, samples).floating
@@ -407,14 +402,9 @@ def test_errors_at_rest_do_not_spoil_those_in_motion() -> None:
     assert masked.resting.rmse[0] == 1.0
     assert masked.rmse[0] == 0.0
     # A joint whose effort was not measured has none.
-    wide = replace(
-        samples,
-        **{
-            name: np.repeat(getattr(samples, name), 2, axis=1)
-            for name in ("position", "velocity", "acceleration", "effort")
-        },
-        mask=np.column_stack([np.ones(1000, dtype=bool), np.zeros(1000, dtype=bool)]),
-    )
+    names = ("position", "velocity", "acceleration", "effort")
+    twice = {name: np.repeat(getattr(samples, name), 2, axis=1) for name in names}
+    wide = replace(samples, **twice, mask=np.tile([True, False], (1000, 1)))
     both = Validation.of_prediction(("a", "b"), wide, np.repeat(predicted, 2, axis=1))
     assert both.resting.rows.tolist() == [100, 0]
 
@@ -440,6 +430,17 @@ def slowly(seconds: float = 120.0) -> Samples:
 
 
 SAMPLES = slowly()
+SECOND = ROBOT.joint_names[1]
+
+
+def causes_of(effort: Array, free: Array | None = None) -> dict[str, Cause]:
+    """Return the causes that are found where efforts are measured otherwise than predicted."""
+    samples = replace(SAMPLES, effort=effort)
+    fit, *others = (
+        Validation.of_prediction(ROBOT.joint_names, samples, predicted)
+        for predicted in (SAMPLES.effort, *(() if free is None else (free,)))
+    )
+    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), *others)
 
 
 def causes(error: Array) -> dict[str, Cause]:
@@ -448,9 +449,7 @@ def causes(error: Array) -> dict[str, Cause]:
     size = 0.1 * SAMPLES.effort.std(axis=0)
     effort = SAMPLES.effort + 0.5 * size * rng.standard_normal(SAMPLES.effort.shape)
     effort[:, 1] += size[1] * error / np.sqrt(np.mean(error**2))
-    samples = replace(SAMPLES, effort=effort)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
-    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit))
+    return causes_of(effort)
 
 
 def tilted(samples: Samples) -> Array:
@@ -466,41 +465,37 @@ def tilted(samples: Samples) -> Array:
 def of_channel(factor: float) -> dict[str, Cause]:
     """Return the causes where the second joint's effort is measured with another factor."""
     rng = np.random.default_rng(8)
-    effort = SAMPLES.effort + 0.05 * SAMPLES.effort.std(axis=0) * rng.standard_normal(
-        SAMPLES.effort.shape
-    )
+    size = 0.05 * SAMPLES.effort.std(axis=0)
+    effort = SAMPLES.effort + size * rng.standard_normal(SAMPLES.effort.shape)
     effort[:, 1] *= factor
-    samples = replace(SAMPLES, effort=effort)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
-    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit))
+    return causes_of(effort)
 
 
 @pytest.mark.parametrize(("factor", "kind"), [(-1.0, "sign"), (0.1, "scale"), (1.7, "scale")])
 def test_a_wrong_sign_or_scale_of_the_effort_is_no_missing_effect(factor: float, kind: str) -> None:
     found = of_channel(factor)
-    assert {name: each.kind for name, each in found.items()} == {ROBOT.joint_names[1]: kind}
-    assert found[ROBOT.joint_names[1]].share > 0.9
+    assert {name: each.kind for name, each in found.items()} == {SECOND: kind}
+    assert found[SECOND].share > 0.9
 
 
 def test_what_constraints_hold_back_has_no_shape_of_an_effect() -> None:
     shape = SHAPES["acceleration"](SAMPLES)
-    second = ROBOT.joint_names[1]
     size = 0.5 * SAMPLES.effort[:, 1].std()
     effort = np.array(SAMPLES.effort)
     effort[:, 1] += size * shape / shape.std()
     samples = replace(SAMPLES, effort=effort)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
     for left, expected in ((0.9, ("acceleration",)), (0.3, ())):
         less = effort + left * (SAMPLES.effort - effort)
-        free = Validation.of_prediction(ROBOT.joint_names, samples, less)
-        found = find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), free)
+        found = causes_of(effort, less)
         assert tuple(each.kind for each in found.values()) == expected
-        assert held_back(fit, free) == (() if expected else (second,))
+        fit, free = (
+            Validation.of_prediction(ROBOT.joint_names, samples, each)
+            for each in (SAMPLES.effort, less)
+        )
+        assert held_back(fit, free) == (() if expected else (SECOND,))
     # Nor has an error beside which the mean predicts better.
     effort[:, 1] += 20.0 * SAMPLES.effort[:, 1].std()
-    samples = replace(SAMPLES, effort=effort)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
-    assert find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit)) == {}
+    assert causes_of(effort) == {}
 
 
 SHAPES: dict[str, Callable[[Samples], Array]] = {
@@ -518,13 +513,12 @@ SHAPES: dict[str, Callable[[Samples], Array]] = {
 @pytest.mark.parametrize("kind", SHAPES)
 def test_the_cause_of_an_error_is_named(kind: str) -> None:
     found = causes(SHAPES[kind](SAMPLES))
-    second = ROBOT.joint_names[1]
     # The others have noise alone.
-    assert list(found) == [second]
-    assert found[second].kind == kind
-    assert found[second].share > 0.5
+    assert list(found) == [SECOND]
+    assert found[SECOND].kind == kind
+    assert found[SECOND].share > 0.5
     if kind == "frequency":
-        assert found[second].frequency == pytest.approx(15.0, abs=0.1)
+        assert found[SECOND].frequency == pytest.approx(15.0, abs=0.1)
 
 
 def test_noise_has_no_cause() -> None:

@@ -33,6 +33,7 @@ from sdpid.robot.inertia import Consistency, point_masses, theta_from_physical, 
 from tests.helpers.arm import ARM, BOTH, CONDITIONS, LIGHT, arm_problem
 from tests.helpers.data import full_regressor, make_samples, random_links, random_theta, raw_rows
 from tests.helpers.identified import FRICTION, arm_theta, moved
+from tests.helpers.motions import slow_motion
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import random_states
 
@@ -230,13 +231,7 @@ def test_coverage_of_autocorrelated_noise() -> None:
     for _ in range(60):
         white = rng.standard_normal((len(exact) + 3, ARM.n))
         noise = 0.1 * (white[3:] + white[2:-1] + 0.5 * white[1:-2])
-        again = sdpid.Samples(
-            position=s.position,
-            velocity=s.velocity,
-            acceleration=s.acceleration,
-            effort=exact + noise,
-            block=4,
-        )
+        again = replace(s, effort=exact + noise)
         fit = sdpid.solve_wls(build_problem(ARM, again, base=problem.base))
         found = sdpid.confidence_intervals(
             fit, method="gauss_markov", parameters=problem.base.names
@@ -388,13 +383,8 @@ def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
     found, _ = Refit.of(sdpid.solve_sdp(problem)).solve(
         np.tensordot(times, blocks.information, 1), times @ blocks.target
     )
-    s = problem.samples
-    again = sdpid.Samples(
-        position=s.position[drawn],
-        velocity=s.velocity[drawn],
-        acceleration=s.acceleration[drawn],
-        effort=s.effort[drawn],
-    )
+    names = ("position", "velocity", "acceleration", "effort")
+    again = sdpid.Samples(**{name: getattr(problem.samples, name)[drawn] for name in names})
     whole = build_problem(ARM, again, base=problem.base, constraints=problem.constraints)
     expected = sdpid.solve_sdp(whole).base
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
@@ -436,12 +426,12 @@ def test_periods_scatter_as_their_mean() -> None:
 def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
     estimate = sdpid.solve_sdp(arm_problem(LIGHT))
     choices = {"method": "bootstrap", "resamples": 80}
-    first = sdpid.confidence_intervals(estimate, **choices)  # type: ignore[arg-type]
-    second = sdpid.confidence_intervals(estimate, **choices)  # type: ignore[arg-type]
+    first = sdpid.confidence_intervals(estimate, **choices)
+    second = sdpid.confidence_intervals(estimate, **choices)
     np.testing.assert_array_equal(first.lower, second.lower)
-    other = sdpid.confidence_intervals(estimate, seed=1, **choices)  # type: ignore[arg-type]
+    other = sdpid.confidence_intervals(estimate, seed=1, **choices)
     assert not np.array_equal(first.lower, other.lower)
-    basic = sdpid.confidence_intervals(estimate, kind="basic", **choices)  # type: ignore[arg-type]
+    basic = sdpid.confidence_intervals(estimate, kind="basic", **choices)
     np.testing.assert_allclose(basic.upper, 2.0 * first.estimate - first.lower, atol=1e-12)
 
 
@@ -467,13 +457,8 @@ def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
     with pytest.raises(DataError, match="at least 80"):
         sdpid.confidence_intervals(estimate, method="bootstrap", resamples=79)
     refuses(DataError, "resamples", resample, estimate, resamples=0)
-    with pytest.raises(DataError, match="kind"):
-        sdpid.confidence_intervals(
-            estimate,
-            method="bootstrap",
-            resamples=80,
-            kind="bca",  # type: ignore[arg-type]
-        )
+    options = {"method": "bootstrap", "resamples": 80, "kind": "bca"}
+    refuses(DataError, "kind", sdpid.confidence_intervals, estimate, **options)
 
 
 @pytest.mark.parametrize("accurate", [1e-8, 0.0])
@@ -626,10 +611,7 @@ THETA = random_theta(ARM, np.random.default_rng(0), TRUE)
 
 def simulated(rng: np.random.Generator, sigmoid: float | None = None) -> Problem:
     """Return a problem whose sigmoid has a given speed, or one that the data choose."""
-    time = np.arange(400) / 25.0
-    omega = np.array([[0.9, 1.3], [2.1, 3.1], [4.3, 3.7]])
-    waves = np.exp(1j * (time[:, None, None] * omega + [0.3, 1.2]))
-    q, v, a = (np.real(waves * (1j * omega) ** k / omega).sum(axis=1) for k in range(3))
+    q, v, a = slow_motion(400)
     effort = full_regressor(ARM, (q, v, a), TRUE) @ THETA
     effort += 0.05 * rng.standard_normal(effort.shape)
     samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)

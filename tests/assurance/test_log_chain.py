@@ -15,42 +15,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid import Processing
+from sdpid import Processing, constraints
 from sdpid.assurance.log_proof.chain import check
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.assurance.log_proof.chain.links import LogProof
 from sdpid.assurance.log_proof.inputs import recording_digest
 from sdpid.assurance.log_proof.recipe import Recipe, RobotRecipe
 from sdpid.assurance.log_proof.stated_problem import StatedProblem
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInHull,
-    Condition,
-    EqualFriction,
-    Layout,
-    MirrorPair,
-    Row,
-    TotalMass,
-)
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.robot.friction.terms import Coulomb
+from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 from tests.helpers.strategies import friction_terms_of, reals
 
 LINKS = ("log", "robot", "samples", "base parameters", "problem", "compression", "rows", "total")
-BOX = CenterOfMassInBox("fore", (-np.inf, -0.2, -0.2), (0.5, 0.2, np.inf))
-HULL = CenterOfMassInHull("fore", [*0.5 * np.eye(3), (-0.5, -0.5, -0.5)])
+BOX = constraints.CenterOfMassInBox("fore", (-np.inf, -0.2, -0.2), (0.5, 0.2, np.inf))
+HULL = constraints.CenterOfMassInHull("fore", [*0.5 * np.eye(3), (-0.5, -0.5, -0.5)])
 
 
-class OfYourOwn(Condition):
+class OfYourOwn(constraints.Condition):
     """A condition of a class that no file can hold."""
 
-    def compile(self, layout: Layout) -> list[Row]:
+    def compile(self, layout: constraints.Layout) -> list[constraints.Row]:
         """Return a row that says little."""
-        return [Row("light", np.eye(layout.count)[0], 0.0, 99.0)]
+        return [constraints.Row("light", np.eye(layout.count)[0], 0.0, 99.0)]
 
 
 Edit = Callable[[dict[str, Any], dict[str, Any]], None]
@@ -73,12 +64,7 @@ def saved(result: Any, folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with log, robot and results."""
-    folder = tmp_path_factory.mktemp("run")
-    write_log(folder / "run.csv", recorded(1))
-    (folder / "arm.urdf").write_text(ARM_URDF)
-    result = sdpid.identify(folder / "arm.urdf", folder / "run.csv", intervals=False)
-    saved(result, folder / "results")
-    return folder
+    return world.folder(tmp_path_factory.mktemp("run"))
 
 
 def changed(run: Path, target: Path, edit: Edit) -> Path:
@@ -336,7 +322,10 @@ def test_several_logs_have_an_order(tmp_path: Path) -> None:
     [
         ({"prior": sdpid.Prior(kind="entropic", strength="evidence")}, "proven"),
         ({"consistency": "spatial_inertia", "prior": False}, "proven"),
-        ({"constraints": sdpid.Constraints(others=TotalMass(4.9, tolerance=0.5))}, "proven"),
+        (
+            {"constraints": sdpid.Constraints(others=constraints.TotalMass(4.9, tolerance=0.5))},
+            "proven",
+        ),
         ({"constraints": sdpid.Constraints(others=BOX)}, "proven"),
         ({"constraints": sdpid.Constraints(others=HULL)}, "proven"),
         ({"constraints": sdpid.Constraints(others=OfYourOwn())}, "not proven"),
@@ -345,7 +334,7 @@ def test_several_logs_have_an_order(tmp_path: Path) -> None:
 def test_what_was_asked_of_the_parameters(
     tmp_path: Path, options: dict[str, Any], state: str
 ) -> None:
-    result = sdpid.identify(arm(), recorded(1), effects="none", intervals=False, **options)
+    result = world.result(effects="none", **options)
     proof = check_log(saved(result, tmp_path / "results"), recorded(1), robot=arm())
     assert proof.result.passed == (state == "proven"), proof.result.problems
     assert states(proof)["problem"] == state
@@ -374,15 +363,10 @@ def test_what_is_alike_is_stated_and_compared(
 def alike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a result that believes in a mirror image and in friction that is alike."""
     folder = tmp_path_factory.mktemp("alike")
-    pair = MirrorPair("upper", "fore", reflection=np.diag([1.0, -1.0, 1.0, 1.0]))
-    result = sdpid.identify(
-        arm(),
-        recorded(1),
-        effects="none",
-        intervals=False,
-        prior=sdpid.Prior(alike=(pair,), within=0.5),
-        constraints=sdpid.Constraints(others=(EqualFriction("a", "b", within=0.3),)),
-    )
+    pair = constraints.MirrorPair("upper", "fore", reflection=np.diag([1.0, -1.0, 1.0, 1.0]))
+    prior = sdpid.Prior(alike=(pair,), within=0.5)
+    limits = sdpid.Constraints(others=(constraints.EqualFriction("a", "b", within=0.3),))
+    result = world.result(effects="none", prior=prior, constraints=limits)
     assert "mirror images of each other within 50 %: upper and fore" in result.summary()
     saved(result, folder / "results")
     proof = check_log(folder / "results", recorded(1), robot=arm())
@@ -419,6 +403,15 @@ ROBOT = RobotRecipe(
     gravity=(0.0, 0.0, -9.81),
     kinematics="0" * 64,
 )
+RECIPE = Recipe(
+    robot=ROBOT,
+    reading=({"units": {"position": "deg"}}, None),
+    processing=Processing(),
+    without_effort=("b",),
+    friction=(),
+    weighting="residual",
+    sigma=np.eye(2),
+)
 PROCESSINGS = st.builds(
     Processing,
     cutoff_hz=reals(0.5, 50.0),
@@ -443,15 +436,8 @@ PROCESSINGS = st.builds(
 def test_a_recipe_that_was_json_is_the_same_recipe(
     processing: Processing, friction: list[Any], seed: int
 ) -> None:
-    recipe = Recipe(
-        robot=ROBOT,
-        reading=({"units": {"position": "deg"}}, None),
-        processing=processing,
-        without_effort=("b",),
-        friction=tuple(friction),
-        weighting="residual",
-        sigma=np.diag(np.random.default_rng(seed).uniform(1e-9, 1e9, 3)),
-    )
+    sigma = np.diag(np.random.default_rng(seed).uniform(1e-9, 1e9, 3))
+    recipe = replace(RECIPE, processing=processing, friction=tuple(friction), sigma=sigma)
     again = Recipe.from_dict(json.loads(json.dumps(recipe.to_dict(), allow_nan=False)))
     for name in ("robot", "reading", "processing", "without_effort", "friction", "weighting"):
         assert getattr(again, name) == getattr(recipe, name)
@@ -539,15 +525,7 @@ def test_a_term_of_ones_own_has_no_recipe_and_says_so(robot: sdpid.RobotModel) -
     ],
 )
 def test_a_recipe_that_says_something_else_is_refused(key: str, value: Any) -> None:
-    recipe = Recipe(
-        robot=ROBOT,
-        reading=(None,),
-        processing=Processing(),
-        without_effort=(),
-        friction=(),
-        weighting="gls",
-        sigma=np.eye(2),
-    )
+    recipe = replace(RECIPE, weighting="gls")
     with pytest.raises(CertificateError, match="its recipe cannot be followed"):
         Recipe.from_dict({**recipe.to_dict(), key: value})
 

@@ -98,16 +98,12 @@ def test_multipliers_of_the_numbers(
     numbers: dict[str, Any],
     consistency: Consistency,
 ) -> None:
-    others = (CenterOfMassInBox(LAST, (-0.01,) * 3, (0.01,) * 3),)
-    problem = arm_problem(consistency=consistency, **{**numbers, field: value})
+    others = ()
     if field == "mass_min":
         # Heavy links cost something only where their center of mass may not follow.
-        problem = arm_problem(
-            CenterOfMassInBox(FIRST, (0.1, 0.1, 0.1), (0.2, 0.2, 0.2)),
-            *others,
-            consistency=consistency,
-            **{**numbers, field: value},
-        )
+        boxes = {FIRST: ((0.1,) * 3, (0.2,) * 3), LAST: ((-0.01,) * 3, (0.01,) * 3)}
+        others = tuple(CenterOfMassInBox(link, *ends) for link, ends in boxes.items())
+    problem = arm_problem(*others, consistency=consistency, **{**numbers, field: value})
     limits = problem.constraints
 
     def cost(step: float) -> float:
@@ -232,17 +228,11 @@ def test_states_of_everything_in_turn() -> None:
     problem = arm_problem(LIGHT, CONDITIONS["fixed"][-1], CONDITIONS["ellipsoid"][-1], mass_max=0.5)
     estimate = solve_sdp(problem)
     states = constraint_states(estimate)
+    ends = ("least 0.001", "most 0.5")
     assert [state.name for state in states] == [
-        f"consistency of {FIRST}",
-        f"consistency of {LAST}",
-        f"mass of {FIRST} at least 0.001 kg",
-        f"mass of {FIRST} at most 0.5 kg",
-        f"mass of {LAST} at least 0.001 kg",
-        f"mass of {LAST} at most 0.5 kg",
-        "Fs1 at least 0",
-        "Fs2 at least 0",
-        "Fv1 at least 0",
-        "Fv2 at least 0",
+        *(f"consistency of {link}" for link in (FIRST, LAST)),
+        *(f"mass of {link} at {end} kg" for link in (FIRST, LAST) for end in ends),
+        *(f"{name} at least 0" for name in ("Fs1", "Fs2", "Fv1", "Fv2")),
         "total mass, at least 0.5",
         "total mass, at most 0.7",
         "m_2 fixed",
@@ -258,15 +248,8 @@ def test_states_of_everything_in_turn() -> None:
     values = {state.slack is None or state.slack >= -FEASIBLE for state in states}
     assert values == {True}
     for state in states:
-        assert set(state.to_dict()) == {
-            "name",
-            "kind",
-            "side",
-            "slack",
-            "multiplier",
-            "active",
-            "unit",
-        }
+        keys = {"name", "kind", "side", "slack", "multiplier", "active", "unit"}
+        assert set(state.to_dict()) == keys
         if state.multiplier is not None and not state.name.endswith("fixed"):
             lower = "most" not in state.name
             assert state.multiplier * (1.0 if lower else -1.0) >= -1e-9

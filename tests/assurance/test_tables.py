@@ -33,17 +33,17 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
-from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
+from sdpid.robot.inertia import Consistency, margin, matrix_of, physical_parameters, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.verifier.decimals import decimal_text, rounded
 from sdpid.verifier.realizable import coefficient_matrices
 from sdpid.verifier.tables import check, load, require_form
+from tests.helpers.arm import BOTH
 from tests.helpers.data import make_samples, random_theta
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, pendulum, small_arm
 from tests.helpers.strategies import SEEDS, bodies, links, random_states
 
-BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 TERMS = ("coulomb", "viscous")
 TABLE_IV = bundled_folder("denso_vp6242") / "table_iv.csv"
 
@@ -58,6 +58,12 @@ def arm(name: str) -> tuple[RobotModel, BaseParameters]:
     robot = robots[name]()
     model = FrictionModel.from_terms(TERMS, robot.joint_names, first=robot.n_base)
     return robot, structural_base(robot, model)
+
+
+def audited(values: Any, halfwidths: Any, **options: Any) -> BaseAudit:
+    """Audit a table of the Denso arm."""
+    robot, base = arm("denso")
+    return sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **options)
 
 
 def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> BaseAudit:
@@ -82,6 +88,14 @@ def whole_theta(name: str, of_links: Array, friction: float = 0.5) -> Array:
     return np.concatenate([of_links.ravel(), np.full(2 * robot.n, friction)])
 
 
+def all_alike(name: str, body: Any) -> Array:
+    """Return parameters of a robot whose links are all one body."""
+    return whole_theta(name, np.tile(body, (arm(name)[0].n_links, 1)))
+
+
+TETRAHEDRON = point_masses(np.ones(4), np.eye(4, 3))
+
+
 # -------------------------------------------------------------------- bodies that exist
 
 
@@ -103,26 +117,22 @@ def test_point_masses_are_realisable(kind: Consistency, data: st.DataObject) -> 
 
 @pytest.mark.parametrize("half", [0.0, 1e-4, 0.005])
 def test_the_largest_margin_is_no_less_than_one_that_exists(half: float) -> None:
-    robot, _ = arm("tree")
     body = [0.3, 0.0, 0.0, 0.0, 5e-4, 0.0, 5e-4, 0.0, 0.0, 5e-4]
-    theta = whole_theta("tree", np.tile(body, (robot.n_links, 1)))
-    found = audit("tree", theta, half, "spatial_inertia")
+    found = audit("tree", all_alike("tree", body), half, "spatial_inertia")
     assert found.margin >= 5e-4 - 1e-6
 
 
 def test_bodies_without_thickness_are_on_the_boundary() -> None:
     # Exactly known numbers of point masses: no room at all, and nothing to refute.
-    robot, _ = arm("arm")
     point = point_masses(np.ones(1), np.array([[0.1, 0.2, 0.3]]))
-    found = audit("arm", whole_theta("arm", np.tile(point, (robot.n_links, 1))), 0.0, BOTH[0])
+    found = audit("arm", all_alike("arm", point), 0.0, BOTH[0])
     assert found.verdict in ("realisable", "undecided")
     assert abs(found.margin) < 1e-4
 
 
 def test_undecided_is_near_the_boundary() -> None:
     """Along a line of tables the verdict changes once, and is open at most next to there."""
-    robot, base = arm("arm")
-    start = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    start, base = all_alike("arm", TETRAHEDRON), arm("arm")[1]
     row = base.matrix[base.names.index("zz3")]
     edge = 0.0
     for k in range(30):
@@ -166,19 +176,14 @@ def test_impossible_bodies_are_refuted(kind: Consistency, data: st.DataObject) -
 def test_triangle_inequality_separates_the_two(seed: int) -> None:
     """A plate heavier about its normal than physics has it: an I_g, but no mass distribution."""
     rng = np.random.default_rng(seed)
-    robot, _ = arm("arm")
-    links_ = np.tile(
-        point_masses(np.ones(4), 0.01 * rng.uniform(-1, 1, (4, 3))), (robot.n_links, 1)
-    )
-    links_[-1] = [1.0, 0, 0, 0, 0.1, 0, 0.5, 0, 0, 0.1]
-    theta = whole_theta("arm", links_)
+    theta = all_alike("arm", point_masses(np.ones(4), 0.01 * rng.uniform(-1, 1, (4, 3))))
+    theta[20:30] = [1.0, 0, 0, 0, 0.1, 0, 0.5, 0, 0, 0.1]
     assert audit("arm", theta, 1e-3, "spatial_inertia").verdict == "realisable"
     assert audit("arm", theta, 1e-3, "pseudo_inertia").verdict == "not realisable"
 
 
 def test_negative_friction_is_refuted_by_itself() -> None:
-    robot, _ = arm("arm")
-    theta = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    theta = all_alike("arm", TETRAHEDRON)
     theta[-1] = -1.0
     found = audit("arm", theta, 0.5, BOTH[0])
     assert found.verdict == "not realisable"
@@ -187,28 +192,21 @@ def test_negative_friction_is_refuted_by_itself() -> None:
 
 
 def test_a_mass_bound_is_used_only_where_it_must_be() -> None:
-    robot, base = arm("denso")
     # A first moment that gravity shows can be had with any inertia if the link is heavy enough.
     values: dict[str, float | str] = {"mxr2": "10", "my2": "0", "zzr2": "0.5", "zz6": "0.001"}
-    found = sdpid.audit_base_parameters(robot, values, 0.01, mass_max=20, base=base)
+    found = audited(values, 0.01, mass_max=20)
     assert found.verdict == "not realisable"
     assert found.needs_mass_bound
     assert found.refutation.holds
     # The proof does not hold without the multipliers of the masses.
     bare = Refutation(question=found.question, weights=found.refutation.weights)
     assert not bare.holds
-    assert (
-        sdpid.audit_base_parameters(robot, values, 0.01, mass_max=1000, base=base).verdict
-        == "realisable"
-    )
+    assert audited(values, 0.01, mass_max=1000).verdict == "realisable"
 
 
 def test_unknown_parameters_are_free() -> None:
-    robot, base = arm("denso")
-    found = sdpid.audit_base_parameters(robot, {"zz6": -1.0}, 0.5, base=base)
-    assert found.verdict == "not realisable"
-    found = sdpid.audit_base_parameters(robot, {"zz6": 1.0}, 0.5, base=base)
-    assert found.verdict == "realisable"
+    assert audited({"zz6": -1.0}, 0.5).verdict == "not realisable"
+    assert audited({"zz6": 1.0}, 0.5).verdict == "realisable"
 
 
 # -------------------------------------------------------------------- the paper
@@ -219,11 +217,8 @@ def test_unknown_parameters_are_free() -> None:
     [("cwls", "pseudo_inertia", 4), ("wls", "pseudo_inertia", 4), ("wls", "spatial_inertia", 4)],
 )
 def test_the_paper_is_refuted_by_few_numbers(column: str, kind: Consistency, most: int) -> None:
-    robot, base = arm("denso")
     table = read_base_table(TABLE_IV, value=column)
-    found = sdpid.audit_base_parameters(
-        robot, table.values, table.halfwidths, consistency=kind, base=base
-    )
+    found = audited(table.values, table.halfwidths, consistency=kind)
     assert found.verdict == "not realisable"
     assert found.refutation.holds
     assert len(found.refutation.weights) <= most
@@ -231,17 +226,10 @@ def test_the_paper_is_refuted_by_few_numbers(column: str, kind: Consistency, mos
 
 
 def test_the_constrained_column_has_links_but_not_with_the_stated_margin() -> None:
-    robot, base = arm("denso")
     table = read_base_table(TABLE_IV, value="cwls")
+    options = {"consistency": "spatial_inertia"}
     verdicts = [
-        sdpid.audit_base_parameters(
-            robot,
-            table.values,
-            table.halfwidths,
-            consistency="spatial_inertia",
-            margin=least,
-            base=base,
-        ).verdict
+        audited(table.values, table.halfwidths, margin=least, **options).verdict
         for least in ("0", "0.003", "0.005", "0.01")
     ]
     assert verdicts == ["realisable", "realisable", "not realisable", "not realisable"]
@@ -269,14 +257,8 @@ def test_what_a_link_adds(body: Array, seed: int) -> None:
     expected = float(np.array(c, dtype=float) @ body)
     assert np.isclose(np.sum(Q * matrix_of(body, "pseudo_inertia")), expected)
     r = np.append(body[1:4] / body[0], 1.0)
-    about = sdpid_inertia(body)
+    about = physical_parameters(body)[2]
     assert np.isclose(np.sum(C * about) + body[0] * r @ Q @ r, expected)
-
-
-def sdpid_inertia(body: Array) -> Array:
-    from sdpid.robot.inertia import physical_parameters
-
-    return np.asarray(physical_parameters(body)[2])
 
 
 def test_face_of_masses_that_nothing_shows() -> None:
@@ -349,9 +331,7 @@ def test_tables(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input(values: Any, halfwidths: Any, more: Any, word: str) -> None:
-    robot, base = arm("denso")
-    with pytest.raises(DataError, match=word):
-        sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **more)
+    refuses(DataError, word, audited, values, halfwidths, **more)
 
 
 @pytest.mark.parametrize("kind", BOTH)

@@ -320,25 +320,11 @@ class TestMassInEllipsoid:
         condition = MassInEllipsoid(LINK, **ellipsoid)
         assert satisfied(condition, theta_with({LINK: body}))
         T[:3] = condition.to_ball()
-        J = T @ pseudo_inertia(body) @ T.T
-        Q = np.diag([-1.0, -1.0, -1.0, 1.0])
-        V = np.linalg.cholesky(J)
-        # Rotate pairs of columns until every column v has the same v^T Q v = tr(Q J)/4 > 0.
-        wanted = np.trace(Q @ J) / 4.0
-        for k in range(3):
-            H = V.T @ Q @ V
-            d = np.diag(H)[k:] - wanted
-            i, j = k + int(np.argmax(d)), k + int(np.argmin(d))
-            if H[i, i] - H[j, j] > 1e-14:
-                a, b, c = H[j, j] - wanted, 2.0 * H[i, j], H[i, i] - wanted
-                t = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
-                V[:, [i, j]] = V[:, [i, j]] @ np.array([[1, -t], [t, 1]]) / np.hypot(1.0, t)
-            V[:, [k, i]] = V[:, [i, k]]
-        masses, y = V[3] ** 2, (V[:3] / V[3]).T
-        assert (np.linalg.norm(y, axis=1) < 1.0).all()
-        np.testing.assert_allclose(
-            point_masses(masses, in_frame(y, ellipsoid)), body, atol=1e-9 * np.abs(body).max()
-        )
+        masses, points = matter(body, T.T @ np.diag([-1.0, -1.0, -1.0, 1.0]) @ T)
+        inside = points @ T[:3, :3].T + T[:3, 3]
+        assert (np.linalg.norm(inside, axis=1) < 1.0).all()
+        found = point_masses(masses, points)
+        np.testing.assert_allclose(found, body, atol=1e-9 * np.abs(body).max())
 
 
 class TestEquations:

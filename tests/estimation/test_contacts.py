@@ -83,7 +83,6 @@ def test_the_information_is_that_of_a_dense_projection() -> None:
     samples = replace(samples, mask=mask)
     robot, contacts = made.robot, samples.contacts
     rows = problem(samples, weighting="gls").rows
-    assert isinstance(rows, RowSource)
     T, index, shares = weights_and_shares(rows, slice(None), sigma)
     touching = rows.contacts(slice(None))
     bases = {k: N for some, Ns in touching.unforced(mask) for k, N in zip(some, Ns, strict=True)}
@@ -112,7 +111,6 @@ def test_samples_without_a_row_in_use_have_no_basis() -> None:
 def test_independent_rows_have_the_products_of_all() -> None:
     samples = replace(gait(60).samples, covariance=SIGMA)
     rows = problem(samples).rows
-    assert isinstance(rows, RowSource)
     T, index = weights_of(rows, slice(None), SIGMA)
     X = (T[index] @ rows.rows(slice(None))).reshape(-1, rows.base.count + 1)
     triangle, count = compress(rows, SIGMA)
@@ -133,7 +131,6 @@ def test_compiled_rows_have_the_same_products() -> None:
     mask = np.ones((40, 18), dtype=bool)
     mask[::3, 7] = False
     rows = problem(replace(samples, mask=mask)).rows
-    assert isinstance(rows, RowSource)
     powers, index = weights(SIGMA, mask)
     found = []
     for compiled in (False, True):
@@ -160,7 +157,6 @@ def test_rounding_decides_no_correlation_time() -> None:
     contacts = samples.contacts
     turned = replace(contacts, frames=contacts.frames[::-1], down=contacts.down[:, ::-1])
     rows = problem(replace(samples, mask=mask)).rows
-    assert isinstance(rows, RowSource)
     others = rows.on(replace(rows.samples, contacts=turned))
     found, same = contact_noise(rows), contact_noise(others)
     np.testing.assert_allclose(same[0], found[0], rtol=1e-9)
@@ -322,7 +318,6 @@ def test_errors_of_forces_are_found_beside_those_of_efforts(stated: float) -> No
     found = problem(fused, weighting="residual", prior=sdpid.Prior())
     ratio = np.sqrt(np.diagonal(found.sigma)) / NOISE
     assert 0.9 < ratio.min() < ratio.max() < 1.2
-    assert isinstance(found.rows, RowSource)
     _, time, force = contact_noise(found.rows.with_force_scale(1.0))
     assert stated * np.sqrt(force) == pytest.approx(0.1, rel=0.05)
     # Smaller errors than stated are told, and not used.

@@ -322,10 +322,15 @@ def believed(
     return build_problem(robot, samples, constraints=constraints, prior=prior, **options)
 
 
+@functools.cache
+def ended(problem: Problem, seed: int) -> Estimate:
+    return solve_slsqp(problem, seed=seed, max_iterations=ENOUGH)
+
+
 def converging(problem: Problem, seeds: int = 2) -> list[Estimate]:
     """Return ends of several starts, all of them at the optimum."""
     best = solve_sdp(problem)
-    found = [solve_slsqp(problem, seed=k, max_iterations=ENOUGH) for k in range(seeds)]
+    found = [ended(problem, seed) for seed in range(seeds)]
     for local in found:
         assert local.status == "optimal"
         assert local.cost == pytest.approx(best.cost, rel=STATIONARY)
@@ -386,7 +391,7 @@ def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
     best = solve_sdp(planar)
     converged = 0
     for seed in range(STARTS):
-        local = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        local = ended(planar, seed)
         if local.status == "infeasible":
             continue
         assert best.cost <= local.cost * (1.0 + LOCAL_COST)
@@ -397,7 +402,7 @@ def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
 
 
 def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
-    estimate = solve_slsqp(planar, seed=3, max_iterations=ENOUGH)
+    estimate = ended(planar, 3)
     assert estimate.method == "slsqp"
     assert estimate.message
     assert estimate.solve_time > 0.0
@@ -427,7 +432,7 @@ def test_an_iteration_limit_is_no_optimum(planar: Problem) -> None:
 
 def test_status_optimal_means_feasible(planar: Problem) -> None:
     for seed in range(4):
-        estimate = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        estimate = ended(planar, seed)
         assert (estimate.violation <= FEASIBLE_LOCAL) == (estimate.status != "infeasible")
 
 

@@ -33,11 +33,10 @@ from sdpid.estimation.prior.prior import prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia, transform
-from sdpid.robot.model.base_parameters import structural_base
 from sdpid.verifier.reading import digest
 from sdpid.workflow.verify import Verification, verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
-from tests.helpers.data import random_links
+from tests.helpers.data import random_links, row_source
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFT
 from tests.helpers.strategies import SEEDS, random_states
@@ -60,14 +59,25 @@ def robot_of(bodies: np.ndarray):
 
 def rows_of(robot, count: int = 40, seed: int = 0, scale: float = 1.0) -> RowSource:
     rng = np.random.default_rng(seed)
-    friction = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
-    states = {k: scale * rng.normal(size=(count, robot.n)) for k in ("position", "velocity")}
-    samples = Samples(
-        **states,
-        acceleration=scale * rng.normal(size=(count, robot.n)),
-        effort=rng.normal(size=(count, robot.n)),
-    )
-    return RowSource(robot, friction, structural_base(robot, friction), samples)
+    q, v, a = (scale * rng.normal(size=(count, robot.n)) for _ in range(3))
+    effort = rng.normal(size=(count, robot.n))
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    return row_source(robot, samples)
+
+
+def samples_of(
+    robot, truth: np.ndarray, seed: int = 0, *, count: int = 300, noise: float = 0.05, **fields
+) -> Samples:
+    rng = np.random.default_rng(seed)
+    q, v, a = (rng.normal(size=(count, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + noise * rng.normal(size=q.shape)
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort, **fields)
+
+
+def described(seed: int):
+    """Return a robot, and the bodies that are believed of it."""
+    robot = robot_of(bodies_of(seed))
+    return robot, repaired(robot.prior)[0]
 
 
 def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
@@ -85,20 +95,16 @@ def divergence(P: np.ndarray, P0: np.ndarray) -> float:
 
 @given(st.integers(0, 2**31))
 def test_nothing_is_paid_at_the_prior(seed: int):
-    bodies = bodies_of(seed)
-    robot = robot_of(bodies)
-    believed = repaired(robot.prior)[0]
+    robot, believed = described(seed)
     assert penalty(robot, Prior(), believed) < ROUNDING
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 10.0))
 def test_second_order_expansion_of_the_divergence(seed: int, strength: float):
-    bodies = bodies_of(seed)
-    robot = robot_of(bodies)
-    believed = repaired(robot.prior)[0]
+    robot, believed = described(seed)
     rng = np.random.default_rng(seed)
     L = np.linalg.cholesky(pseudo_inertia(believed))
-    step = rng.normal(size=(len(bodies), 4, 4))
+    step = rng.normal(size=(2, 4, 4))
     step = 1e-3 * (step + np.swapaxes(step, 1, 2))
     P = L @ (np.eye(4) + step) @ np.swapaxes(L, 1, 2)
     moved = from_pseudo_inertia(P)
@@ -126,9 +132,7 @@ def test_the_same_in_every_frame(seed: int):
 
 @given(st.integers(0, 2**31), st.floats(0.1, 10.0))
 def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
-    bodies = bodies_of(seed)
-    robot = robot_of(bodies)
-    believed = repaired(robot.prior)[0]
+    robot, believed = described(seed)
     moved = bodies_of(seed + 1)
     raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
     assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
@@ -244,10 +248,7 @@ def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
 def test_a_strong_prior_wins_and_a_weak_one_does_not():
     truth, belief = bodies_of(5), bodies_of(6)
     robot = robot_of(belief)
-    rng = np.random.default_rng(0)
-    q, v, a = (rng.normal(size=(200, robot.n)) for _ in range(3))
-    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.01 * rng.normal(size=q.shape)
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    samples = samples_of(robot, truth, count=200, noise=0.01)
     options = {"weighting": "residual"}
     free = solve_wls(build_problem(robot, samples, **options))
     believed = repaired(robot.prior)[0]
@@ -333,18 +334,11 @@ def test_least_squares_counts_a_log_det_prior(seed: int, strength: float, known:
     """The unconstrained minimum has a body for every link, no slope, and costs no more."""
     belief, truth = bodies_of(seed), bodies_of(seed + 1)
     robot = robot_of(belief)
-    rng = np.random.default_rng(seed)
-    q, v, a = (rng.normal(size=(60, robot.n)) for _ in range(3))
-    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.1 * rng.normal(size=q.shape)
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    samples = samples_of(robot, truth, seed, count=60, noise=0.1)
     if not known:
         belief[0] = 0.0
-    problem = build_problem(
-        robot,
-        samples,
-        prior=Prior(kind="entropic", strength=strength, bodies=belief),
-        weighting="residual",
-    )
+    prior = Prior(kind="entropic", strength=strength, bodies=belief)
+    problem = build_problem(robot, samples, prior=prior, weighting="residual")
     estimate = solve_wls(problem)
     assert np.isfinite(estimate.cost)
     assert np.all(margin(estimate.theta[:20].reshape(2, 10), "pseudo_inertia")[~known:] > 0.0)
@@ -427,13 +421,6 @@ def test_the_strength_that_made_the_parameters_is_recovered(strength):
         (G, h), (R, np.zeros(links)), (np.zeros((0, links)), np.zeros(0)), grid
     )
     assert found == pytest.approx(grid[np.argmin(values)], rel=0.03)
-
-
-def samples_of(robot, truth: np.ndarray, seed: int = 0, **fields) -> Samples:
-    rng = np.random.default_rng(seed)
-    q, v, a = (rng.normal(size=(300, robot.n)) for _ in range(3))
-    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.05 * rng.normal(size=q.shape)
-    return Samples(position=q, velocity=v, acceleration=a, effort=effort, **fields)
 
 
 @pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])

@@ -34,12 +34,10 @@ from sdpid.estimation.compression.covariance import (
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model import regressor_kernel as kernels
-from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.arm import ARM
-from tests.helpers.data import make_samples, random_covariance, random_theta
+from tests.helpers.data import make_samples, random_covariance, random_theta, row_source
 from tests.helpers.legged import NOISE, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
@@ -58,8 +56,7 @@ def source(count: int, *, masked: bool = False, per_sample: bool = False, seed: 
     samples = make_samples(ARM3, theta, rng, count=count, noise=0.1)
     if masked:
         samples = replace(samples, mask=rng.random(samples.effort.shape) < 0.7)
-    friction = FrictionModel.from_terms(("coulomb", "viscous"), ARM3.joint_names)
-    rows = RowSource(ARM3, friction, structural_base(ARM3, friction), samples)
+    rows = row_source(ARM3, samples)
     sigma = random_covariance(rng, ARM3.n)
     if per_sample:
         sigma = np.stack([random_covariance(rng, ARM3.n) for _ in range(count)])
@@ -120,9 +117,7 @@ def test_memory_is_used_again_whatever_was_in_it() -> None:
 
 def test_terms_across_joints_have_their_columns() -> None:
     terms = ("coulomb", Coupling(ARM3.joint_names[1], ARM3.joint_names[2]), "offset")
-    friction = FrictionModel.from_terms(terms, ARM3.joint_names)
-    rows, _ = source(30)
-    rows = RowSource(ARM3, friction, structural_base(ARM3, friction), rows.samples)
+    rows = row_source(ARM3, source(30)[0].samples, terms)
     near(rows.regressor(slice(None)), plain(rows))
 
 
@@ -254,8 +249,7 @@ def test_threads_change_no_bit_and_branches_no_product(
     robot, samples = quadruped(), gait(240).samples
     if flying:
         samples = replace(samples, contacts=None)
-    friction = FrictionModel.from_terms(("viscous",), robot.joint_names, first=robot.n_base)
-    rows = RowSource(robot, friction, structural_base(robot, friction), samples)
+    rows = row_source(robot, samples, ("viscous",))
     assert len(rows.branches.columns) == 4
     sigma = np.diag(NOISE**2)
     found = []
@@ -280,8 +274,7 @@ def test_threads_change_no_bit_and_branches_no_product(
 )
 def test_rows_of_a_branch_are_zero_outside_its_columns(terms: tuple[object, ...]) -> None:
     robot, samples = quadruped(), gait(20).samples
-    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)  # type: ignore[arg-type]
-    rows = RowSource(robot, friction, structural_base(robot, friction), samples)
+    rows = row_source(robot, samples, terms)
     assert len(rows.branches.columns) == 4
     np.testing.assert_array_equal(
         rows.branches.of_row, [-1] * 6 + [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]

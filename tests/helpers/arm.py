@@ -5,20 +5,8 @@ from typing import Any
 import numpy as np
 
 import sdpid
+from sdpid import constraints
 from sdpid._common.arrays import Array
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    EqualFriction,
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    MassInEllipsoid,
-    MirrorPair,
-    MirrorSymmetry,
-    TotalMass,
-)
 from sdpid.estimation.constraints.condition import Condition
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
@@ -37,29 +25,31 @@ TURNED = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
 REFLECTION = np.diag([1.0, -1.0, 1.0, 1.0])
 
 # Without it, mass that nobody sees would make room for most conditions.
-LIGHT = TotalMass(MASS, tolerance=0.1)
+LIGHT = constraints.TotalMass(MASS, tolerance=0.1)
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "total": (LIGHT,),
-    "group": (TotalMass(0.2, links=(LAST,)),),
+    "group": (constraints.TotalMass(0.2, links=(LAST,)),),
     "box": (
         LIGHT,
-        CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01)),
+        constraints.CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01)),
     ),
     "ellipsoid": (
         LIGHT,
-        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03), rotation=TURNED),
+        constraints.CenterOfMassInEllipsoid(
+            LAST, (0, 0.01, 0), (0.02, 0.05, 0.03), rotation=TURNED
+        ),
     ),
     "all mass": (
         LIGHT,
-        MassInEllipsoid(LAST, (0, 0.1, 0), (0.1, 0.2, 0.3), rotation=TURNED),
+        constraints.MassInEllipsoid(LAST, (0, 0.1, 0), (0.1, 0.2, 0.3), rotation=TURNED),
     ),
-    "hull": (LIGHT, CenterOfMassInHull(LAST, CUBE)),
-    "fixed": (Fixed({"m_2": 0.4, "Fv1": 0.5}),),
-    "fixed link": (FixedLink(LAST, body=BODIES[0]),),
-    "equal": (LIGHT, EqualLinks(FIRST, LAST)),
-    "symmetric": (LIGHT, MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
-    "pair": (LIGHT, MirrorPair(FIRST, LAST, reflection=REFLECTION)),
-    "friction": (LIGHT, EqualFriction(*ARM.joint_names, within=0.2)),
+    "hull": (LIGHT, constraints.CenterOfMassInHull(LAST, CUBE)),
+    "fixed": (constraints.Fixed({"m_2": 0.4, "Fv1": 0.5}),),
+    "fixed link": (constraints.FixedLink(LAST, body=BODIES[0]),),
+    "equal": (LIGHT, constraints.EqualLinks(FIRST, LAST)),
+    "symmetric": (LIGHT, constraints.MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
+    "pair": (LIGHT, constraints.MirrorPair(FIRST, LAST, reflection=REFLECTION)),
+    "friction": (LIGHT, constraints.EqualFriction(*ARM.joint_names, within=0.2)),
 }
 
 

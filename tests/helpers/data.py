@@ -7,10 +7,12 @@ import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import point_masses
+from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.strategies import random_states
 
 FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")
@@ -56,6 +58,16 @@ def full_regressor(
     q, v, a = states
     columns = friction_model(robot, friction).columns(v, a)
     return np.concatenate([robot.regressor(q, v, a), columns], axis=2)
+
+
+def row_source(
+    robot: sdpid.RobotModel,
+    samples: sdpid.Samples,
+    friction: Iterable[str | FrictionTerm] = FRICTION,
+) -> RowSource:
+    """Return the rows of samples, by the robot's structural base parameters."""
+    model = friction_model(robot, friction)
+    return RowSource(robot, model, structural_base(robot, model), samples)
 
 
 def make_samples(

@@ -10,20 +10,8 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from sdpid import constraints
 from sdpid._common.arrays import Array
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    EqualFriction,
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    MassInEllipsoid,
-    MirrorPair,
-    MirrorSymmetry,
-    TotalMass,
-)
 from sdpid.estimation.constraints.condition import Condition
 from sdpid.estimation.prior.prior import Prior, repaired
 from sdpid.estimation.problem import Problem
@@ -143,10 +131,10 @@ class Second:
         theta, names = self.theta, list(self.problem.base.theta_names)
         links = self.problem.robot.link_names
         match other:
-            case TotalMass():
+            case constraints.TotalMass():
                 mass = sum(self.body(link)[0] for link in other.links or links)
                 return [cp.abs(mass - other.mass) <= other.tolerance]
-            case CenterOfMassInBox():
+            case constraints.CenterOfMassInBox():
                 body = self.body(other.link)
                 out = []
                 for k in range(3):
@@ -155,12 +143,12 @@ class Second:
                     if np.isfinite(other.upper[k]):
                         out.append(body[1 + k] <= other.upper[k] * body[0])
                 return out
-            case CenterOfMassInEllipsoid():
+            case constraints.CenterOfMassInEllipsoid():
                 body = self.body(other.link)
                 R = np.eye(3) if other.rotation is None else np.asarray(other.rotation)
                 inside = R.T @ (body[1:4] - body[0] * other.center)
                 return [cp.norm(cp.multiply(1.0 / other.semi_axes, inside)) <= body[0]]
-            case MassInEllipsoid():
+            case constraints.MassInEllipsoid():
                 J = pseudo_inertia(self.body(other.link))
                 R = np.eye(3) if other.rotation is None else np.asarray(other.rotation)
                 S = R @ np.diag(np.asarray(other.semi_axes) ** -2.0) @ R.T
@@ -168,17 +156,17 @@ class Second:
                 # ∫ (x − c)^T·S·(x − c) dm ≤ m.
                 moment = cp.trace(S @ J[:3, :3]) - 2 * (S @ c) @ J[:3, 3] + (c @ S @ c) * J[3, 3]
                 return [moment <= J[3, 3]]
-            case CenterOfMassInHull():
+            case constraints.CenterOfMassInHull():
                 # A combination of the points.
                 points = np.asarray(other.points)
                 body = self.body(other.link)
                 weights = cp.Variable(len(points), nonneg=True)
                 return [points.T @ weights == body[1:4], cp.sum(weights) == body[0]]
-            case Fixed():
+            case constraints.Fixed():
                 return [theta[names.index(name)] == v for name, v in other.values.items()]
-            case FixedLink():
+            case constraints.FixedLink():
                 return [self.body(other.link) == np.asarray(other.body)]
-            case EqualFriction():
+            case constraints.EqualFriction():
                 joints = self.problem.robot.joint_names
                 one, two = (joints.index(name) + 1 for name in (other.first, other.second))
                 pairs = [
@@ -186,13 +174,13 @@ class Second:
                     for symbol in ("Fs", "Fv")
                 ]
                 return [cp.abs(a - b) <= other.within * (a + b) / 2 for a, b in pairs]
-            case EqualLinks():
+            case constraints.EqualLinks():
                 return [self.body(other.first) == self.body(other.second)]
-            case MirrorSymmetry():
+            case constraints.MirrorSymmetry():
                 J = pseudo_inertia(self.body(other.link))
                 H = reflection(np.asarray(other.normal), np.asarray(other.point))
                 return [H @ J @ H.T == J]
-            case MirrorPair() if other.reflection is not None:
+            case constraints.MirrorPair() if other.reflection is not None:
                 J = pseudo_inertia(self.body(other.first))
                 H = np.asarray(other.reflection)
                 return [pseudo_inertia(self.body(other.second)) == H @ J @ H.T]
