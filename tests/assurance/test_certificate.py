@@ -1,7 +1,5 @@
 """Certificates as files: what they say is proven, and what was changed is found out."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json

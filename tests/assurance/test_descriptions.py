@@ -1,7 +1,5 @@
 """What an audit of a description finds, and what it leaves in peace."""
 
-from __future__ import annotations
-
 import json
 import weakref
 from pathlib import Path
@@ -212,7 +210,7 @@ def test_mjcf() -> None:
 class Owned:
     """A body of a file, which may be looked at while the file is kept."""
 
-    def __init__(self, spec: File, body: Any) -> None:
+    def __init__(self, spec: "File", body: Any) -> None:
         self._spec, self._body = weakref.ref(spec), body
 
     def __getattr__(self, name: str) -> Any:

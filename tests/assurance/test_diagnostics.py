@@ -1,7 +1,5 @@
 """Predictions and their bands, what was held out, and what errors go with."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import replace

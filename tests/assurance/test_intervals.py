@@ -1,7 +1,5 @@
 """Intervals against brute force, closed forms, and what is known to be unknowable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

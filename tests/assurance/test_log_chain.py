@@ -1,7 +1,5 @@
 """From the log to the bound: every link is named, as proven or not."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

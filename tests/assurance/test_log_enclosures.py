@@ -1,7 +1,5 @@
 """Enclosures of rows against the same in 50 digits."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Which constraints and which sources parameters come from."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Proofs of tables as files: what is changed is refused, named, or still true."""
 
-from __future__ import annotations
-
 import copy
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Audits of base parameters: bodies that exist pass, others are refuted, tampering shows."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

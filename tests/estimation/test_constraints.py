@@ -1,7 +1,5 @@
 """Every condition against bodies made of point masses, and optima under it."""
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from collections import Counter

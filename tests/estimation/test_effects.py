@@ -1,7 +1,5 @@
 """Effects of the drives and numbers of friction terms that the data choose."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -204,7 +202,7 @@ class Power(FrictionTerm):
     ) -> tuple[OpenParameter, ...]:
         return (OpenParameter("exponent", 0.1, 3.0, "1"),) if self.exponent is None else ()
 
-    def with_values(self, values: Sequence[float]) -> Power:
+    def with_values(self, values: Sequence[float]) -> "Power":
         return Power(values[0])
 
 

@@ -1,7 +1,5 @@
 """Local solvers: derivatives, honesty, and no valleys but one."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Output error on simulated logs, whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

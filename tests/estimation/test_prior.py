@@ -1,7 +1,5 @@
 """The prior: its definition and invariance, its strength, and what it does to a problem."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Rows: whitened and compressed, in chunks, threads and pieces, as the same written out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
