@@ -272,6 +272,11 @@ def plain(value: Any) -> Any:
     return [plain(each) for each in value]
 
 
+def plain_dict(values: Mapping[str, object]) -> dict[str, Any]:
+    """Return values by name as JSON has them, see `plain`."""
+    return {name: plain(value) for name, value in values.items()}
+
+
 def json_text(value: Any) -> str:
     """Return a value as JSON text with an indent of one; numbers that are not finite are null."""
     return json.dumps(plain(value), indent=1, allow_nan=False)

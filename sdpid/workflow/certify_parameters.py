@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid._common.tables import plain
+from sdpid._common.tables import plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.assurance.diagnostics.validation import validate, validate_robot
@@ -133,22 +133,20 @@ class Judgment:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the judgment as plain values."""
-        found: dict[str, Any] = plain(
-            {
-                "source": self.given.source,
-                "standard": self.estimate.theta is not None,
-                "feasible": self.feasible,
-                "violations": list(self.violations),
-                "refitted": list(self.refitted),
-                "cost": self.cost,
-                "lower_bound": self.certificate.lower_bound,
-                "gap": self.gap,
-                "optimum": self.optimum.cost,
-                "relative_residuals": dict(self.residuals),
-                "audit": None if self.audit is None else self.audit.to_dict(),
-            }
-        )
-        return found
+        content = {
+            "source": self.given.source,
+            "standard": self.estimate.theta is not None,
+            "feasible": self.feasible,
+            "violations": list(self.violations),
+            "refitted": list(self.refitted),
+            "cost": self.cost,
+            "lower_bound": self.certificate.lower_bound,
+            "gap": self.gap,
+            "optimum": self.optimum.cost,
+            "relative_residuals": dict(self.residuals),
+            "audit": None if self.audit is None else self.audit.to_dict(),
+        }
+        return plain_dict(content)
 
 
 @one_thread

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
@@ -181,7 +181,7 @@ class CrossValidation(Shown):
                 for fold in self.folds
             ],
         }
-        return cast(dict[str, Any], plain(content))
+        return plain_dict(content)
 
 
 def cross_validate(

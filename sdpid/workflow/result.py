@@ -6,11 +6,11 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
@@ -228,7 +228,7 @@ class Identification(Judged, Shown):
             "bias": None if self.bias is None else self.bias.to_dict(),
             "bias_note": self.bias_note,
         }
-        return cast(dict[str, Any], plain(content))
+        return plain_dict(content)
 
     def summary(self) -> str:
         """Return the result in words."""

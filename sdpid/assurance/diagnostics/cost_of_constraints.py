@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.retry import solve_with_retries
@@ -113,23 +113,21 @@ class CostOfConstraints(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found: dict[str, Any] = plain(
-            {
-                "joints": self.joint_names,
-                "rmse": self.rmse,
-                "rmse_unconstrained": self.rmse_free,
-                "cost": self.cost,
-                "cost_unconstrained": self.cost_free,
-                "excess": self.excess,
-                "constraints": [
-                    {"name": name, "cost": saved, "rmse": increase}
-                    for name, saved, increase in zip(
-                        self.constraints, self.saved, self.increase, strict=True
-                    )
-                ],
-            }
-        )
-        return found
+        content = {
+            "joints": self.joint_names,
+            "rmse": self.rmse,
+            "rmse_unconstrained": self.rmse_free,
+            "cost": self.cost,
+            "cost_unconstrained": self.cost_free,
+            "excess": self.excess,
+            "constraints": [
+                {"name": name, "cost": saved, "rmse": increase}
+                for name, saved, increase in zip(
+                    self.constraints, self.saved, self.increase, strict=True
+                )
+            ],
+        }
+        return plain_dict(content)
 
 
 def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, plain
+from sdpid._common.tables import Table, plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import (
     Block,
@@ -108,8 +108,7 @@ class HeldOut:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         every = {name: fit.to_dict() for name, fit in self.every.items()}
-        found: dict[str, Any] = plain({"by": self.by, "blocks": self.blocks or None, **every})
-        return found
+        return plain_dict({"by": self.by, "blocks": self.blocks or None, **every})
 
 
 def hold_out(

@@ -99,8 +99,7 @@ class SmallestMassEigenvalue(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found: dict[str, Any] = plain(self)
-        return found
+        return dict(plain(self))
 
 
 def smallest_mass_eigenvalue(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
 from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows
@@ -120,8 +120,7 @@ class Errors(Shown):
             for j, joint in enumerate(self.joint_names)
             if j >= self.n_base
         }
-        found: dict[str, object] = plain({"relative_residual": self.relative, "joints": joints})
-        return found
+        return plain_dict({"relative_residual": self.relative, "joints": joints})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

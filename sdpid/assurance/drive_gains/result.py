@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.robot.inertia import physical_parameters
@@ -134,19 +134,17 @@ class IdentifiedGains(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found: dict[str, Any] = plain(
-            {
-                "gains": self.gains.to_dict(),
-                "loads": [{**plain(load), "inertia": load.inertia} for load in self.loads],
-                "rmse": self.rmse,
-                "share": self.share,
-                "unconstrained": self.unconstrained,
-                "starts": self.starts,
-                "agreed": self.agreed,
-                "effects": self.effects,
-                "status": self.status,
-                "notes": self.notes,
-                "findings": [finding.to_dict() for finding in self.findings],
-            }
-        )
-        return found
+        content = {
+            "gains": self.gains.to_dict(),
+            "loads": [{**plain(load), "inertia": load.inertia} for load in self.loads],
+            "rmse": self.rmse,
+            "share": self.share,
+            "unconstrained": self.unconstrained,
+            "starts": self.starts,
+            "agreed": self.agreed,
+            "effects": self.effects,
+            "status": self.status,
+            "notes": self.notes,
+            "findings": [finding.to_dict() for finding in self.findings],
+        }
+        return plain_dict(content)

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, require_probability
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
 from sdpid.assurance.intervals.parameters import ParameterFunctions
@@ -184,17 +184,15 @@ class Intervals(Shown):
             if (share := getattr(self, name)) is not None:
                 columns[name] = share.tolist()
         rows = zip(*columns.values(), strict=True)
-        found: dict[str, Any] = plain(
-            {
-                "method": self.method,
-                "level": self.level,
-                "groups": self.groups,
-                "seconds": self.seconds,
-                "solves": self.solves,
-                "parameters": [dict(zip(columns, row, strict=True)) for row in rows],
-            }
-        )
-        return found
+        content = {
+            "method": self.method,
+            "level": self.level,
+            "groups": self.groups,
+            "seconds": self.seconds,
+            "solves": self.solves,
+            "parameters": [dict(zip(columns, row, strict=True)) for row in rows],
+        }
+        return plain_dict(content)
 
 
 @one_thread

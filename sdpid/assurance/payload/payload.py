@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.payload.program import QUANTITIES, QUANTITY_UNITS, quantities
 from sdpid.assurance.payload.rows import Description
 from sdpid.experiment.inspection.finding import Finding
@@ -133,29 +133,27 @@ class Payload(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         ends = np.stack([self.lower, self.upper], axis=1).tolist()
-        found: dict[str, Any] = plain(
-            {
-                "link": self.link,
-                "frame": self.frame,
-                "mass": self.mass,
-                "center_of_mass": self.com if self.mass > 0.0 else None,
-                "inertia": self.inertia if self.mass > 0.0 else None,
-                "level": self.level,
-                "intervals": dict(zip(QUANTITIES, ends, strict=True)),
-                "margin": self.margin,
-                "cost": self.cost,
-                "cost_without": self.cost_without,
-                "invisible_directions": self.invisible,
-                "shown": self.shown,
-                "status": self.status,
-                "described": None if self.described is None else asdict(self.described),
-                "gains_share": (
-                    None
-                    if self.gains_share is None
-                    else dict(zip(QUANTITIES, self.gains_share.tolist(), strict=True))
-                ),
-                "notes": self.notes,
-                "findings": [finding.to_dict() for finding in self.findings],
-            }
-        )
-        return found
+        content = {
+            "link": self.link,
+            "frame": self.frame,
+            "mass": self.mass,
+            "center_of_mass": self.com if self.mass > 0.0 else None,
+            "inertia": self.inertia if self.mass > 0.0 else None,
+            "level": self.level,
+            "intervals": dict(zip(QUANTITIES, ends, strict=True)),
+            "margin": self.margin,
+            "cost": self.cost,
+            "cost_without": self.cost_without,
+            "invisible_directions": self.invisible,
+            "shown": self.shown,
+            "status": self.status,
+            "described": None if self.described is None else asdict(self.described),
+            "gains_share": (
+                None
+                if self.gains_share is None
+                else dict(zip(QUANTITIES, self.gains_share.tolist(), strict=True))
+            ),
+            "notes": self.notes,
+            "findings": [finding.to_dict() for finding in self.findings],
+        }
+        return plain_dict(content)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
 from sdpid.assurance.rollouts.models import CLOSED_LOOP
 from sdpid.assurance.rollouts.words import level_of, notes_on, verdict_on
@@ -238,8 +238,7 @@ class Rollout(Shown):
             "verdict": self.verdict,
             "notes": self.notes,
         }
-        found: dict[str, Any] = plain(content)
-        return found
+        return plain_dict(content)
 
     def plot(self, *, title: str | None = None, axes: Any = None) -> Any:
         """Show the median error of every model over the time since the start (extra ``plot``).

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import require_probability
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.errors import IdentifiabilityError, SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -121,10 +121,7 @@ class BiasTest(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found: dict[str, Any] = plain(
-            {**asdict(self), "biased": self.biased, "verdict": self.verdict}
-        )
-        return found
+        return plain_dict({**asdict(self), "biased": self.biased, "verdict": self.verdict})
 
 
 @one_thread

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
 from sdpid.robot.inertia import PARAMETER_NAMES
@@ -311,7 +311,7 @@ class Expected(Shown):
             "noise": self.noise,
             "notes": self.notes,
         }
-        return cast(dict[str, Any], plain(content))
+        return plain_dict(content)
 
 
 def _records(**columns: Iterable[Any]) -> list[dict[str, Any]]:

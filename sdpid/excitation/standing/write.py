@@ -9,7 +9,7 @@ from typing import Any
 
 from sdpid import __version__
 from sdpid._common.staging import RunFolder
-from sdpid._common.tables import plain
+from sdpid._common.tables import plain_dict
 from sdpid.excitation.standing.plan import StandingPlan
 from sdpid.plots.figures import save_figure
 
@@ -95,5 +95,4 @@ def plan_content(plan: StandingPlan) -> dict[str, Any]:
         "notes": plan.notes,
         "settings": plan.settings,
     }
-    values: dict[str, Any] = plain(content)
-    return values
+    return plain_dict(content)

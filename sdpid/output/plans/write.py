@@ -18,7 +18,7 @@ from sdpid import __version__
 from sdpid._common.extras import installation
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
-from sdpid._common.tables import plain
+from sdpid._common.tables import plain_dict
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
@@ -146,8 +146,7 @@ def plan_content(plan: Plan) -> dict[str, Any]:
         "motion": plan.motion,
         "settings": plan.settings,
     }
-    values: dict[str, Any] = plain(content)
-    return values
+    return plain_dict(content)
 
 
 def ended_early(plan: Plan) -> str | None:

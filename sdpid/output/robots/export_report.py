@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.estimation.estimate import Estimate
@@ -165,8 +165,7 @@ class ExportReport(Shown):
             "triangle_violations": list(self.triangle_violations),
             "notes": list(self.notes),
         }
-        found: dict[str, Any] = plain(content)
-        return found
+        return plain_dict(content)
 
 
 @dataclass(frozen=True, eq=False)

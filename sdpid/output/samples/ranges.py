@@ -7,14 +7,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.seeds import generator
-from sdpid._common.tables import Shown, Table, json_text, plain
+from sdpid._common.tables import Shown, Table, json_text, plain_dict
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.problem import Problem
@@ -191,7 +191,7 @@ class Ranges(Shown):
                 "feasible": self.feasible,
             },
         }
-        return cast(dict[str, Any], plain(content))
+        return plain_dict(content)
 
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         """Write the ranges as JSON, whole or not at all."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.robot.inertia import physical_parameters
 from sdpid.workflow.runs.saved import OURS, BaseParameter, SavedRun, predictions
@@ -112,8 +112,7 @@ class RunComparison(Shown):
             for table in [getattr(self, name)]
         }
         rest = ("folders", "same_log", "same_held_out", "better", "outside", "headlines", "notes")
-        found: dict[str, Any] = plain({**{n: getattr(self, n) for n in rest}, **tables})
-        return found
+        return plain_dict({**{n: getattr(self, n) for n in rest}, **tables})
 
 
 def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -> RunComparison:
