@@ -63,6 +63,7 @@ ROOMS = {
         "sdp",
         "selection",
         "local",
+        "commanded",
         "robust",
         "instrumental",
         "output_error",

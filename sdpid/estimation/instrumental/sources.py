@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
-import numpy as np
-
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError, SolverError
+from sdpid.estimation.commanded import commanded
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.lag import lag_words
 from sdpid.estimation.instrumental.moments import Columns
@@ -26,7 +25,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.fit_controller import fit_controller
-from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Instruments = Literal["simulated", "reference", "periods"]
@@ -195,19 +193,19 @@ def source_of(
     logs = tuple(match_joints(problem.robot, log) for log in read)
     chosen, _ = chosen_processing(logs, processing)
     twin = Twin.of(problem.robot, logs, chosen, measured=problem.samples)
-    commanded = _commanded(twin.logs, reference)
+    told = commanded(twin.logs, reference)
     if instruments is None:
-        instruments = _best(twin.logs, commanded, controller)
+        instruments = _best(twin.logs, told, controller)
     if instruments == "periods":
         return _periods(problem, twin.logs, chosen, purpose)
-    if commanded is None:
+    if told is None:
         raise DataError(
             f"{purpose}: instruments={instruments!r} needs what was commanded; read the log with "
             "its columns of commanded positions (Recording.reference), or give reference=."
         )
     if instruments == "reference":
-        return _reference(twin, commanded)
-    return _simulated(twin, commanded, controller, purpose)
+        return _reference(twin, told)
+    return _simulated(twin, told, controller, purpose)
 
 
 def _best(
@@ -231,55 +229,6 @@ def _given(problem: Problem, instruments: Samples) -> GivenMotion:
             "row; process both alike (sdpid.Processing) and keep every sample."
         )
     return GivenMotion(instruments=instruments, words="the motion given")
-
-
-def _commanded(logs: tuple[Recording, ...], reference: Any) -> tuple[Array, ...] | None:
-    """Return what was commanded (N, n) in each recording, None where nobody says.
-
-    Raises
-    ------
-    DataError
-        When a given reference does not fit the recordings.
-    """
-    if reference is None:
-        known = [log.reference for log in logs]
-        return None if any(each is None for each in known) else tuple(map(np.asarray, known))
-    alone = len(logs) == 1 and not isinstance(reference, (list, tuple))
-    given = [reference] if alone else list(reference)
-    if len(given) != len(logs):
-        raise DataError(
-            f"reference: {len(given)} for {len(logs)} recordings; give one each, in their order."
-        )
-    return tuple(_at_stamps(log, each) for log, each in zip(logs, given, strict=True))
-
-
-def _at_stamps(log: Recording, reference: Any) -> Array:
-    """Return commanded positions (N, n) at a recording's time stamps."""
-    if not isinstance(reference, Trajectory):
-        array = real_array(reference, "reference", ndim=2)
-        if array.shape != log.position.shape:
-            raise DataError(
-                f"reference: has shape {array.shape}, expected {log.position.shape} as the "
-                "positions have: one row a time stamp, one column a joint."
-            )
-        return array
-    if reference.joint_names != log.joint_names:
-        raise DataError(
-            f"reference: moves {', '.join(reference.joint_names)}; the recording has "
-            f"{', '.join(log.names)}."
-        )
-    from scipy.interpolate import CubicSpline
-
-    planned = reference.sample()[0]
-    ends = (len(planned) - 1) / reference.rate_hz
-    time = np.asarray(log.time) - log.time[0]
-    if time[-1] > ends + log.step:
-        raise DataError(
-            f"reference: the trajectory ends after {ends:.6g} s, the recording after "
-            f"{time[-1]:.6g} s; cut the recording, or give the positions at its time stamps."
-        )
-    spline = CubicSpline(np.arange(len(planned)) / reference.rate_hz, planned)
-    return np.asarray(spline(np.minimum(time, ends)))
 
 
 def _reference(twin: Twin, commanded: tuple[Array, ...], note: str | None = None) -> GivenMotion:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
+from sdpid.estimation.commanded import commanded
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
@@ -18,7 +18,6 @@ from sdpid.experiment.simulation.closed_loop import Motion, simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.reference import DesiredMotion
 from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
-from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -120,8 +119,14 @@ class ClosedLoop:
                 f"controller: has gains of {controller.n} joints, the robot '{twin.robot.name}' "
                 f"has {n}; give one number a joint."
             )
-        given = _given(reference, len(logs))
-        paths = tuple(_path(log, each, n) for log, each in zip(logs, given, strict=True))
+        told = commanded(logs, reference)
+        if told is None:
+            raise DataError(
+                "output error: the recording has no commanded positions (Recording.reference), "
+                "along which the loop is simulated; read the log with its columns of commanded "
+                "positions, or give reference=, a Trajectory or an array (N, n)."
+            )
+        paths = tuple(_path(log, each) for log, each in zip(logs, told, strict=True))
         return cls(twin=twin, paths=paths, controller=controller, control_hz=control_hz)
 
     def follow(self, model: RobotDynamics) -> Followed | None:
@@ -244,44 +249,11 @@ def _between(values: Array, stride: int, count: int) -> Array:
     return out
 
 
-def _given(reference: Any, count: int) -> list[Any]:
-    """Return one given reference a recording, None for the recording's own."""
-    if reference is None:
-        return [None] * count
-    if isinstance(reference, (Trajectory, np.ndarray)):
-        reference = [reference]
-    if not isinstance(reference, Sequence) or len(reference) != count:
-        many = len(reference) if isinstance(reference, Sequence) else type(reference).__name__
-        raise DataError(
-            f"reference: is {many}, expected one Trajectory or array (N, n) for each of the "
-            f"{count} recordings."
-        )
-    return list(reference)
-
-
-def _path(log: Recording, given: Any, n: int) -> Path:
+def _path(log: Recording, position: Array) -> Path:
     """Return what was commanded in a recording, at its stamps."""
     time = np.asarray(log.time) - log.time[0]
-    if isinstance(given, Trajectory):
-        if given.n != n:
-            raise DataError(f"reference: the trajectory has {given.n} joints, the robot {n}.")
-        given = DesiredMotion.of(given, n, None).at(time)[:, 0]
-    if given is None:
-        given = log.reference
-    if given is None:
-        raise DataError(
-            "output error: the recording has no commanded positions (Recording.reference), along "
-            "which the loop is simulated; read the log with its columns of commanded positions, or "
-            "give reference=, a Trajectory or an array (N, n)."
-        )
-    position = real_array(given, "reference", ndim=2)
-    if position.shape != log.position.shape:
-        raise DataError(
-            f"reference: has shape {position.shape}, expected {log.position.shape}: one row a time "
-            "stamp, one column a joint."
-        )
     told = replace(log, reference=position)
-    desired = DesiredMotion.of(told, n, None)
+    desired = DesiredMotion.of(told, log.n, None)
     motion = desired.at(time)
     every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
     rows = np.arange((len(time) - 1) * every + 1) / every
