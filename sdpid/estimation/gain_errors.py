@@ -12,11 +12,11 @@ have in common moves every parameter by the same share.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.kept import kept
 from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten_rows
@@ -49,9 +49,7 @@ class GainErrors:
     @classmethod
     def of(cls, problem: Problem) -> GainErrors:
         """Gather what is known of the gains' errors; computed once for each problem."""
-        if problem not in _FOUND:
-            _FOUND[problem] = _gather(problem)
-        return _FOUND[problem]
+        return _gather(problem)
 
     @property
     def any(self) -> bool:
@@ -77,10 +75,8 @@ class GainErrors:
         return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
 
 
-# Of problems that are still in use, each gathered once: a pass over all rows.
-_FOUND: WeakKeyDictionary[Problem, GainErrors] = WeakKeyDictionary()
-
-
+# A pass over all rows.
+@kept
 def _gather(problem: Problem) -> GainErrors:
     gains = None if problem.rows is None else problem.rows.samples.gains
     if gains is None or not gains.covariance.any() or problem.rows is None:

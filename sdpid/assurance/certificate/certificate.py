@@ -12,16 +12,16 @@ from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from sdpid import __version__
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
+from sdpid._common.kept import kept
 from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
-from sdpid.assurance.certificate.compression import Compression, prove_compression
+from sdpid.assurance.certificate.compression import prove_compression
 from sdpid.assurance.certificate.contact_record import contact_record
 from sdpid.assurance.certificate.plain_conditions import plain_conditions
 from sdpid.assurance.certificate.rounding import (
@@ -43,9 +43,6 @@ from sdpid.verifier.result import Result
 
 # A certificate passes when the cost is proven to be within this share of the global optimum.
 GAP = 1e-6
-
-# Of problems that several estimates were certified of, as long as they are in use.
-_PROVEN: WeakKeyDictionary[Problem, Compression | None] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -251,11 +248,13 @@ def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
     return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
 
 
+# Several estimates of a problem may be certified.
+_proven = kept(prove_compression)
+
+
 def _compression(problem: Problem) -> dict[str, float] | None:
     """Return how well the rows are compressed, None where that is not proven."""
-    if problem not in _PROVEN:
-        _PROVEN[problem] = prove_compression(problem)
-    found = _PROVEN[problem]
+    found = _proven(problem)
     return None if found is None else asdict(found)
 
 

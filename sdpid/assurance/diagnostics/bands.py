@@ -20,11 +20,10 @@ Where samples have contacts, predicted efforts go with the forces that explain b
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.kept import kept
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
 from sdpid.assurance.diagnostics.rest import moving_rows
@@ -33,7 +32,6 @@ from sdpid.estimation.compression.whitening import effort_errors
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.posterior import Posterior
-from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 
 # Of a normal error, 95 % lie within so many standard deviations. Student's t does not apply: s_j
@@ -105,6 +103,7 @@ def random_motion(estimate: Estimate) -> tuple[Array, Array]:
     return deviation, problem.predict(estimate.base, states)
 
 
+@kept
 def parameter_root(estimate: Estimate) -> tuple[Array, Array]:
     """Return the errors of the estimate's base parameters by their sources.
 
@@ -119,43 +118,36 @@ def parameter_root(estimate: Estimate) -> tuple[Array, Array]:
     covariance = posterior.covariance(B, gains=False)
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > _ROUNDING * max(float(values[-1]), 0.0)
-    root = np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+    known = values > _ROUNDING * max(float(values[-1]), 0.0)
+    root = np.asarray(scale[:, None] * vectors[:, known] * np.sqrt(values[known]))
     return root, B @ posterior.from_gains
 
 
-# Of problems that are still in use, each computed once: several recordings are predicted.
-_ROOTS: WeakKeyDictionary[Problem, tuple[Array, Array]] = WeakKeyDictionary()
-_MISSED: WeakKeyDictionary[Problem, Array] = WeakKeyDictionary()
-
-
+# Several recordings may be predicted.
+@kept
 def _missed(estimate: Estimate) -> Array:
     """Return the rms error (n,) of moving joints on what was held out of the training rows."""
     problem = estimate.problem
-    if problem not in _MISSED:
-        blocks = held_out_blocks(problem)
-        samples, wider = problem.samples, 1.0 if blocks else WIDER
-        if blocks:
-            predicted = predicted_by(blocks, problem, {"": own})[""]
-        else:
-            predicted = problem.predict(estimate.base)
-        used, moving = samples.used, moving_rows(samples, problem.robot.slides)
-        # A joint that never moves is judged at rest.
-        counted = np.where(moving.any(axis=0), moving, used)
-        if blocks:
-            counted = counted & in_blocks(blocks, samples.n_samples)[:, None]
-        square = np.where(counted, (samples.effort - predicted) ** 2, 0.0).sum(axis=0)
-        _MISSED[problem] = wider * np.sqrt(square / np.maximum(counted.sum(axis=0), 1))
-    return _MISSED[problem]
+    blocks = held_out_blocks(problem)
+    samples, wider = problem.samples, 1.0 if blocks else WIDER
+    if blocks:
+        predicted = predicted_by(blocks, problem, {"": own})[""]
+    else:
+        predicted = problem.predict(estimate.base)
+    used, moving = samples.used, moving_rows(samples, problem.robot.slides)
+    # A joint that never moves is judged at rest.
+    counted = np.where(moving.any(axis=0), moving, used)
+    if blocks:
+        counted = counted & in_blocks(blocks, samples.n_samples)[:, None]
+    square = np.where(counted, (samples.effort - predicted) ** 2, 0.0).sum(axis=0)
+    return np.asarray(wider * np.sqrt(square / np.maximum(counted.sum(axis=0), 1)))
 
 
 @one_thread
 def _left_open(estimate: Estimate, samples: Samples) -> Array:
     """Return the standard deviation (K, n) that the parameters leave of predicted efforts."""
     problem = estimate.problem
-    if problem not in _ROOTS:
-        _ROOTS[problem] = parameter_root(estimate)
-    root, slopes = _ROOTS[problem]
+    root, slopes = parameter_root(estimate)
     rows, gains = problem.rows_of(samples), GainErrors.of(problem)
     if not gains.any:
         sigma = pooled(problem.sigma)

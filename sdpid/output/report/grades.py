@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.bands import random_motion
 from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.rest import rest_speeds
@@ -127,19 +127,14 @@ def moved(samples: Samples, fit: Validation, joint: int) -> bool:
     return bool(np.any(speeds > rest_speeds(fit.slides)[joint]))
 
 
-# Of estimates that are still in use, each computed once.
-_ROOM: WeakKeyDictionary[Estimate, tuple[Level, ...]] = WeakKeyDictionary()
-
-
+@kept
 def left_room(estimate: Estimate) -> tuple[Level, ...]:
     """Return the level, joint by joint, of the error that parameters leave on random motion."""
-    if estimate not in _ROOM:
-        try:
-            _ROOM[estimate] = tuple(map(level_of, *_shares(*random_motion(estimate))))
-        except SdpidError:  # no covariance: nothing tells how much is left open
-            unknown: Level = "caution"
-            _ROOM[estimate] = (unknown,) * estimate.problem.robot.n
-    return _ROOM[estimate]
+    try:
+        return tuple(map(level_of, *_shares(*random_motion(estimate))))
+    except SdpidError:  # no covariance: nothing tells how much is left open
+        unknown: Level = "caution"
+        return (unknown,) * estimate.problem.robot.n
 
 
 def _shares(deviation: Array, effort: Array) -> tuple[list[float], list[float]]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
+from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.causes import held_back
 from sdpid.assurance.diagnostics.cost_of_constraints import cost_of_constraints
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
@@ -66,15 +66,10 @@ class Held:
         )
 
 
-# Of identifications that are still in use, each computed once.
-_HELD: WeakKeyDictionary[Judged, dict[str, Held]] = WeakKeyDictionary()
-
-
+@kept
 def held_of(result: Judged) -> dict[str, Held]:
     """Return the joints that are held back, by name; none where nothing was held out."""
-    if result not in _HELD:
-        _HELD[result] = {each.joint: each for each in _held(result)}
-    return _HELD[result]
+    return {each.joint: each for each in _held(result)}
 
 
 def _held(result: Judged) -> Iterator[Held]:

@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 from sdpid._common.arrays import Array
+from sdpid._common.kept import kept
 from sdpid._common.tables import Table
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.causes import Cause, find_causes
@@ -136,29 +136,20 @@ class Judged(ABC):
         """Return plain values for JSON."""
 
 
-# Of identifications that are still in use: a report and its verdict look at the same errors.
-_ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
-_URDF: WeakKeyDictionary[Judged, Errors | None] = WeakKeyDictionary()
-
-
+# A report and its verdict look at the same errors.
+@kept
 def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
     """Return the error analysis of the judged prediction; computed once per identification."""
-    found = _ERRORS.get(identification)
-    if found is None:
-        found = _ERRORS[identification] = joint_errors(*judged(identification))
-    return found
+    return joint_errors(*judged(identification))
 
 
+@kept
 def errors_of_urdf(identification: Judged) -> Errors | None:
     """Return what identified.urdf misses, on the validation recording or the training's.
 
     None where none is written, or there are no rows.
     """
-    if identification not in _URDF:
-        _URDF[identification] = urdf_errors(
-            identification.estimate, identification.validation_samples
-        )
-    return _URDF[identification]
+    return urdf_errors(identification.estimate, identification.validation_samples)
 
 
 def judged(identification: Judged) -> tuple[Samples, Validation]:
