@@ -50,6 +50,25 @@ def read_regular(
     return content
 
 
+def require_replaceable(path: PathLike) -> Path:
+    """Return the file that a path leads to, which need not exist.
+
+    Raises
+    ------
+    ExportError
+        When no file can take its place: of a folder, a device, or a link to itself.
+    """
+    target = Path(os.path.realpath(path))
+    what = "no regular file"
+    if target.is_symlink():  # what is left of a circle
+        what = "a symbolic link that leads back to itself"
+    elif target.is_dir():
+        what = "a folder"
+    elif target.is_file() or not target.exists():
+        return target
+    raise ExportError(f"cannot write {path}: it is {what}; move it away, or choose another name.")
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path` that replaces it when the block ends without error.
@@ -62,15 +81,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         When `path` is a folder, a device or a link to itself, its folder does not exist, or
         writing fails.
     """
-    target = Path(os.path.realpath(path))
-    if target.is_symlink():  # what is left of a circle
-        raise ExportError(
-            f"cannot write {path}: it is a symbolic link that leads back to itself; remove it, or "
-            "choose another name."
-        )
-    if target.exists() and not target.is_file():
-        what = "a folder" if target.is_dir() else "no regular file"
-        raise ExportError(f"cannot write {path}: it is {what}; choose another name.")
+    target = require_replaceable(path)
     temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}{target.suffix}")
     try:
         # Created with the permissions of any new file: the umask of the process is applied.

@@ -9,7 +9,7 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from sdpid._common.files import (
     hashed,
     read_regular,
     require_other_files,
+    require_replaceable,
 )
 from sdpid._common.signals import end_if_signaled
 from sdpid._common.tables import json_text
@@ -222,16 +223,7 @@ class RunFolder:
         if folder.exists() and not folder.is_dir():
             raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
         for name in self.names:
-            if Path(os.path.realpath(folder / name)).is_symlink():  # what is left of a circle
-                raise ExportError(
-                    f"cannot write {folder / name}: it is a symbolic link that leads back to "
-                    "itself; remove it, or choose another folder."
-                )
-            if (folder / name).exists() and not (folder / name).is_file():
-                raise ExportError(
-                    f"cannot write {folder / name}: it is a folder or a device; move it away, or "
-                    "choose another folder."
-                )
+            require_replaceable(folder / name)
         listed = self.listed(folder)
         if self.careful:
             for name in (*self.names, self.listing):
@@ -251,12 +243,26 @@ class RunFolder:
                 f"--out: would write over {existing}, which no run wrote; choose another folder."
             )
 
-    @contextlib.contextmanager
-    def written(self, folder: Path, note: Callable[[str], None]) -> Iterator[RunStage]:
-        """Yield a stage; what it holds in the end appears in the folder, all or nothing.
+    def write(
+        self,
+        folder: Path,
+        fill: Callable[[Path], Mapping[str, object]],
+        note: Callable[[str], None] = lambda _: None,
+    ) -> tuple[Path, ...]:
+        """Write the files of a run into a folder, all or nothing, and return them.
 
         Files that an earlier run listed and this one does not write are removed; `note` is called
         with a sentence about each that was changed since, which stays.
+
+        Parameters
+        ----------
+        folder : Path
+            Made where it does not exist.
+        fill : callable
+            Writes files of these names into an empty folder, and returns what the listing holds
+            beside them.
+        note : callable, optional
+            Called with sentences.
 
         Raises
         ------
@@ -264,18 +270,19 @@ class RunFolder:
             When the folder cannot be written to.
         """
         try:
-            with staged(folder) as path:
-                stage = RunStage(path)
-                yield stage
-                files = {name: _sealed(path / name) for name in stage.names}
-                content = self.seal({**stage.content, "files": files})
-                (path / self.listing).write_text(json_text(content) + "\n", encoding="utf-8")
-                stage.names.append(self.listing)
-                exchange(path, folder, stage.names, self._stale(folder, stage.names, note))
+            with staged(folder) as stage:
+                content = fill(stage)
+                names = [each for each in self.names if (stage / each).exists()]
+                files = {name: _sealed(stage / name) for name in names}
+                listing = json_text(self.seal({**content, "files": files}))
+                (stage / self.listing).write_text(listing + "\n", encoding="utf-8")
+                names.append(self.listing)
+                exchange(stage, folder, names, self._stale(folder, names, note))
         except OSError as cause:
             raise ExportError(
                 f"cannot write into {folder}: {cause.strerror or cause}; choose another folder."
             ) from cause
+        return tuple(folder / name for name in names)
 
     def listed(self, folder: Path) -> dict[str, object]:
         """Return the digests of the files that an earlier run wrote, by name."""
@@ -296,22 +303,3 @@ class RunFolder:
             else:
                 note(f"{name} of an earlier run was changed since and stays; this run writes none")
         return stale
-
-
-class RunStage:
-    """Where the files of a run are prepared.
-
-    Attributes
-    ----------
-    folder : Path
-        Empty at first.
-    names : list of str
-        Files in it that the run wrote, but for the listing.
-    content : dict
-        What the listing holds beside the files.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.names: list[str] = []
-        self.content: dict[str, Any] = {}

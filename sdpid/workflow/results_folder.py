@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sdpid import __version__
 from sdpid._common.extras import installation
@@ -73,19 +73,23 @@ def save(
     target = Path(folder)
     note = report or (lambda _: None)
     require_writable(target, writes_config=config is not None)
-    with _FOLDER.written(target, note) as stage:
-        writer = _Writer(result, stage.folder, intervals, note)
-        stage.names += writer.write(figures=figures, command=command, config=config)
+    exports: list[ExportReport] = []
+
+    def fill(stage: Path) -> dict[str, Any]:
+        writer = _Writer(result, stage, intervals, note, exports)
+        writer.write(figures=figures, command=command, config=config)
         recipe = None if result.recipe is None else result.recipe.to_dict()
         software = f"sdpid {__version__}"
         digest = result.certificate.to_dict()["sha256"]
         if result.recipe_note is not None:
             note(result.recipe_note)
-        stage.content |= contents(result.inputs, recipe, digest, software)
+        return contents(result.inputs, recipe, digest, software)
+
+    files = _FOLDER.write(target, fill, note)
     if exported is not None:
-        for export in writer.exports:
+        for export in exports:
             exported(export)
-    return tuple(target / name for name in stage.names)
+    return files
 
 
 @dataclass(frozen=True)
@@ -96,28 +100,26 @@ class _Writer:
     folder: Path
     intervals: Intervals | None
     note: Callable[[str], None]
-    exports: list[ExportReport] = field(default_factory=list)
+    exports: list[ExportReport]
 
-    def write(self, *, figures: bool, command: str | None, config: str | None) -> list[str]:
-        """Write all files but the manifest, and return their names."""
-        steps: list[Callable[[], Iterator[Path]]] = [
+    def write(self, *, figures: bool, command: str | None, config: str | None) -> None:
+        """Write all files but the manifest."""
+        steps: list[Callable[[], object]] = [
             self._tables,
-            self._certificate,
+            lambda: self.result.certificate.to_json(self.folder / "certificate.json"),
             self._robots,
             self._friction,
-            lambda: self._figures() if figures else iter(()),
+            lambda: self._figures() if figures else None,
             lambda: self._report(command, figures),
             lambda: self._config(config),
             self._result,
         ]
-        names: list[str] = []
         with progress(len(steps), "writing results") as advance:
             for step in steps:
-                names += [path.name for path in step()]
+                step()
                 advance(1)
-        return names
 
-    def _tables(self) -> Iterator[Path]:
+    def _tables(self) -> None:
         from sdpid.output.tables.parameter_tables import base_table, theta_table
         from sdpid.output.tables.parameters_file import write_parameters
 
@@ -127,23 +129,16 @@ class _Writer:
             ("parameters.csv", theta_table(estimate, self.intervals)),
         ):
             table.write(self.folder / name)
-            yield self.folder / name
         path, certificate = self.folder / "parameters.json", self.result.certificate
-        yield write_parameters(estimate, path, intervals=self.intervals, certificate=certificate)
+        write_parameters(estimate, path, intervals=self.intervals, certificate=certificate)
 
-    def _certificate(self) -> Iterator[Path]:
-        path = self.folder / "certificate.json"
-        self.result.certificate.to_json(path)
-        yield path
-
-    def _result(self) -> Iterator[Path]:
-        path = self.folder / "result.json"
+    def _result(self) -> None:
         exports = [export.to_dict() for export in self.exports]
         content = {**self.result.to_dict(), "exports": exports}
+        path = self.folder / "result.json"
         path.write_text(json_text(content) + "\n", encoding="utf-8")
-        yield path
 
-    def _robots(self) -> Iterator[Path]:
+    def _robots(self) -> None:
         """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
         from sdpid.output.robots.mjcf import write_mjcf
         from sdpid.output.robots.urdf import write_urdf
@@ -175,10 +170,8 @@ class _Writer:
             self.note(statement)
         if missing is not None:
             self.note(f"no {mjcf.name} (MJCF): {missing}")
-        for export in exports:
-            yield export.path
 
-    def _friction(self) -> Iterator[Path]:
+    def _friction(self) -> None:
         """Write friction as code, which has room for every term of ours."""
         from sdpid.output.robots.friction_files import write_friction
 
@@ -198,11 +191,10 @@ class _Writer:
                 self.note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
                 return
             left_out |= dict.fromkeys(said)
-            yield path
         for each in left_out:
             self.note(each)
 
-    def _figures(self) -> Iterator[Path]:
+    def _figures(self) -> None:
         """Draw measured and predicted efforts."""
         from sdpid.plots.figures import save_figure
 
@@ -211,15 +203,15 @@ class _Writer:
         if result.validation is not None:
             fits.append(("validation", result.validation))
         for name, fit in fits:
-            yield save_figure(fit.plot(), self.folder / f"{name}.png", dpi=_DPI)
+            save_figure(fit.plot(), self.folder / f"{name}.png", dpi=_DPI)
 
-    def _report(self, command: str | None, figures: bool) -> Iterator[Path]:
+    def _report(self, command: str | None, figures: bool) -> None:
         if importlib.util.find_spec("jinja2") is None:
             self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
         from sdpid.output.report.report import write_report
 
-        yield write_report(
+        write_report(
             self.result,
             self.folder / "report.html",
             command=command,
@@ -229,11 +221,9 @@ class _Writer:
             sha256=self.result.certificate.to_dict()["sha256"],
         )
 
-    def _config(self, config: str | None) -> Iterator[Path]:
+    def _config(self, config: str | None) -> None:
         if config is not None:
-            path = self.folder / _CONFIG
-            path.write_text(config, encoding="utf-8")
-            yield path
+            (self.folder / _CONFIG).write_text(config, encoding="utf-8")
 
 
 def _statements(exports: Sequence[ExportReport]) -> Iterator[str]:

@@ -67,17 +67,16 @@ def write_standing(
     target = Path(folder)
     require_writable(target, writes_config=config is not None)
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
-    with _FOLDER.written(target, lambda _: None) as stage:
-        plan.motion.to_csv(stage.folder / _TRAJECTORY)
-        stage.names.append(_TRAJECTORY)
+
+    def fill(stage: Path) -> dict[str, Any]:
+        plan.motion.to_csv(stage / _TRAJECTORY)
         if draw:
-            save_figure(plan.plot()[0], stage.folder / _PLOT)
-            stage.names.append(_PLOT)
+            save_figure(plan.plot()[0], stage / _PLOT)
         if config is not None:
-            (stage.folder / _CONFIG).write_text(config, encoding="utf-8")
-            stage.names.append(_CONFIG)
-        stage.content.update(plan_content(plan))
-    return tuple(target / name for name in stage.names)
+            (stage / _CONFIG).write_text(config, encoding="utf-8")
+        return plan_content(plan)
+
+    return _FOLDER.write(target, fill)
 
 
 def plan_content(plan: StandingPlan) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,11 +113,13 @@ def write_plan(
     target = Path(folder)
     note = report or (lambda _: None)
     require_writable(target, writes_config=True)
-    with _FOLDER.written(target, note) as stage:
-        writer = _Writer(plan, stage.folder, target, note)
-        stage.names += writer.write(figures=figures, command=command, config=config)
-        stage.content.update(plan_content(plan))
-    return tuple(target / name for name in stage.names)
+
+    def fill(stage: Path) -> dict[str, Any]:
+        writer = _Writer(plan, stage, target, note)
+        writer.write(figures=figures, command=command, config=config)
+        return plan_content(plan)
+
+    return _FOLDER.write(target, fill, note)
 
 
 def plan_content(plan: Plan) -> dict[str, Any]:
@@ -171,62 +173,53 @@ class _Writer:
     target: Path
     note: Callable[[str], None]
 
-    def write(self, *, figures: bool | None, command: str | None, config: str | None) -> list[str]:
-        """Write all files but plan.json, and return their names."""
-        names: list[str] = []
-        steps: list[Callable[[], Iterator[str]]] = [
+    def write(self, *, figures: bool | None, command: str | None, config: str | None) -> None:
+        """Write all files but plan.json."""
+        steps: list[Callable[[], None]] = [
             self._motion,
             self._controllers,
             lambda: self._config(config),
-            lambda: self._page(figures, command, [*names, _RESULT]),
+            lambda: self._page(figures, command),
         ]
         with progress(len(steps), "writing the plan") as advance:
             for step in steps:
-                names += step()
+                step()
                 advance(1)
-        return names
 
-    def _motion(self) -> Iterator[str]:
+    def _motion(self) -> None:
         motion = self.plan.trajectory
         write_motion_csv(motion, self.folder / "trajectory.csv")
-        yield "trajectory.csv"
         if importlib.util.find_spec("pyarrow") is None:
             self.note(f"no trajectory.parquet: pyarrow is not installed ({installation('io')})")
         else:
             write_motion_parquet(motion, self.folder / "trajectory.parquet")
-            yield "trajectory.parquet"
         motion.to_toml(self.folder / "trajectory.toml")
-        yield "trajectory.toml"
         write_coefficients(motion, self.folder / "coefficients.json")
-        yield "coefficients.json"
 
-    def _controllers(self) -> Iterator[str]:
+    def _controllers(self) -> None:
         motion = self.plan.trajectory
         write_joint_trajectory(motion, self.folder / "joint_trajectory.yaml")
-        yield "joint_trajectory.yaml"
         if motion.n == JOINTS and not np.any(self.plan.joint_limits.sliding):
             write_urscript(motion, self.folder / "excitation.script")
-            yield "excitation.script"
         else:
             self.note(
                 f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, "
                 "this robot has others"
             )
 
-    def _config(self, config: str | None) -> Iterator[str]:
+    def _config(self, config: str | None) -> None:
         texts = settings_files(self.plan, self.target) if config is None else {_CONFIG: config}
         if (reason := ended_early(self.plan)) is not None:
             texts[_CONFIG] = f"# {reason}\n{texts[_CONFIG]}"
         for name, text in texts.items():
             (self.folder / name).write_text(text, encoding="utf-8")
-            yield name
 
-    def _page(self, figures: bool | None, command: str | None, names: list[str]) -> Iterator[str]:
+    def _page(self, figures: bool | None, command: str | None) -> None:
         if importlib.util.find_spec("jinja2") is None:
             self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
         from sdpid.output.plans.page import plan_html
 
-        text = plan_html(self.plan, command=command, figures=figures, names=names)
+        there = [name for name in NAMES if (self.folder / name).exists()]
+        text = plan_html(self.plan, command=command, figures=figures, names=[*there, _RESULT])
         (self.folder / "report.html").write_text(text, encoding="utf-8")
-        yield "report.html"

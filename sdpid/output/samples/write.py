@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +14,7 @@ import numpy as np
 from sdpid import __version__
 from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
-from sdpid._common.staging import RunFolder, RunStage
+from sdpid._common.staging import RunFolder
 from sdpid._common.tables import Table
 from sdpid.assurance.descriptions.body_checks import check_numbers
 from sdpid.errors import ExportError
@@ -103,8 +103,8 @@ class SampleWriter:
             made=made,
         )
 
-    def write(self, folder: Path) -> Iterator[str]:
-        """Write the robots into an empty folder; yield the name of each file."""
+    def write(self, folder: Path) -> None:
+        """Write the robots into an empty folder."""
         links = self.problem.robot.n_links
         own = self.everything[:, : 10 * links].reshape(-1, links, 10)
         joints = [
@@ -124,7 +124,6 @@ class SampleWriter:
                         pattern.require_right(text, own[k])
                     pattern.require_loaded(text, name)
                     (folder / f"{name}{pattern.suffix}").write_bytes(encode_xml(text))
-                    yield f"{name}{pattern.suffix}"
                 advance(1)
 
 
@@ -186,10 +185,14 @@ def write_samples(
     note = report or (lambda _: None)
     for text in dict.fromkeys(each for pattern in writer.patterns for each in pattern.notes):
         note(text)
-    with run.written(target, note) as stage:
-        stage.names += writer.write(stage.folder)
-        _rest(writer, stage, writer.ranges(probability, made))
-        stage.content |= {
+
+    def fill(stage: Path) -> dict[str, Any]:
+        writer.write(stage)
+        writer.ranges(probability, made).to_json(stage / RANGES)
+        header = ("robot", *writer.problem.base.theta_names)
+        rows = zip(writer.names, writer.everything.tolist(), strict=True)
+        Table(header, tuple((name, *theta) for name, theta in rows)).write(stage / DRAWS)
+        return {
             "schema": "sdpid-samples",
             "version": 1,
             "software": f"sdpid {__version__}",
@@ -197,16 +200,8 @@ def write_samples(
             "number": len(writer.thetas),
             "diagnostics": dict(diagnostics),
         }
-    return tuple(target / name for name in stage.names)
 
-
-def _rest(writer: SampleWriter, stage: RunStage, ranges: Ranges) -> None:
-    """Write the ranges and the draws."""
-    ranges.to_json(stage.folder / RANGES)
-    header = ("robot", *writer.problem.base.theta_names)
-    rows = tuple((n, *t.tolist()) for n, t in zip(writer.names, writer.everything, strict=True))
-    Table(header, rows).write(stage.folder / DRAWS)
-    stage.names += [RANGES, DRAWS]
+    return run.write(target, fill, note)
 
 
 def run_folder(folder: Path, robots: Sequence[str] = ()) -> RunFolder:
