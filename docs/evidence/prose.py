@@ -16,7 +16,7 @@ from typing import Any
 
 from studies import HERE, Study, load_studies, measured
 
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 
 _UNIT = (
     r"%|percent|seconds?|s|ms|µs|ns|minutes?|min|hours?|h|days|"

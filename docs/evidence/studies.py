@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 
 HERE = Path(__file__).resolve().parent
 

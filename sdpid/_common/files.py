@@ -6,12 +6,18 @@ import contextlib
 import hashlib
 import os
 import secrets
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from sdpid.errors import DataError, ExportError, SdpidError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
@@ -67,6 +73,21 @@ def require_replaceable(path: PathLike) -> Path:
     elif target.is_file() or not target.exists():
         return target
     raise ExportError(f"cannot write {path}: it is {what}; move it away, or choose another name.")
+
+
+def load_toml(path: PathLike) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read or is not TOML.
+    """
+    content = read_regular(path)
+    try:
+        return dict(tomllib.loads(content.decode("utf-8")))
+    except (ValueError, RecursionError) as cause:  # wrong, of endless digits, or nested endlessly
+        raise DataError(f"{path}: not a TOML file ({cause}).") from None
 
 
 @contextlib.contextmanager

@@ -3,41 +3,26 @@
 from __future__ import annotations
 
 import os
-import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
+from sdpid._common.threads import Overlapping
 from sdpid.errors import DataError
 
-
-class _SafePath:
-    """Lets Python start without the current folder on its import path (from 3.11 on).
-
-    Overlapping uses restore the environment once, when the last one ends.
-    """
-
-    _NAME = "PYTHONSAFEPATH"
-
-    def __init__(self) -> None:
-        self._lock, self._uses = threading.Lock(), 0
-        self._before: str | None = None
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if not self._uses:
-                self._before = os.environ.get(self._NAME)
-                os.environ[self._NAME] = "1"
-            self._uses += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._uses -= 1
-            if not self._uses and self._before is None:
-                del os.environ[self._NAME]
-            elif not self._uses and self._before is not None:
-                os.environ[self._NAME] = self._before
+_SAFE = "PYTHONSAFEPATH"
 
 
-_safe_path = _SafePath()
+@Overlapping
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let Python start without the current folder on its import path (from 3.11 on)."""
+    before = os.environ.get(_SAFE)
+    os.environ[_SAFE] = "1"
+    yield
+    del os.environ[_SAFE]
+    if before is not None:
+        os.environ[_SAFE] = before
 
 
 def parallel(n_jobs: int | None, *, threads: bool = False, **options: Any) -> Any:

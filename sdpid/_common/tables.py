@@ -165,12 +165,11 @@ class Shown:
         return ()
 
     def __repr__(self) -> str:
-        facts = ((name.partition(",")[0], value) for name, value in self._shown().items())
-        line = ", ".join(
-            f"{name}={_cell(value, '.6g') if isinstance(value, float) else brief(value)}"
-            for name, value in facts
-        )
-        return f"{type(self).__name__}({_cut(line)})"
+        parts = []
+        for name, value in self._shown().items():
+            text = _cell(value, ".6g") if isinstance(value, float) else brief(value)
+            parts.append(f"{name.partition(',')[0]}={text}")
+        return f"{type(self).__name__}({_cut(', '.join(parts))})"
 
     def _repr_html_(self) -> str:
         return facts_html(type(self).__name__, self._shown(), *self._tables())
@@ -197,16 +196,15 @@ def _cut(line: str) -> str:
     return line if len(line) <= _LINE else f"{line[:_LINE]}…"
 
 
-class Settings:
+class Settings(Shown):
     """A dataclass of settings, which shows those that are not the defaults, cut where long."""
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name}={text}" for name, text in _changed(self).items())
         return f"{type(self).__name__}({_cut(shown)})"
 
-    def _repr_html_(self) -> str:
-        facts = _changed(self) or {"settings": "the defaults"}
-        return facts_html(type(self).__name__, facts)
+    def _shown(self) -> Mapping[str, object]:
+        return _changed(self) or {"settings": "the defaults"}
 
 
 def _changed(settings: Any) -> dict[str, str]:

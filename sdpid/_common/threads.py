@@ -9,17 +9,31 @@ from __future__ import annotations
 import functools
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-# The number of threads belongs to the process: the first of overlapping calls sets it to one, and
-# the last one to end puts it back.
-_lock = threading.Lock()
-_running = 0
-_limiter: Any = None
+
+class Overlapping:
+    """A context of the process: the first of overlapping uses enters it, the last one leaves it."""
+
+    def __init__(self, context: Callable[[], AbstractContextManager[None]]) -> None:
+        self._context, self._lock, self._uses = context, threading.Lock(), 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._uses:
+                self._entered = self._context()
+                self._entered.__enter__()
+            self._uses += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._uses -= 1
+            if not self._uses:
+                self._entered.__exit__(None, None, None)
 
 
 @functools.cache
@@ -44,25 +58,17 @@ def _take_control() -> None:
         controller.clear_controlling_thread(force=True)
 
 
+@Overlapping
 @contextmanager
 def _limited() -> Iterator[None]:
-    """Keep linear algebra at one thread until every overlapping call has ended."""
-    global _running, _limiter
-    with _lock:
-        if _running == 0:
-            libraries = _libraries()
-            _take_control()
-            _limiter = libraries.limit(limits=1, user_api="blas")
-        _running += 1
-    try:
-        yield
-    finally:
-        with _lock:
-            _running -= 1
-            if _running == 0:
-                _take_control()
-                _limiter.restore_original_limits()
-                _take_control()
+    """Keep linear algebra at one thread: their number belongs to the process."""
+    libraries = _libraries()
+    _take_control()
+    limiter = libraries.limit(limits=1, user_api="blas")
+    yield
+    _take_control()
+    limiter.restore_original_limits()
+    _take_control()
 
 
 def one_thread(function: Callable[P, T]) -> Callable[P, T]:
@@ -73,7 +79,7 @@ def one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> T:
-        with _limited():
+        with _limited:
             return function(*args, **kwargs)
 
     return limited

@@ -123,7 +123,7 @@ def read_config(ctx: typer.Context, value: Path | None) -> Path | None:
         return value
     from difflib import get_close_matches
 
-    from sdpid._common.toml import load_toml
+    from sdpid._common.files import load_toml
 
     command = str(ctx.command.name)
     entries = _entries(command)

@@ -11,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.commands import ran, refused, run
 

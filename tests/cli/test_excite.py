@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.cli.excite.surroundings import Surroundings
 from sdpid.excitation.geometry.obstacles import Mesh
 from sdpid.experiment.trajectory.reading import read_trajectory

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 import sdpid
-from sdpid._common.files import Source, unchanged
-from sdpid._common.toml import load_toml
+from sdpid._common.files import Source, load_toml, unchanged
 from sdpid.assurance.tables.csv_table import read_base_table
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.simulate import true_parameters

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhTable

@@ -11,7 +11,7 @@ import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.experiment.simulation.controllers import PD
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin, theta_from_physical

@@ -277,7 +277,7 @@ def _logs(previous: Iterable[Path]) -> list[Path]:
     DataError
         When a folder holds no results.
     """
-    from sdpid._common.toml import load_toml
+    from sdpid._common.files import load_toml
 
     logs: list[Path] = []
     for path in previous:

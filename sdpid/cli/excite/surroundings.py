@@ -113,7 +113,7 @@ class Surroundings:
         if self.obstacles is not None:
             found += obstacles_from_toml(self.obstacles)
         if self.limits is not None:
-            from sdpid._common.toml import load_toml
+            from sdpid._common.files import load_toml
             from sdpid.excitation.limits.limits import OBSTACLES
 
             own = {k: v for k, v in load_toml(self.limits).items() if k in OBSTACLES}

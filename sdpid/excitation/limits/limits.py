@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import is_number
+from sdpid._common.files import load_toml
 from sdpid._common.tables import Settings, plain
-from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.limits.narrowing import KINDS, OTHERS, Values, narrow

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import is_number
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.readers.column_names import CONVENTIONS

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, frozen_view, real_array
-from sdpid._common.files import atomic_write_text
+from sdpid._common.files import atomic_write_text, load_toml
 from sdpid._common.tables import facts_html
-from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.coefficients import curve_of, entries
 from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends

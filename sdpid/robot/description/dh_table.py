@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
+from sdpid._common.files import load_toml
 from sdpid._common.tables import Settings
-from sdpid._common.toml import load_toml
 from sdpid.errors import ModelError
 from sdpid.robot.description.origin import axis_rotation, matrix_rpy, numbers, rpy_matrix
 from sdpid.robot.description.urdf import inertial_element

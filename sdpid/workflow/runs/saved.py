@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.errors import DataError
 from sdpid.robot.inertia import PARAMETER_NAMES
 from sdpid.verifier.reading import REFUSED, numbers, parse, read_bytes, text

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sdpid._common.toml import load_toml
+from sdpid._common.files import load_toml
 from sdpid.cli.options import Reading
 from sdpid.errors import DataError
 from sdpid.experiment.readers.mapping import read_mapping

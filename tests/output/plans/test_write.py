@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid._common.files import load_toml
 from sdpid._common.staging import digest
-from sdpid._common.toml import load_toml
 from sdpid.errors import ExportError
 from sdpid.excitation.geometry.obstacles import obstacles_from_toml
 from sdpid.excitation.limits.limits import Limits
