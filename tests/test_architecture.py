@@ -129,10 +129,7 @@ ALLOWED = {
     "casadi": ("sdpid.excitation.search.ipopt",),
     "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
-    "mujoco": (
-        "sdpid.experiment.plant",
-        "sdpid.robot.description.mjcf",
-    ),
+    "mujoco": ("sdpid.experiment.plant", "sdpid.robot.description.mjcf"),
     "numba": ("sdpid.robot.model.regressor_kernel", "sdpid.experiment.simulation.kernels"),
     "dask": ("sdpid.estimation.compression.distributed_rows",),
     "distributed": ("sdpid.estimation.compression.distributed_rows",),
@@ -261,13 +258,7 @@ def test_no_circle_between_files() -> None:
     assert circle(arrows()) == []
 
 
-@pytest.mark.parametrize(
-    "level",
-    [
-        pytest.param(2, id="rooms"),
-        pytest.param(3, id="sub-packages"),
-    ],
-)
+@pytest.mark.parametrize("level", [pytest.param(2, id="rooms"), pytest.param(3, id="sub-packages")])
 def test_no_circle_between(level: int) -> None:
     assert circle(at_level(level)) == []
 

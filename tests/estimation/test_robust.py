@@ -21,7 +21,7 @@ from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.robust.huber import HuberLoss
 from sdpid.estimation.robust.solve import RobustEstimate, solve_robust
-from sdpid.robot.inertia import Consistency, matrix_basis
+from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from tests.helpers.arm import BOTH
 from tests.helpers.data import (
@@ -33,6 +33,7 @@ from tests.helpers.data import (
     random_theta,
     raw_rows,
 )
+from tests.helpers.independent import Second
 from tests.helpers.legged import FEET, NOISE, RADIUS, Gait, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import planar_arm, small_arm
@@ -87,23 +88,15 @@ def whitened(problem: Problem) -> tuple[Array, Array]:
 
 
 def independent_optimum(problem: Problem, thresholds: Array) -> float:
-    """Return the least Huber cost, from whitened raw rows and the textbook constraints."""
+    """Return the least Huber cost, from whitened raw rows and the problem written down again."""
     rows, efforts = whitened(problem)
-    theta = cp.Variable(problem.n_theta)
-    limits = problem.constraints
-    links = problem.robot.n_links
-    bodies = [theta[10 * i : 10 * i + 10] for i in range(links)]
-    basis = matrix_basis(problem.consistency)
-    constraints = [cp.abs(theta) <= limits.theta_max, theta[10 * links :] >= 0.0]
-    for body in bodies:
-        matrix = sum(body[k] * basis[k] for k in range(10))
-        constraints += [matrix >> 0, body[0] >= limits.mass_min, body[0] <= limits.mass_max]
-    base = problem.base.matrix @ theta
+    second = Second(problem)
+    base = problem.base.matrix @ second.theta
     cost = sum(
         cp.sum(cp.huber(rows[:, j] @ base - efforts[:, j], thresholds[j]))
         for j in range(problem.robot.n)
     )
-    program = cp.Problem(cp.Minimize(cost), constraints)
+    program = cp.Problem(cp.Minimize(cost), second.numbers())
     program.solve(solver=cp.CLARABEL, tol_gap_rel=1e-9, tol_gap_abs=1e-9, tol_feas=1e-9)
     assert program.status == "optimal"
     return float(program.value)

@@ -29,10 +29,7 @@ LIGHT = constraints.TotalMass(MASS, tolerance=0.1)
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "total": (LIGHT,),
     "group": (constraints.TotalMass(0.2, links=(LAST,)),),
-    "box": (
-        LIGHT,
-        constraints.CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01)),
-    ),
+    "box": (LIGHT, constraints.CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01))),
     "ellipsoid": (
         LIGHT,
         constraints.CenterOfMassInEllipsoid(
