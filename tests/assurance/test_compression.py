@@ -41,6 +41,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.verifier.exact import positive_semidefinite
 from sdpid.verifier.reading import digest
+from tests.helpers import world
 from tests.helpers.arm import ARM, arm_problem
 from tests.helpers.data import (
     brute_force_cost,
@@ -389,8 +390,7 @@ def test_efforts_without_noise_and_directions_without_data(weighting: Weighting)
     mask = np.ones((300, 2), dtype=bool)
     mask[:, 1] = False
     assert prove_compression(problem_of(weighting, noise=0.0)) is not None
-    rng = np.random.default_rng(6)
-    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=300, noise=0.0, mask=mask)
+    samples, _ = world.samples(ARM, 6, count=300, noise=0.0, mask=mask)
     weighting_known = "gls" if weighting == "gls_per_sample" else weighting
     blind = build_problem(ARM, samples, weighting=weighting_known, check_excitation=False)
     assert np.linalg.matrix_rank(blind.A) < blind.base.count

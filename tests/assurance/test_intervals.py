@@ -28,12 +28,14 @@ from sdpid.estimation.posterior import Groups, Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.description.dh_table import DhJoint
 from sdpid.robot.inertia import Consistency, point_masses, theta_from_physical, transform
+from tests.helpers import world
 from tests.helpers.arm import ARM, BOTH, CONDITIONS, LIGHT, arm_problem
 from tests.helpers.data import full_regressor, make_samples, random_links, random_theta, raw_rows
 from tests.helpers.identified import FRICTION, arm_theta, moved
 from tests.helpers.motions import slow_motion
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import random_states
+from tests.helpers.world import gauss_markov
 
 # Interior-point solutions of problems of order one.
 SOLVED = 1e-5
@@ -231,9 +233,7 @@ def test_coverage_of_autocorrelated_noise() -> None:
         noise = 0.1 * (white[3:] + white[2:-1] + 0.5 * white[1:-2])
         again = replace(s, effort=exact + noise)
         fit = sdpid.solve_wls(build_problem(ARM, again, base=problem.base))
-        found = sdpid.confidence_intervals(
-            fit, method="gauss_markov", parameters=problem.base.names
-        )
+        found = gauss_markov(fit)
         held.append(found.contains(truth).mean())
     # Neighboring blocks share some noise, so it is a little less than the nominal 95 %.
     error = np.std(held) / np.sqrt(len(held))
@@ -278,9 +278,7 @@ def test_gauss_markov_takes_a_log_det_prior(denso: RobotModel) -> None:
     for strength in (1.0, 1e4):
         belief = sdpid.Prior(bodies=bodies, kind="entropic", strength=strength)
         problem = build_problem(denso, samples, prior=belief)
-        found[strength] = sdpid.confidence_intervals(
-            sdpid.solve_sdp(problem), method="gauss_markov", parameters=problem.base.names
-        )
+        found[strength] = gauss_markov(sdpid.solve_sdp(problem))
     assert FROM_PRIOR in found[1e4].label
     assert np.median(found[1e4].width / found[1.0].width) < 0.1
 
@@ -389,9 +387,7 @@ def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
 
 
 def test_unconstrained_draws_scatter_as_standard_errors_say() -> None:
-    rng = np.random.default_rng(6)
-    theta = random_theta(ARM, rng)
-    samples = make_samples(ARM, theta, rng, count=600, noise=0.2, block=4)
+    samples, _ = world.samples(ARM, 6, count=600, noise=0.2, block=4)
     fit = sdpid.solve_wls(build_problem(ARM, samples))
     drawn = resample(fit, resamples=800, seed=1)
     ratio = drawn.base.std(axis=0) / fit.standard_errors

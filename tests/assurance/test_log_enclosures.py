@@ -49,11 +49,11 @@ from sdpid.robot.inertia import inertia_tensor
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, relative_jacobians
 from sdpid.verifier.exact import root_below
+from tests.helpers import world
 from tests.helpers.arm import ARM
 from tests.helpers.data import (
     flat_links,
     friction_model,
-    make_samples,
     matrix_power,
     random_covariance,
     random_links,
@@ -480,9 +480,7 @@ def problem_of(
     weighting: Any = "gls",
     **fields: Any,
 ) -> Problem:
-    rng = np.random.default_rng(seed)
-    theta = random_theta(robot, rng, friction)
-    samples = make_samples(robot, theta, rng, count=count, noise=0.1, friction=friction, **fields)
+    samples, _ = world.samples(robot, seed, count=count, noise=0.1, friction=friction, **fields)
     return build_problem(
         robot, samples, friction=friction, weighting=weighting, check_excitation=False
     )

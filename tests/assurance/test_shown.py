@@ -9,6 +9,7 @@ import numpy as np
 
 import sdpid
 from sdpid.estimation.duality.multipliers import Multipliers
+from tests.helpers import world
 from tests.helpers.arm import ARM, LIGHT, arm_problem
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.data import make_samples, random_theta
@@ -49,8 +50,7 @@ class Tags(HTMLParser):
 
 def test_parts_are_shown_in_a_line() -> None:
     arm = small_arm(2)
-    rng = np.random.default_rng(0)
-    samples = make_samples(arm, random_theta(arm, rng), rng, noise=0.1, block=2)
+    samples, _ = world.samples(arm, 0, noise=0.1, block=2)
     problem = sdpid.build_problem(arm, samples, friction=("coulomb", "viscous"))
     parts = (
         problem.feasible,

@@ -11,7 +11,6 @@ from scipy.stats import t
 import sdpid
 from sdpid import Constraints, Prior, RobotModel, Samples, build_problem, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.intervals import confidence_intervals
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation import noise_spectrum
 from sdpid.estimation.cluster_robust import ScoreBlocks
@@ -29,6 +28,7 @@ from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.model.base_parameters import structural_base
+from tests.helpers import world
 from tests.helpers.arm import ARM, CONDITIONS, arm_problem
 from tests.helpers.data import (
     FRICTION,
@@ -43,6 +43,7 @@ from tests.helpers.data import (
 from tests.helpers.motions import slow_motion
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
+from tests.helpers.world import gauss_markov
 
 RNG = np.random.default_rng(4)
 BODIES = random_links(RNG, 2)
@@ -124,8 +125,7 @@ def test_errors_of_estimates_with_a_prior_are_as_large_as_stated() -> None:
 
 def test_unseen_directions_are_open_up_to_limits() -> None:
     """Friction of a joint without effort: neither data nor prior say a thing."""
-    rng = np.random.default_rng(3)
-    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=30, noise=0.1)
+    samples, _ = world.samples(ARM, 3, count=30, noise=0.1)
     mask = np.tile([True, False], (30, 1))
     prior = sdpid.Prior(bodies=BODIES, friction=False)
     masked = replace(samples, mask=mask)
@@ -229,8 +229,7 @@ def test_errors_shrink_with_the_root_of_the_samples() -> None:
 
 
 def test_the_covariance_is_one() -> None:
-    rng = np.random.default_rng(3)
-    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=200, noise=1.0)
+    samples, _ = world.samples(ARM, 3, count=200, noise=1.0)
     estimate = solve_wls(build_problem(ARM, samples, base=BASE))
     covariance = np.asarray(estimate.covariance)
     np.testing.assert_allclose(covariance, covariance.T, rtol=1e-10)
@@ -243,17 +242,14 @@ def test_the_covariance_is_one() -> None:
 
 
 def test_too_few_blocks() -> None:
-    rng = np.random.default_rng(4)
-    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=60, noise=1.0, block=30)
+    samples, _ = world.samples(ARM, 4, count=60, noise=1.0, block=30)
     with pytest.raises(DataError, match="2 blocks of 30 samples, at least 8"):
         ScoreBlocks.of(build_problem(ARM, samples, base=BASE))
 
 
 def test_what_holds_an_estimate_back_is_not_noise() -> None:
     """Errors are those of the fit: pulling the estimate away from it adds none."""
-    rng = np.random.default_rng(5)
-    theta = random_theta(ARM, rng)
-    samples = make_samples(ARM, theta, rng, count=400, noise=0.1)
+    samples, theta = world.samples(ARM, 5, count=400, noise=0.1)
     held = Constraints(mass_max=0.1 * float(theta[:20:10].min()))
     problem = build_problem(ARM, samples, weighting="residual", base=BASE, constraints=held)
     free, estimate = solve_wls(problem), solve_sdp(problem)
@@ -273,7 +269,7 @@ def test_there_is_one_covariance(weighting: Weighting, block: int) -> None:
         ARM, random_theta(ARM, rng), rng, count=200, noise=1.0, covariance=sigma, block=block
     )
     estimate = solve_wls(build_problem(ARM, samples, weighting=weighting, base=BASE))
-    found = confidence_intervals(estimate, method="gauss_markov", parameters=BASE.names)
+    found = gauss_markov(estimate)
     errors = NoiseSpectrum.of(estimate.problem)
     quantiles = t.ppf(0.975, errors.freedom(errors.root))
     half = 0.5 * (found.upper - found.lower)
@@ -332,7 +328,7 @@ def test_errors_are_as_large_as_stated(noise: Noise, count: int) -> None:
         problem = build_problem(ARM, moving(count, noise(rng, count)), base=BASE)
         fit = sdpid.solve_wls(problem)
         truth = problem.base_of(SLOW_THETA)
-        found = sdpid.confidence_intervals(fit, method="gauss_markov", parameters=BASE.names)
+        found = gauss_markov(fit)
         held.append(found.contains(truth).mean())
         squares.append(
             np.mean((fit.base - truth) ** 2 / np.diag(NoiseSpectrum.of(problem).covariance))

@@ -23,6 +23,7 @@ from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.for_robot import prepare
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_links, random_theta
+from tests.helpers.world import gauss_markov
 
 BODIES = random_links(np.random.default_rng(4), 2)
 PROCESSING = sdpid.Processing(
@@ -65,19 +66,14 @@ def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     np.testing.assert_allclose(bias[size], moved[size], rtol=0.4)
     wls = sdpid.solve_wls(problem)
     without = replace(wls, problem=replace(problem, motion_bias=None))
-    short, honest = (
-        sdpid.confidence_intervals(each, method="gauss_markov", parameters=problem.base.names)
-        for each in (without, wls)
-    )
+    short, honest = gauss_markov(without), gauss_markov(wls)
     assert not short.contains(truth).all()
     assert honest.contains(truth).all()
     assert short.motion_share is None
     # The bootstrap draws the bias too.
+    options = {"parameters": problem.base.names, "resamples": 200, "n_jobs": 1}
     drawn, shorter = (
-        sdpid.confidence_intervals(
-            each, method="bootstrap", parameters=problem.base.names, resamples=200, n_jobs=1
-        )
-        for each in (wls, without)
+        sdpid.confidence_intervals(each, method="bootstrap", **options) for each in (wls, without)
     )
     assert drawn.motion_share is not None
     most_moved = honest.motion_share > 0.8
@@ -148,10 +144,7 @@ def with_and_without(
     estimate: Estimate, without: Problem, name: str
 ) -> tuple[Intervals, Intervals]:
     """Return intervals that count a bias, and those that do not; its share is the difference."""
-    honest, short = (
-        sdpid.confidence_intervals(each, method="gauss_markov", parameters=without.base.names)
-        for each in (estimate, replace(estimate, problem=without))
-    )
+    honest, short = gauss_markov(estimate), gauss_markov(replace(estimate, problem=without))
     # Shares say how much of the variance it is.
     share = getattr(honest, name)
     assert getattr(short, name) is None

@@ -22,6 +22,7 @@ from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.robot.inertia import Consistency
+from tests.helpers import world
 from tests.helpers.data import (
     brute_force_cost,
     make_samples,
@@ -260,8 +261,7 @@ def test_residual_sigma_is_what_its_estimator_says() -> None:
 @pytest.mark.parametrize("noise", [0.01, 1.0])
 def test_residuals_over_their_sigma_have_a_variance_of_one(noise: float) -> None:
     """However little of the effort they are: a prior would count too much or too little else."""
-    rng = np.random.default_rng(21)
-    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=600, noise=noise)
+    samples, _ = world.samples(ARM, 21, count=600, noise=noise)
     problem = build_problem(ARM, samples, weighting="residual")
     # The correlation time, which is found with some noise, divides it.
     assert 0.6 < problem.floor / (problem.n_rows - problem.base.count) < 1.1

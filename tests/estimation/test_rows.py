@@ -34,6 +34,7 @@ from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model import regressor_kernel as kernels
+from tests.helpers import world
 from tests.helpers.arm import ARM
 from tests.helpers.data import make_samples, random_covariance, random_theta, row_source
 from tests.helpers.legged import NOISE, gait, quadruped
@@ -432,8 +433,7 @@ def test_a_joint_with_next_to_no_effort_is_predicted_better_than_by_a_constant(
 
 
 def test_efforts_that_are_all_zero_are_refused() -> None:
-    rng = np.random.default_rng(0)
-    samples = make_samples(ARM3, random_theta(ARM3, rng), rng, count=60)
+    samples, _ = world.samples(ARM3, 0, count=60)
     samples = replace(samples, effort=np.zeros((60, 3)))
     with pytest.raises(DataError, match=r"efforts that count are zero.*effort was recorded"):
         build_problem(ARM3, samples, weighting="residual")

@@ -89,6 +89,12 @@ def problem(
     return sdpid.build_problem(robot, made, **options)
 
 
+def gauss_markov(estimate: Any, **options: Any) -> Any:
+    """Return the intervals in closed form of all base parameters."""
+    names = estimate.problem.base.names
+    return sdpid.confidence_intervals(estimate, method="gauss_markov", parameters=names, **options)
+
+
 @cache
 def result(seed: int = 1, validation: int | None = None, **options: Any) -> Identification:
     """Return what `identify` finds of the arm of `runs` by a log, without intervals."""
