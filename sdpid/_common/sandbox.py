@@ -25,8 +25,6 @@ import numpy as np
 from sdpid import errors
 from sdpid.errors import DataError, SdpidError
 
-__all__ = ["memory_limit", "run_in_sandbox"]
-
 # An honest log of an hour is read within this time, in s.
 TIMEOUT = 120.0
 # The most that reading may take, in bytes: an hour of a six-axis arm at 4 kHz with ten

@@ -17,7 +17,6 @@ them may stand for the links: those are taken that prove most, one semidefinite 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -337,11 +336,3 @@ def _strongest(problem: Problem, theta: Array) -> list[Array]:
     moved = null @ solution.x[:-1]
     # The solver may end outside by rounding; on the way back everything stays on the face.
     return [theta[:links] + (1.0 - give) * moved for give in _GIVE]
-
-
-def smallest_eigenvalues(estimate: Estimate, q: Sequence[Sequence[float]] | Array) -> Array:
-    """Return the smallest eigenvalue of the mass matrix at given positions (K, n), shape (K,)."""
-    problem = estimate.problem
-    theta = estimate.some_theta
-    bodies = np.array(theta[: 10 * problem.robot.n_links]).reshape(-1, 10)
-    return _eigenvalues(problem.robot, spatial_inertia(bodies), np.asarray(q, dtype=np.float64))

@@ -11,8 +11,6 @@ from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.robot.inertia import margin
 
-__all__ = ["Load", "Mounted"]
-
 _SHAPES = {"com": (3,), "inertia": (3, 3)}
 
 

@@ -17,8 +17,6 @@ from sdpid.estimation.constraints.mirrored_links import check_places, pairs_of_n
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["EqualFriction", "equal_friction"]
-
 # What friction forward of one joint is of its mirror image where that turns the other way.
 _TURNED = {"Fsp": "Fsn", "Fsn": "Fsp"}
 

@@ -14,8 +14,6 @@ from sdpid.estimation.constraints.equalities import MirrorPair, unit_normal
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["mirror_pairs"]
-
 # Descriptions are written with four digits or more; another joint's zero is off by much more.
 _OFF_PLACE = 2e-3
 # Words of two letters that name a leg: front, fore, hind, rear, back, middle, and a side.

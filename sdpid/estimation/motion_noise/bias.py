@@ -38,8 +38,6 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["with_motion_bias"]
-
 # A cut-off this many times higher tells what the filter does: of nine logs of quadrupeds (stand,
 # trot and hang of 10 s) intervals then held 97 % of the truth on average, 93 before; twice as high
 # a cut-off lets so much more noise pass that one difference of seven was hardly seen.

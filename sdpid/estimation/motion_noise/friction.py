@@ -23,8 +23,6 @@ from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.friction.terms import RotorInertia
 
-__all__ = ["friction_bias"]
-
 # Speeds of the further curves, in those that the data chose: they moved the total mass of a trot of
 # a simulated A1 to where the true law has it, a third and three times alone half as far, and
 # further ones, to an eighth or 16 times, no farther.

@@ -25,8 +25,6 @@ from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["away_from_landings", "beyond", "beyond_noise", "landings_used"]
-
 
 def landings_used(problem: Problem, logs: Sequence[Recording], processing: Processing) -> bool:
     """Return whether samples near a landing were used: by choice, or as too few others would stay.

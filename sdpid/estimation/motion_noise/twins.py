@@ -13,8 +13,6 @@ from sdpid.experiment.processing.motion import fourth_differences, noise_of
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["twins"]
-
 # Median of the size of a normal variable, in standard deviations.
 _MEDIAN = 0.6745
 

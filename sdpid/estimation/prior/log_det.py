@@ -160,11 +160,6 @@ class LogDetTerm(CostTerm):
             out[10 * k : 10 * k + 10, 10 * link : 10 * link + 10] = block
         return np.asarray(np.sqrt(self.strength) * out)
 
-    def hessian(self, theta: ArrayLike) -> Array:
-        """Return the second derivative of `value`, shape (p, p)."""
-        rows = self.curvature_rows(theta)
-        return np.asarray(2.0 * rows.T @ rows)
-
     def support(self, multiplier: ArrayLike) -> tuple[float, Array]:
         """Return an affine function that `value` is nowhere below.
 

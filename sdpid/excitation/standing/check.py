@@ -9,8 +9,6 @@ from sdpid.excitation.standing.held import Held, Quantity
 from sdpid.excitation.standing.plan import RATE_HZ, sampled
 from sdpid.experiment.trajectory.curve import Curve
 
-__all__ = ["check_standing"]
-
 # Feet miss their places by no more, m and rad.
 _MISS = 1e-9
 

@@ -33,8 +33,6 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["design_standing"]
-
 # Friction terms of a plan, where none are named.
 FRICTION = ("coulomb", "viscous", "rotor_inertia")
 # Starts of the search, steps of one, and as a share of them those of the best with twice the

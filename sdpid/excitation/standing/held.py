@@ -14,8 +14,6 @@ from sdpid.excitation.standing.jets import Jets
 from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.stance import Stance, States
 
-__all__ = ["Held", "Quantity"]
-
 # A leg's determinant keeps this share of that when standing: one that is stretched cannot follow.
 # It is the limit that plans come to first: 0.51 on a Solo12.
 STRETCHED = 0.5

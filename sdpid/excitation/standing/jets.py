@@ -9,8 +9,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.standing.stance import Poses, Stance, States
 
-__all__ = ["Jets"]
-
 # Step of central differences by coordinates and their rates, m and rad (and s): far below the width
 # of a smooth sign. Efforts are linear in accelerations: a step of any size is exact.
 _STEP = 1e-5

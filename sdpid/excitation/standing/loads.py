@@ -9,8 +9,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.standing.stance import Stance, States
 
-__all__ = ["Loads", "loads"]
-
 # Moments on a sole count as forces at this share of its width: half of the half width.
 _LEVER = 0.25
 

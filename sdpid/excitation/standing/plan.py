@@ -19,8 +19,6 @@ from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["StandingPlan", "sampled"]
-
 # A parameter is known well where its standard error is this share of what it was before.
 _KNOWN = 0.1
 # Samples a second of a plan's motion.

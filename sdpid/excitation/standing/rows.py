@@ -16,8 +16,6 @@ from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 
-__all__ = ["StandingRows"]
-
 # Bytes of regressors that are made at a time.
 _BLOCK = 1 << 24
 

@@ -12,8 +12,6 @@ from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["COORDINATES", "Poses", "Stance", "States"]
-
 # Coordinates of the base: metres from where it stands, and angles about its own x, then the
 # turned y, then the vertical axis, rad.
 COORDINATES = ("base_x", "base_y", "base_z", "base_roll", "base_pitch", "base_yaw")

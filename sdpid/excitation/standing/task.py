@@ -30,8 +30,6 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["StandingTask"]
-
 # Share of the description's limits that is used, and what is kept of torques for friction, which
 # descriptions seldom have.
 _SHARE, _RESERVE = 0.95, 0.2

@@ -13,8 +13,6 @@ from sdpid._common.tables import plain_dict
 from sdpid.excitation.standing.plan import StandingPlan
 from sdpid.plots.figures import save_figure
 
-__all__ = ["plan_content", "require_writable", "write_standing"]
-
 _TRAJECTORY, _PLOT, _CONFIG, _RESULT = "trajectory.csv", "plot.png", "plan.toml", "plan.json"
 _FOLDER = RunFolder((_TRAJECTORY, _PLOT, _CONFIG, _RESULT), _RESULT, _CONFIG, careful=True)
 

@@ -11,8 +11,6 @@ from sdpid.robot.model.geometry import collision_points
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.shapes import link_shapes
 
-__all__ = ["foot_radius", "sole_corners"]
-
 # Of feet that the description shows no shape of, m: those of most quadrupeds of a metre or less.
 _RADIUS = 0.02
 # Of soles that the description shows no shape of, m: to the back, to the front, to both sides.

@@ -13,8 +13,6 @@ from sdpid.robot.legs.feet import foot_radius, sole_corners
 from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["find_legs"]
-
 # Names of frames at which legs end, in any spelling: of balls, and of flat soles.
 _FOOT, _SOLE = "foot", "sole"
 # What every leg is bent to, in rad, by the number of its joints. Three: abduction, hip, knee

@@ -11,8 +11,6 @@ from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["Legs"]
-
 # Inverse kinematics ends at this distance in m; Newton's method is there after a few steps.
 _REACHED, _STEPS = 1e-9, 50
 # Damping of the inverse kinematics in m: a stretched leg is not thrown about.

@@ -54,21 +54,14 @@ class Node:
             raise MalformedError(f"<{shown(self.tag)}> {shown(self.name)} has several <{tag}>")
         return found[0] if found else None
 
-    def numbers(self, key: str, default: str | None = None) -> list[float]:
+    def numbers(self, key: str) -> list[float]:
         """Return the doubles that the numbers of an attribute denote."""
-        text = self.attributes.get(key, default)
+        text = self.attributes.get(key)
         try:
             # What else Python takes for spaces separates nothing for other readers.
             return [number(word) for word in re.split("[ \t\r\n]+", (text or "").strip(" \t\r\n"))]
         except MalformedError as cause:
             raise MalformedError(f"{key} of <{shown(self.tag)}>: {cause}") from None
-
-    def triple(self, key: str) -> list[float]:
-        """Return three doubles, zeros where there is no such attribute."""
-        values = self.numbers(key, "0 0 0")
-        if len(values) != 3:
-            raise MalformedError(f"{key} of <{shown(self.tag)}> has {len(values)} numbers, not 3")
-        return values
 
     def number(self, key: str) -> float:
         """Return the double of an attribute that holds one number."""

@@ -11,8 +11,6 @@ from sdpid.errors import DataError
 from sdpid.robot.model.contacts.jacobians import frame_axes, frame_offsets, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["close_loops"]
-
 # Joints move by at most this from one solve to the next that starts there, rad or m: near enough
 # for Newton's method, and for the loop to stay assembled as it is.
 _STEP = 0.15

@@ -5,8 +5,6 @@ from __future__ import annotations
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["require_fixed_robot", "require_open_chain"]
-
 
 def require_fixed_robot(robot: RobotModel, what: str, *, instead: str = "") -> None:
     """Refuse a robot with a floating base.
