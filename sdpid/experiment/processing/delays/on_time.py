@@ -128,27 +128,17 @@ def _base(base: BaseMotion, shift: _Shift, delays: dict[str, float]) -> BaseMoti
     """Return the motion of a base on time."""
     changes: dict[str, Any] = {}
     if "base" in delays:
-        for name in ("orientation", "position", "linear_velocity", "angular_velocity"):
-            if (table := getattr(base, name)) is not None:
-                changes[name] = shift.values(table, delays["base"])
+        changes = {name: shift.values(t, delays["base"]) for name, t in base.channels.items()}
         turned = changes["orientation"]
         changes["orientation"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     if base.imu is not None and "imu" in delays:
-        sensed = {
-            name: shift.values(table, delays["imu"])
-            for name in ("gyroscope", "accelerometer")
-            if (table := getattr(base.imu, name)) is not None
-        }
+        sensed = {name: shift.values(t, delays["imu"]) for name, t in base.imu.channels.items()}
         changes["imu"] = replace(base.imu, **sensed)
     return replace(base, **changes)
 
 
 def _contacts(contacts: Contacts, shift: _Shift, delay: float) -> Contacts:
     """Return contacts on time."""
-    changes: dict[str, Any] = {}
-    if contacts.down is not None:
-        changes["down"] = shift.nearest(contacts.down, delay)
-    for name in ("forces", "wrenches"):
-        if (table := getattr(contacts, name)) is not None:
-            changes[name] = shift.values(table, delay)
-    return replace(contacts, **changes)
+    given = contacts.channels.items()
+    ways = {"down": shift.nearest}
+    return replace(contacts, **{name: ways.get(name, shift.values)(t, delay) for name, t in given})

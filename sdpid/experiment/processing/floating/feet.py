@@ -106,8 +106,8 @@ def carried(contacts: Contacts, reach: int) -> Contacts:
     The sensor of a foot in the air shows its offset, which a filter would take to the ground.
     """
     acting = near(contacts.closed, reach)[:, :, None]
-    felt: dict[str, Any] = {"forces": contacts.forces, "wrenches": contacts.wrenches}
-    return replace(contacts, **{k: v * acting for k, v in felt.items() if v is not None})
+    felt: dict[str, Any] = {k: v * acting for k, v in contacts.channels.items() if k != "down"}
+    return replace(contacts, **felt)
 
 
 def landing_share(contacts: Contacts, reach: int) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,46 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid.errors import DataError
 
-__all__ = ["keep_flags", "keep_samples", "keep_vector", "rotation_matrix"]
+__all__ = ["Sampled", "keep_flags", "keep_samples", "keep_vector", "rotation_matrix"]
+
+T = TypeVar("T", bound="Sampled")
 
 # A rotation matrix typed with three digits is off by this much; a larger error is another matrix.
 _OFF_ROTATION = 2e-3
 # A matrix this near to orthonormal is kept to the bit.
 _EXACT = 1e-14
+
+
+class Sampled:
+    """A frozen dataclass with channels of as many samples each, of which some may be missing."""
+
+    _sampled: ClassVar[tuple[str, ...]]
+
+    @property
+    def channels(self) -> dict[str, Any]:
+        """The channels that there are, by their names."""
+        given = {name: getattr(self, name) for name in self._sampled}
+        return {name: table for name, table in given.items() if table is not None}
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, N."""
+        return next(len(table) for table in self.channels.values())
+
+    def rows(self: T, rows: slice | NDArray[Any]) -> T:
+        """Return some samples."""
+        taken: Any = {name: table[rows] for name, table in self.channels.items()}
+        for name, part in vars(self).items():
+            if isinstance(part, Sampled):
+                taken[name] = part.rows(rows)
+        return replace(self, **taken)  # type: ignore[type-var]
+
+    def _require_equal_lengths(self, where: str) -> None:
+        """Refuse channels of different lengths."""
+        lengths = {name: len(table) for name, table in self.channels.items()}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise DataError(f"{where}: its channels have different numbers of samples: {listed}.")
 
 
 def keep_samples(

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, frozen_view, rotation_matrices
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.recording.floating.arrays import (
+    Sampled,
     keep_samples,
     keep_vector,
     rotation_matrix,
@@ -24,10 +24,11 @@ _OFF_UNIT = 2e-3
 # Quaternions this near to norm 1 are kept to the bit, so that rows of a recording are its rows.
 _EXACT = 1e-15
 _FRAMES = ("world", "base")
+_VELOCITIES = ("linear_velocity", "angular_velocity")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Imu:
+class Imu(Sampled):
     """What an inertial measurement unit on the base measured, and where it sits.
 
     Parameters
@@ -59,46 +60,34 @@ class Imu:
     accelerometer: Array | None = None
     translation: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
+    _sampled: ClassVar[tuple[str, ...]] = ("gyroscope", "accelerometer")
 
     def __post_init__(self) -> None:
         keep_samples(self, "gyroscope", (3,), "rad/s about x, y, z", called="imu.gyroscope")
         keep_samples(self, "accelerometer", (3,), "m/s² along x, y, z", called="imu.accelerometer")
         if self.gyroscope is None and self.accelerometer is None:
             raise DataError("imu: has neither gyroscope nor accelerometer; leave it out.")
-        _equal_lengths(self, "imu", _SENSORS)
+        self._require_equal_lengths("imu")
         keep_vector(self, "translation", called="imu.translation")
         rotation = rotation_matrix(self.rotation, called="imu.rotation")
         object.__setattr__(self, "rotation", rotation)
 
-    @property
-    def n_samples(self) -> int:
-        """Number of samples, N."""
-        return next(len(t) for name in _SENSORS if (t := getattr(self, name)) is not None)
-
-    def rows(self, rows: slice | NDArray[Any]) -> Imu:
-        """Return some samples."""
-        return replace(self, **_rows(self, _SENSORS, rows))
-
     def __repr__(self) -> str:
-        return f"Imu({', '.join([f'{self.n_samples} samples', *_given(self, _SENSORS)])})"
+        return f"Imu({', '.join([f'{self.n_samples} samples', *_given(self)])})"
 
     def _repr_html_(self) -> str:
         return facts_html(
             "Imu",
             {
                 "samples": self.n_samples,
-                "measured": ", ".join(_given(self, _SENSORS)),
+                "measured": ", ".join(_given(self)),
                 "translation, m": str(self.translation.tolist()),
             },
         )
 
 
-_SENSORS = ("gyroscope", "accelerometer")
-_SAMPLED = ("orientation", "position", "linear_velocity", "angular_velocity")
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BaseMotion:
+class BaseMotion(Sampled):
     """Pose and velocity of a robot's base link over time: that of a quadruped or a humanoid.
 
     Parameters
@@ -136,6 +125,7 @@ class BaseMotion:
     angular_velocity: Array | None = None
     velocity_frame: Literal["world", "base"] | None = None
     imu: Imu | None = None
+    _sampled: ClassVar[tuple[str, ...]] = ("orientation", "position", *_VELOCITIES)
 
     def __post_init__(self) -> None:
         if self.orientation is None:
@@ -148,8 +138,8 @@ class BaseMotion:
         keep_samples(self, "position", (3,), "x, y, z in m", called="base.position")
         for name, unit in (("linear_velocity", "m/s"), ("angular_velocity", "rad/s")):
             keep_samples(self, name, (3,), f"x, y, z in {unit}", called=f"base.{name}")
-        _equal_lengths(self, "base", _SAMPLED)
-        moving = [name for name in _SAMPLED[2:] if getattr(self, name) is not None]
+        self._require_equal_lengths("base")
+        moving = [name for name in _VELOCITIES if name in self.channels]
         if moving and self.velocity_frame not in _FRAMES:
             raise DataError(
                 f"base.velocity_frame: is {self.velocity_frame!r}, expected 'world' or 'base': "
@@ -168,22 +158,24 @@ class BaseMotion:
                 )
 
     @property
-    def n_samples(self) -> int:
-        """Number of samples, N."""
-        return int(self.orientation.shape[0])
-
-    @property
     def rotations(self) -> Array:
         """Rotation matrices of the orientations, base to world, (N, 3, 3)."""
         return rotation_matrices(self.orientation)
 
-    def rows(self, rows: slice | NDArray[Any]) -> BaseMotion:
-        """Return some samples."""
-        imu = None if self.imu is None else self.imu.rows(rows)
-        return replace(self, **_rows(self, _SAMPLED, rows), imu=imu)
+    def sensed(self, sensor: str) -> Array | None:
+        """Return what a sensor of the IMU shows in the axes of the base; None where there is none.
+
+        Parameters
+        ----------
+        sensor : {"gyroscope", "accelerometer"}
+            Which one.
+        """
+        if self.imu is None or sensor not in self.imu.channels:
+            return None
+        return np.asarray(self.imu.channels[sensor] @ self.imu.rotation.T)
 
     def __repr__(self) -> str:
-        parts = [f"{self.n_samples} samples", *_given(self, _SAMPLED)]
+        parts = [f"{self.n_samples} samples", *_given(self)]
         if self.velocity_frame is not None:
             parts.append(f"velocities in {self.velocity_frame} axes")
         return f"BaseMotion({', '.join([*parts, *([] if self.imu is None else ['IMU'])])})"
@@ -191,32 +183,16 @@ class BaseMotion:
     def _repr_html_(self) -> str:
         facts: dict[str, object] = {
             "samples": self.n_samples,
-            "measured": ", ".join(_given(self, _SAMPLED)),
+            "measured": ", ".join(_given(self)),
             "axes of velocities": self.velocity_frame,
-            "IMU": None if self.imu is None else ", ".join(_given(self.imu, _SENSORS)),
+            "IMU": None if self.imu is None else ", ".join(_given(self.imu)),
         }
         return facts_html("BaseMotion", facts)
 
 
-def _given(owner: Any, names: tuple[str, ...]) -> list[str]:
-    """Return the fields that are there, in words."""
-    return [name.replace("_", " ") for name in names if getattr(owner, name) is not None]
-
-
-def _equal_lengths(owner: Any, where: str, names: tuple[str, ...]) -> None:
-    """Refuse channels of different lengths."""
-    lengths = {
-        name: len(getattr(owner, name)) for name in names if getattr(owner, name) is not None
-    }
-    if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise DataError(f"{where}: its channels have different numbers of samples: {listed}.")
-
-
-def _rows(owner: Any, names: tuple[str, ...], rows: Any) -> dict[str, Any]:
-    """Return some samples of the channels that are there."""
-    tables = {name: getattr(owner, name) for name in names}
-    return {name: None if table is None else table[rows] for name, table in tables.items()}
+def _given(owner: Sampled) -> list[str]:
+    """Return the channels that are there, in words."""
+    return [name.replace("_", " ") for name in owner.channels]
 
 
 def _unit(quaternions: Array) -> Array:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, Mask, frozen, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid._common.text import printable
 from sdpid.errors import DataError
-from sdpid.experiment.recording.floating.arrays import keep_flags, keep_samples
+from sdpid.experiment.recording.floating.arrays import Sampled, keep_flags, keep_samples
 
 __all__ = ["ContactKind", "Contacts"]
 
@@ -26,7 +25,7 @@ ContactKind = Literal["point", "line", "plane"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Contacts:
+class Contacts(Sampled):
     """Which parts of a robot touched the ground, and with what forces.
 
     Parameters
@@ -66,6 +65,7 @@ class Contacts:
     forces: Array | None = None
     wrenches: Array | None = None
     offset: Array = field(default_factory=lambda: np.zeros(3))
+    _sampled: ClassVar[tuple[str, ...]] = ("down", "forces", "wrenches")
 
     def __post_init__(self) -> None:
         frames = _frame_names(self.frames)
@@ -82,15 +82,12 @@ class Contacts:
         )  # fmt: skip
         if self.forces is not None and self.wrenches is not None:
             raise DataError("contacts: give forces or wrenches, not both.")
-        lengths = {n: len(t) for n in _SAMPLED if (t := getattr(self, n)) is not None}
-        if not lengths:
+        if not self.channels:
             raise DataError(
                 "contacts: give down, forces or wrenches; where nothing is known of contacts, "
                 "leave them out."
             )
-        if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise DataError(f"contacts: different numbers of samples: {listed}.")
+        self._require_equal_lengths("contacts")
         offset = real_array(self.offset, "contacts.offset", ndim=np.ndim(self.offset) or 1)
         if offset.shape not in ((3,), (c, 3)):
             raise DataError(
@@ -103,11 +100,6 @@ class Contacts:
     def n(self) -> int:
         """Number of contacts, c."""
         return len(self.frames)
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples, N."""
-        return next(len(t) for n in _SAMPLED if (t := getattr(self, n)) is not None)
 
     @property
     def measured(self) -> Array | None:
@@ -124,12 +116,6 @@ class Contacts:
         size = np.linalg.norm(measured, axis=-1)
         told: Mask = size > _CLOSED_SHARE * np.quantile(size, _STRONG)
         return told
-
-    def rows(self, rows: slice | NDArray[Any]) -> Contacts:
-        """Return some samples."""
-        tables = {name: getattr(self, name) for name in _SAMPLED}
-        taken: dict[str, Any] = {n: None if t is None else t[rows] for n, t in tables.items()}
-        return replace(self, **taken)
 
     def __repr__(self) -> str:
         counts = {kind: self.kind.count(kind) for kind in get_args(ContactKind)}
@@ -150,10 +136,7 @@ class Contacts:
     def _given(self) -> list[str]:
         """Return what is there, in words."""
         names = {"down": "flags", "forces": "forces", "wrenches": "wrenches"}
-        return [words for name, words in names.items() if getattr(self, name) is not None]
-
-
-_SAMPLED = ("down", "forces", "wrenches")
+        return [names[name] for name in self.channels]
 
 
 def _frame_names(names: Any) -> tuple[str, ...]:
