@@ -17,6 +17,7 @@ from sdpid.experiment.inspection.floating.compare import floating_log, floating_
 from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
@@ -140,6 +141,14 @@ class Subject:
     def longest(self) -> Recording:
         """The longest of the pieces, of which there must be one."""
         return max((piece for _, piece in self.pieces), key=lambda piece: piece.n_samples)
+
+    @property
+    def based(self) -> tuple[Recording, BaseMotion] | None:
+        """The longest piece of a recording with a base, and its base; None where there is none."""
+        if self.log.base is None or not self.pieces:
+            return None
+        assert self.longest.base is not None
+        return self.longest, self.longest.base
 
     @cached_property
     def position_range(self) -> tuple[Array, Array]:

@@ -5,20 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.lag import Delay, block_error, filtered, lag
+from sdpid.experiment.inspection.delays.lag import Delay, Smooth, block_error, lag
 from sdpid.experiment.inspection.delays.standing import Standing
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, stencil
-from sdpid.experiment.processing.filters import low_pass
-from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["imu_against_pose", "pose_against_joints"]
 
-# Cut-off (Hz) of poses, whose differences are noisy.
-_POSE_HZ = 15.0
-_ORDER = 2
+# Cut-off (Hz) of poses, whose differences are noisy, and least number of memories of the filter.
+_POSE_HZ, _MEMORIES = 15.0, 8.0
 # Least number of samples of a foot that stands.
 _LEAST = 200
 _STEPS = 3
@@ -28,20 +24,14 @@ _LEAST_RATE = 0.05
 
 def imu_against_pose(log: Recording) -> Delay | None:
     """Return by how much the gyroscope is later than the orientation; None where none turns."""
-    base, step = log.base, log.step
-    if base is None or base.imu is None or base.imu.gyroscope is None:
+    smooth = Smooth.of(log, _POSE_HZ, _MEMORIES)
+    sensed = None if log.base is None else log.base.sensed("gyroscope")
+    if log.base is None or sensed is None or smooth is None:
         return None
-    cutoff = min(_POSE_HZ, BAND_OVER_RATE / step)
-    smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
-    edge = 2 * smooth.reach
-    if log.n_samples < 4 * edge:
-        return None
-    weights = stencil("central4", cutoff_over_rate=cutoff * step).first
-    turned = filtered(body_rate(unit(base.orientation), weights, step), smooth)[edge:-edge]
-    sensed = filtered(base.imu.gyroscope @ base.imu.rotation.T, smooth)[edge:-edge]
+    turned, sensed = (smooth.low(x)[smooth.inner] for x in (smooth.turning(log.base), sensed))
     if min(np.sqrt(np.mean(each**2)) for each in (turned, sensed)) < _LEAST_RATE:
         return None
-    return lag(sensed, turned, step)
+    return lag(sensed, turned, log.step)
 
 
 def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:

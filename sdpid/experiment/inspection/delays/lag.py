@@ -7,13 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.processing.filters import ZeroPhaseFilter
+from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
+from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.floating.rotations import body_rate, unit
+from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["Delay", "block_error", "filtered", "lag", "pooled"]
+__all__ = ["Delay", "Smooth", "block_error", "filtered", "lag", "pooled"]
 
 # Gauss-Newton steps of a lag end when one is this share of its error. Of motions three are enough
 # from 20 ms away; of forces, which jump, ten and more.
 _SETTLED, _STEPS = 0.02, 50
+# Of filters.
+_ORDER = 2
 # Stretches of a recording whose errors count as independent.
 _BLOCKS = 20
 
@@ -38,6 +44,60 @@ class Delay:
     def wider(self, error: float) -> Delay:
         """Return the delay with an error that is independent of its own added."""
         return Delay(value=self.value, error=float(np.hypot(self.error, error)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Smooth:
+    """A low-pass filter for a recording without gaps, with derivatives.
+
+    Attributes
+    ----------
+    low_pass : ZeroPhaseFilter
+    weights : Weights
+        Of derivatives of what has passed it.
+    step : float
+        Of the recording, s.
+    cutoff_hz : float
+    inner : slice
+        The samples that its ends do not reach.
+    """
+
+    low_pass: ZeroPhaseFilter
+    weights: Weights
+    step: float
+    cutoff_hz: float
+    inner: slice
+
+    @classmethod
+    def of(cls, log: Recording, cutoff_hz: float, least: float) -> Smooth | None:
+        """Return the filter; None of a recording shorter than `least` times its memory."""
+        step = log.step
+        cutoff = min(cutoff_hz, BAND_OVER_RATE / step)
+        found = low_pass("finite", cutoff, _ORDER, 1.0 / step)
+        if log.n_samples < least * found.reach:
+            return None
+        return cls(
+            low_pass=found,
+            weights=stencil("central4", cutoff_over_rate=cutoff * step),
+            step=step,
+            cutoff_hz=cutoff,
+            inner=slice(2 * found.reach, log.n_samples - 2 * found.reach),
+        )
+
+    def low(self, values: Array) -> Array:
+        """Return signals (N, ...) filtered."""
+        return filtered(values.reshape(len(values), -1), self.low_pass).reshape(values.shape)
+
+    def second(self, values: Array) -> Array:
+        """Return the second derivative of signals (N, ...)."""
+        from scipy.ndimage import correlate1d
+
+        rate = correlate1d(values, self.weights.second, axis=0, mode="nearest")
+        return np.asarray(rate / self.step**2)
+
+    def turning(self, base: BaseMotion) -> Array:
+        """Return the angular velocity of a base by its orientation, in its axes, (N, 3)."""
+        return body_rate(unit(base.orientation), self.weights.first, self.step)
 
 
 def filtered(values: Array, low_pass: ZeroPhaseFilter) -> Array:

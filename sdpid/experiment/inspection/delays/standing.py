@@ -7,21 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.experiment.inspection.delays.lag import filtered
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, stencil
-from sdpid.experiment.processing.filters import low_pass
+from sdpid.experiment.inspection.delays.lag import Smooth
 from sdpid.experiment.processing.floating.feet import near
 from sdpid.experiment.processing.floating.quieter import angle_noise, white_noise
-from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.processing.floating.rotations import into_body, unit
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Standing", "on_legs"]
 
-# Cut-off (Hz) of the motion of feet that stand for some 0.2 s.
-_STANCE_HZ = 20.0
-_ORDER = 2
+# Cut-off (Hz) of the motion of feet that stand for some 0.2 s, and least number of memories of the
+# filter.
+_STANCE_HZ, _MEMORIES = 20.0, 8.0
 # Feet that have just landed, or are about to lift, roll and slip (s).
 _SETTLED = 0.05
 # Samples at which feet are looked at.
@@ -65,32 +63,27 @@ class Standing:
     def of(cls, robot: RobotModel, log: Recording) -> Standing | None:
         """Return the motion of a recording without gaps; None without pose, flags, or time."""
         base, contacts, step = log.base, log.contacts, log.step
+        smooth = Smooth.of(log, _STANCE_HZ, _MEMORIES)
         if base is None or base.position is None or contacts is None or contacts.down is None:
             return None
-        cutoff = min(_STANCE_HZ, BAND_OVER_RATE / step)
-        smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
-        edge = 2 * smooth.reach
-        if log.n_samples < 4 * edge:
+        if smooth is None:
             return None
-        orientation = unit(np.asarray(base.orientation))
-        weights = stencil("central4", cutoff_over_rate=cutoff * step).first
-        turning = body_rate(orientation, weights, step)
+        low, reach, inner = smooth.low, smooth.low_pass.reach, smooth.inner
+        turning, orientation = smooth.turning(base), unit(np.asarray(base.orientation))
         moving = into_body(orientation, np.gradient(np.asarray(base.position), step, axis=0))
-        velocity = filtered(np.hstack([moving, turning]), smooth)
         joints = np.asarray(log.position)
-        speeds = filtered(np.gradient(joints, step, axis=0), smooth)
-        rows = np.unique(np.linspace(edge, log.n_samples - 1 - edge, _ROWS).astype(np.intp))
-        stands = ~near(~np.asarray(contacts.down), smooth.reach + round(_SETTLED / step))[rows]
-        places = filtered(np.asarray(base.position), smooth)
-        impulse = np.eye(4 * edge + 1)[:, 2 * edge :][:, :1]
-        gain = np.linalg.norm(filtered(np.gradient(impulse, step, axis=0), smooth))
+        speeds = low(np.gradient(joints, step, axis=0))
+        rows = np.unique(np.linspace(inner.start, inner.stop - 1, _ROWS).astype(np.intp))
+        stands = ~near(~np.asarray(contacts.down), reach + round(_SETTLED / step))[rows]
+        impulse = np.eye(8 * reach + 1)[:, 4 * reach :][:, :1]
+        gain = np.linalg.norm(low(np.gradient(impulse, step, axis=0)))
         angles = np.hypot(angle_noise(orientation), white_noise(joints))
-        q = np.hstack([places, unit(filtered(orientation, smooth)), filtered(joints, smooth)])
+        q = np.hstack([low(np.asarray(base.position)), unit(low(orientation)), low(joints)])
         return cls(
             robot=robot,
             rows=rows,
             position=q[rows],
-            base=velocity,
+            base=low(np.hstack([moving, turning])),
             speeds=speeds[rows],
             # What holds a base stands still, whatever joints do.
             stands=stands & on_legs(robot, log),

@@ -19,6 +19,7 @@ from sdpid.experiment.inspection.floating.turning import (
     unexplained,
     window_means,
 )
+from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
 
 # An orientation that leaves more than half of a measured rate unexplained, or that is further off
@@ -39,24 +40,14 @@ _TOLD_SHARE = 0.003
 _LEAST_SPEED = 0.02
 
 
-def _longest(subject: Subject) -> Recording | None:
-    """Return the longest piece of a recording with a base."""
-    if subject.log.base is None or not subject.pieces:
-        return None
-    return subject.longest
-
-
 @check
 def orientation(subject: Subject) -> Iterator[Finding]:
     """Find quaternions in another order, or turned around."""
-    log = _longest(subject)
-    if log is None or log.base is None:
+    if subject.based is None:
         return
+    log, base = subject.based
     ways = feet_in_base(log, subject.floating)
-    own, *others = (
-        (name, Evidence.of(log, quaternions, ways))
-        for name, quaternions in readings(log.base).items()
-    )
+    own, *others = ((name, Evidence.of(log, q, ways)) for name, q in readings(base).items())
     if not _contradicted(own[1]):
         return
     right = [name for name, evidence in others if _supported(evidence, own[1])]
@@ -104,19 +95,40 @@ def _supported(evidence: Evidence, own: Evidence) -> bool:
 
 
 @check
+def unchanging_sensors(subject: Subject) -> Iterator[Finding]:
+    """Find sensors of an IMU that show the same in every row."""
+    imu = None if subject.based is None else subject.based[1].imu
+    for sensor, values in ({} if imu is None else imu.channels).items():
+        if np.any(np.ptp(values, axis=0)):
+            continue
+        shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
+        yield Finding(
+            kind=f"imu_{sensor}",
+            message=f"{sensor} of the base never changes: it is ({shown}) in every row",
+            remedy="if it was not measured, leave it out",
+            numbers={"size": float(np.linalg.norm(values[0]))},
+        )
+
+
+def _changing(subject: Subject, sensor: str) -> tuple[Recording, BaseMotion, Imu, Array] | None:
+    """Return the longest piece, its base, its IMU, and what a sensor shows, if that changes."""
+    based = subject.based
+    if based is None or (imu := based[1].imu) is None:
+        return None
+    values: Array | None = imu.channels.get(sensor)
+    if values is None or not np.any(np.ptp(values, axis=0)):
+        return None
+    return (*based, imu, values)
+
+
+@check
 def gyroscope(subject: Subject) -> Iterator[Finding]:
     """Find a gyroscope with other axes, another unit, or that measures something else."""
-    log = _longest(subject)
-    if log is None or log.base is None or log.base.imu is None:
+    if (changing := _changing(subject, "gyroscope")) is None:
         return
-    imu = log.base.imu
-    if imu.gyroscope is None:
-        return
-    if _unchanging(imu.gyroscope):
-        yield _not_measured("gyroscope", imu.gyroscope)
-        return
-    wanted = turn_rates(log.base.orientation, log.step)
-    sensed = window_means(imu.gyroscope, log.step)
+    log, base, imu, values = changing
+    wanted = turn_rates(base.orientation, log.step)
+    sensed = window_means(values, log.step)
     measured = sensed @ imu.rotation.T
     if np.sqrt(np.mean(wanted**2)) < LEAST_RATE or np.sqrt(np.mean(measured**2)) < LEAST_RATE:
         return
@@ -149,18 +161,12 @@ def gyroscope(subject: Subject) -> Iterator[Finding]:
 @check
 def accelerometer(subject: Subject) -> Iterator[Finding]:
     """Find an accelerometer in g, with other axes, or without gravity."""
-    log = _longest(subject)
-    if log is None or log.base is None or log.base.imu is None:
+    if (changing := _changing(subject, "accelerometer")) is None:
         return
-    imu = log.base.imu
-    if imu.accelerometer is None:
-        return
-    if _unchanging(imu.accelerometer):
-        yield _not_measured("accelerometer", imu.accelerometer)
-        return
-    sensed = window_means(imu.accelerometer, log.step)
+    log, base, imu, values = changing
+    sensed = window_means(values, log.step)
     force = sensed @ imu.rotation.T
-    turns = window_means(log.base.rotations.reshape(-1, 9), log.step).reshape(-1, 3, 3)
+    turns = window_means(base.rotations.reshape(-1, 9), log.step).reshape(-1, 3, 3)
     mean = np.einsum("kij,kj->i", turns, force) / len(force)
     size = float(np.linalg.norm(mean))
     along = float(mean[2]) / max(size, 1e-12)
@@ -196,21 +202,6 @@ def accelerometer(subject: Subject) -> Iterator[Finding]:
     )
 
 
-def _unchanging(values: Array) -> bool:
-    return not np.any(np.ptp(values, axis=0))
-
-
-def _not_measured(sensor: str, values: Array) -> Finding:
-    """Return the finding of a sensor that shows the same in every row."""
-    shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
-    return Finding(
-        kind=f"imu_{sensor}",
-        message=f"{sensor} of the base never changes: it is ({shown}) in every row",
-        remedy="if it was not measured, leave it out",
-        numbers={"size": float(np.linalg.norm(values[0]))},
-    )
-
-
 def _upward(turns: Array, force: Array) -> float:
     """Return the upward part of the mean direction of specific forces, at most 1."""
     mean = np.einsum("kij,kj->i", turns, force)
@@ -220,10 +211,9 @@ def _upward(turns: Array, force: Array) -> float:
 @check
 def base_velocities(subject: Subject) -> Iterator[Finding]:
     """Find velocities of the base in other axes than said, or in other units."""
-    log = _longest(subject)
-    if log is None or log.base is None:
+    if subject.based is None:
         return
-    base = log.base
+    log, base = subject.based
     turns = base.rotations
     wanted: dict[str, Array] = {}
     if base.linear_velocity is not None and base.position is not None:

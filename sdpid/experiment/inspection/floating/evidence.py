@@ -55,9 +55,9 @@ class Evidence:
         assert base is not None
         wanted = turn_rates(quaternions, log.step)
         shares = []
-        gyroscope = None if base.imu is None else base.imu.gyroscope
-        if gyroscope is not None and base.imu is not None:
-            shares.append(_rates(gyroscope @ base.imu.rotation.T, wanted, log.step))
+        sensed, force = base.sensed("gyroscope"), base.sensed("accelerometer")
+        if sensed is not None:
+            shares.append(_rates(sensed, wanted, log.step))
         if base.angular_velocity is not None:
             turned = base.angular_velocity
             if base.velocity_frame == "world":
@@ -65,8 +65,7 @@ class Evidence:
             shares.append(_rates(turned, wanted, log.step))
         known = [share for share in shares if share is not None]
         tilt = None
-        if base.imu is not None and base.imu.accelerometer is not None:
-            force = np.array(base.imu.accelerometer @ base.imu.rotation.T)
+        if force is not None:
             mean = Rotation.from_quat(quaternions).apply(force).mean(axis=0)
             size = float(np.linalg.norm(mean))
             # Zeros point nowhere.

@@ -51,12 +51,12 @@ class Feet:
 
 def feet_of(subject: Subject) -> Feet | None:
     """Return the feet of the longest piece; None without a robot, position or flags."""
-    robot, log = subject.floating, subject.log
-    if robot is None or log.base is None or log.contacts is None or not subject.pieces:
+    robot = subject.floating
+    if robot is None or subject.based is None:
         return None
-    log = subject.longest
-    base, contacts = log.base, log.contacts
-    if base is None or contacts is None or contacts.down is None or base.position is None:
+    log, base = subject.based
+    contacts = log.contacts
+    if contacts is None or contacts.down is None or base.position is None:
         return None
     parts = [base.position, base.orientation, log.position]
     q = window_means(np.hstack([np.asarray(part) for part in parts]), log.step)

@@ -21,9 +21,9 @@ _BORNE_SHARE = 0.5
 @check
 def contacts_missing(subject: Subject) -> Iterator[Finding]:
     """Find a robot that stands or walks, and of which no contact is said to be closed."""
-    if subject.log.base is None or not subject.pieces:
+    if subject.based is None:
         return
-    log = subject.longest
+    log, _ = subject.based
     up, gravity = np.array([0.0, 0.0, 1.0]), GRAVITY
     if subject.floating is not None:
         vector = np.asarray(subject.floating.gravity)
@@ -78,8 +78,8 @@ def _specific_force(log: Recording, run: slice, up: Array, gravity: float) -> fl
     assert log.base is not None
     base = log.base.rows(run)
     time = log.step * np.arange(base.n_samples)
-    if base.imu is not None and base.imu.accelerometer is not None:
-        sensed = base.imu.accelerometer @ base.imu.rotation.T
+    sensed = base.sensed("accelerometer")
+    if sensed is not None:
         return float(np.einsum("kij,kj->ki", base.rotations, sensed).mean(axis=0) @ up)
     if base.linear_velocity is not None:
         velocity = base.linear_velocity

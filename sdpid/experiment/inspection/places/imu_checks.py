@@ -33,29 +33,28 @@ _RIVALS = {
 @check
 def imu(subject: Subject) -> Iterator[Finding]:
     """Find an IMU that sits elsewhere, is turned, or whose sensors have biases or scales."""
-    if subject.log.base is None or subject.log.base.imu is None or not subject.pieces:
+    given = None if subject.based is None else subject.based[1].imu
+    if given is None:
         return
-    coarse = (base_checks.orientation, base_checks.gyroscope, base_checks.accelerometer)
+    of_sensors = (base_checks.unchanging_sensors, base_checks.gyroscope, base_checks.accelerometer)
+    coarse = (base_checks.orientation, *of_sensors)
     if any(True for each in coarse for _ in each(subject)):
         return  # What is far off is told as such, and would seem to be all of these.
     log = on_time(subject.longest)
-    given = subject.longest.base
-    assert given is not None
-    assert given.imu is not None
     turned = gyroscope_fit(log)
     turn = np.eye(3)
     if turned is not None:
         if turned.mirrored:
-            yield _mirrored(given.imu, turned)
+            yield _mirrored(given, turned)
         else:
             turn = turned.turn
-            yield from _findings("gyroscope", given.imu, turned)
+            yield from _findings("gyroscope", given, turned)
     gravity = GRAVITY
     if subject.floating is not None and np.any(subject.floating.gravity):
         gravity = float(np.linalg.norm(subject.floating.gravity))
     moved = accelerometer_fit(log, gravity, turn)
     if moved is not None:
-        yield from _findings("accelerometer", given.imu, moved)
+        yield from _findings("accelerometer", given, moved)
 
 
 def _findings(sensor: str, imu: Imu, fit: ImuFit) -> Iterator[Finding]:

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.delays.lag import filtered, lag
+from sdpid.experiment.inspection.delays.lag import Smooth, lag
 from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
 from sdpid.experiment.inspection.places.block_fit import SURE, BlockSums
 from sdpid.experiment.inspection.places.imu_search import Found, nearest_turn, searched
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
-from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
-from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.inertia import skew
@@ -24,7 +21,6 @@ __all__ = ["RATE_BIAS", "SIZES", "ImuFit", "accelerometer_fit", "gyroscope_fit",
 
 # Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
 _RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
-_ORDER = 2
 # Samples that are looked at, from the middle of longer recordings, and least number of memories of
 # the filter.
 _READ, _LEAST = 40_000, 12
@@ -65,41 +61,10 @@ class ImuFit:
     mirrored: bool = False
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Chain:
-    """A low-pass filter with derivatives, and the samples that it leaves."""
-
-    smooth: ZeroPhaseFilter
-    weights: Weights
-    step: float
-    kept: slice
-
-    def low(self, values: Array) -> Array:
-        flat = filtered(values.reshape(len(values), -1), self.smooth)
-        return flat.reshape(values.shape)
-
-    def second(self, values: Array) -> Array:
-        """Return the second derivative of signals (N, ...)."""
-        from scipy.ndimage import correlate1d
-
-        rate = correlate1d(values, self.weights.second, axis=0, mode="nearest")
-        return np.asarray(rate / self.step**2)
-
-    def taken(self, *signals: Array) -> list[Array]:
-        return [signal[self.kept] for signal in signals]
-
-
-def _chain(log: Recording, cutoff_hz: float) -> _Chain | None:
-    step = log.step
-    cutoff = min(cutoff_hz, BAND_OVER_RATE / step)
-    smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
-    if log.n_samples < _LEAST * smooth.reach:
-        return None
-    edge = 2 * smooth.reach
-    stride = max(1, int(1.0 / (_SAMPLES * cutoff * step)))
-    weights = stencil("central4", cutoff_over_rate=cutoff * step)
-    kept = slice(edge, log.n_samples - edge, stride)
-    return _Chain(smooth=smooth, weights=weights, step=step, kept=kept)
+def _kept(smooth: Smooth) -> slice:
+    """Return the samples that are compared."""
+    stride = max(1, int(1.0 / (_SAMPLES * smooth.cutoff_hz * smooth.step)))
+    return slice(smooth.inner.start, smooth.inner.stop, stride)
 
 
 def on_time(log: Recording) -> Recording:
@@ -109,14 +74,13 @@ def on_time(log: Recording) -> Recording:
     """
     first = max(0, (log.n_samples - _READ) // 2)
     log = rows_of(log, slice(first, first + _READ)) if first else log
-    base, chain = log.base, _chain(log, _RATE_HZ)
-    if base is None or base.imu is None or base.imu.gyroscope is None or chain is None:
+    base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
+    shown = None if base is None else base.sensed("gyroscope")
+    if base is None or shown is None or smooth is None:
         return log
-    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
-    inner = slice(chain.kept.start, chain.kept.stop)
     sensed, speed = (
-        np.linalg.norm(each, axis=1)[inner, None]
-        for each in (chain.low(base.imu.gyroscope), turning)
+        np.linalg.norm(smooth.low(each), axis=1)[smooth.inner, None]
+        for each in (shown, smooth.turning(base))
     )
     late = lag(sensed, speed, log.step)
     if late is None or not late.sure(_LATE, SURE):
@@ -129,13 +93,13 @@ def gyroscope_fit(log: Recording) -> ImuFit | None:
 
     Sensed is ``turn @ (E + scale) @ turning + bias``, late by a delay that is of no interest here.
     """
-    base, chain = log.base, _chain(log, _RATE_HZ)
-    if base is None or base.imu is None or base.imu.gyroscope is None or chain is None:
+    base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
+    shown = None if base is None else base.sensed("gyroscope")
+    if base is None or shown is None or smooth is None:
         return None
-    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
-    sensed = chain.low(base.imu.gyroscope @ base.imu.rotation.T)
-    late = np.gradient(sensed, log.step, axis=0)
-    turning, sensed, late = chain.taken(turning, sensed, late)
+    kept, sensed = _kept(smooth), smooth.low(shown)
+    late = np.gradient(sensed, log.step, axis=0)[kept]
+    turning, sensed = smooth.low(smooth.turning(base))[kept], sensed[kept]
     sizes = {**SIZES, "bias": RATE_BIAS}
     # At rest it has nothing but a bias.
     rests = _rms(turning) < LEAST_RATE
@@ -182,35 +146,35 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
     turn : (3, 3) ndarray
         Of the sensor, as the gyroscope shows it, against what is stated.
     """
-    base, chain = log.base, _chain(log, _ACCELERATION_HZ)
-    if base is None or base.imu is None or base.imu.accelerometer is None or chain is None:
+    base, smooth = log.base, Smooth.of(log, _ACCELERATION_HZ, _LEAST)
+    shown = None if base is None else base.sensed("accelerometer")
+    if base is None or base.imu is None or shown is None or smooth is None:
         return None
     if base.position is None:
         return None
-    R, stated = base.rotations, base.imu.accelerometer @ base.imu.rotation.T
-    axes = chain.low(R)
-    moved = chain.second(chain.low(np.asarray(base.position)))
+    R, stated, kept, low = base.rotations, shown, _kept(smooth), smooth.low
+    axes = low(R)
+    moved = smooth.second(low(np.asarray(base.position)))
     moved[:, 2] += gravity
-    swung = chain.second(axes)
-    wanted = moved + swung @ base.imu.translation
-    axes, swung, wanted = chain.taken(axes, swung, wanted)
+    swung = smooth.second(axes)
+    wanted = (moved + swung @ base.imu.translation)[kept]
+    axes, swung = axes[kept], swung[kept]
 
     def sums(turn: Array) -> BlockSums:
         sensed = stated @ turn.T
-        force = chain.low(np.einsum("kij,kj->ki", R, sensed))
-        late = np.gradient(force, log.step, axis=0)
-        turned = chain.low(np.einsum("kij,kjl->kil", R, skew(sensed)))
-        force, late, turned = chain.taken(force, late, turned)
+        force = low(np.einsum("kij,kj->ki", R, sensed))
+        late = np.gradient(force, log.step, axis=0)[kept]
+        turned = low(np.einsum("kij,kjl->kil", R, skew(sensed)))[kept]
+        force = force[kept]
         columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
         return BlockSums.of(
             np.concatenate(columns, axis=2), force - wanted, _scales(_ACCELEROMETER)
         )
 
-    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
-    rests = _rms(turning[chain.kept]) < LEAST_RATE
+    rests = _rms(low(smooth.turning(base))[kept]) < LEAST_RATE
     names = ("bias", "scale", "late") if rests else tuple(_ACCELEROMETER)
     groups = {name: _ACCELEROMETER[name] for name in names}
-    sensed = chain.low(np.einsum("kij,kj->ki", R, stated))[chain.kept]
+    sensed = low(np.einsum("kij,kj->ki", R, stated))[kept]
     in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
     start = nearest_turn(*in_base, proper=True)
     found, total, _ = searched(sums, groups, SIZES, turn, start)

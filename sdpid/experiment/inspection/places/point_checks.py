@@ -28,8 +28,8 @@ _NOISES, _RESTS = 1.5, 2e-3
 @check
 def points(subject: Subject) -> Iterator[Finding]:
     """Find contacts whose frame is not the foot's, or whose point is elsewhere."""
-    robot, log = subject.floating, subject.log
-    if robot is None or not robot.free_flyer or log.contacts is None or not subject.pieces:
+    robot = subject.floating
+    if robot is None or not robot.free_flyer or subject.log.contacts is None or not subject.pieces:
         return
     if any(finding.kind == "feet_exchanged" for finding in feet_checks.feet(subject)):
         return
