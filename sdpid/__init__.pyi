@@ -31,15 +31,17 @@ from .experiment.drive_gains.gains import DriveGains
 from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.legged.simulate import simulate_legged
 from .experiment.plant.simulate import simulate
-from .experiment.processing.process import Processing, process
+from .experiment.processing.process import process
 from .experiment.processing.samples import Samples
+from .experiment.processing.settings import Processing
 from .experiment.readers.read import read_recording
 from .experiment.recording.floating.base import BaseMotion, Imu
 from .experiment.recording.floating.contacts import Contacts
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.simulation.closed_loop import simulate_closed_loop
-from .experiment.trajectory.paper import Trajectory, paper_excitation
+from .experiment.trajectory.paper import paper_excitation
+from .experiment.trajectory.trajectory import Trajectory
 from .output.plans.write import write_plan
 from .output.report.report import write_report
 from .output.robots.mjcf import write_mjcf

@@ -31,8 +31,8 @@ from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
 from sdpid.experiment.processing.contacts.places import require_places
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency

@@ -28,8 +28,8 @@ from sdpid.experiment.preparation.several import (
     joints_without,
     prepare_recordings,
 )
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm

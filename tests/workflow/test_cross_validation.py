@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.workflow.cross_validation import CrossValidation
 from sdpid.workflow.formulate import formulate
 from tests.helpers.runs import arm, recorded

@@ -11,13 +11,14 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.several import (
     agreed,
     chosen_processing,
     common_processing,
     prepare_recordings,
 )
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.output.report.report import report_html
 from sdpid.plots.figures import TimeLine
 from sdpid.plots.reconstruction import plot_fit

@@ -13,7 +13,8 @@ import sdpid
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.experiment.plant.simulate import true_parameters
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate

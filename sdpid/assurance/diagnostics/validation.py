@@ -31,8 +31,8 @@ from sdpid.experiment.preparation.several import (
     without_efforts,
 )
 from sdpid.experiment.processing.contacts.held import base_held
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel

@@ -17,8 +17,8 @@ from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.preparation.for_robot import SMOOTH, friction_of
 from sdpid.experiment.preparation.several import ProcessingOf, common_processing
 from sdpid.experiment.processing.choose import with_changes
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.term import FrictionTerm

@@ -37,8 +37,8 @@ from sdpid.experiment.preparation.several import (
     joints_without,
     without_efforts,
 )
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled

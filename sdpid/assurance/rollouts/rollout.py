@@ -17,11 +17,11 @@ from sdpid.assurance.rollouts.result import Rollout
 from sdpid.assurance.rollouts.setting import HORIZONS, Setting, judged_model
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 from sdpid.experiment.simulation.open_loop import Track
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel

@@ -18,11 +18,11 @@ from sdpid.assurance.rollouts.models import MODEL, models_beside
 from sdpid.assurance.rollouts.noise import noisier
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.several import joints_without
-from sdpid.experiment.processing.choose import with_changes
-from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.recording import Recording

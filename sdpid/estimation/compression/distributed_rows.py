@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.experiment.preparation.for_robot import default_processing
 from sdpid.experiment.preparation.several import Piece, agreed, as_pieces, samples_of
-from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.model import FrictionModel

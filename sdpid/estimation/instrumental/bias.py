@@ -20,7 +20,7 @@ from sdpid.estimation.instrumental.sources import Instruments, source_of, start_
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 
 # A shift of the predicted efforts below this share of the efforts does not matter: raw logs with
 # noisy encoders shift by 9 to 17 %, filtered ones by 0.5 %, masked ones by 0.02 %, and any model

@@ -20,7 +20,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Instruments have settled when the efforts of the estimate change by less than this share of the

@@ -17,13 +17,13 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing, recordings
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
-from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.fit_controller import fit_controller
 from sdpid.robot.model.dynamics import RobotDynamics
 

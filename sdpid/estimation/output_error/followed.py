@@ -15,7 +15,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import Motion, simulate_closed_loop
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 from sdpid.experiment.simulation.reference import DesiredMotion
 from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
 from sdpid.robot.model.base_parameters import BaseParameters

@@ -8,7 +8,7 @@ from typing import Any
 from sdpid._common.arrays import Array
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.output_error.rows import MEANING
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

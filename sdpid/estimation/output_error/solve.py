@@ -22,7 +22,7 @@ from sdpid.estimation.output_error.starts import solver_of, starting
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot

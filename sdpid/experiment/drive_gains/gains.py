@@ -17,8 +17,6 @@ from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.text import printable
 from sdpid.errors import DataError
 
-__all__ = ["DriveGains"]
-
 # An eigenvalue of a covariance below minus this share of the largest is no rounding.
 _ROUNDING = 1e-9
 

@@ -8,8 +8,6 @@ from difflib import get_close_matches
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
 
-__all__ = ["REFUSED", "joints_left_out", "kinds_accepted", "require_accepted"]
-
 # Kinds of findings that may be of severity 'refuse', or leave out a joint's effort, and that one
 # may overrule. Any other that is
 # refused stands in the way of processing the log as well, whatever is accepted.

@@ -23,8 +23,6 @@ from sdpid.experiment.inspection.dynamics import (
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["CorrectedLog", "Correction", "Step", "corrected", "searched"]
-
 # A change counts where it lowers the misfit by this much: the unexplained share of a joint falls to
 # a seventh. Of 22 good recordings of six arms no change lowers it by more than 0.9; the changes
 # that mend a log lower it by 2.5 to 30, but for joints that carry next to nothing.

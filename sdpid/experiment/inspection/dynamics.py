@@ -11,11 +11,6 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.model import RobotModel
 
-__all__ = [
-    *("GAINS", "LEAST_MISFIT", "Gains"),
-    *("described", "friction", "gains", "misfit", "placeholders", "unexplained"),
-]
-
 # Efforts of real arms are this many times those of the description's bodies, friction taken away:
 # 0.7 to 2.3 for the joints that carry something, of 17 recordings of six arms with and without
 # loads.

@@ -23,8 +23,6 @@ from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
-
 Severity = Literal["refuse", "warning", "note"]
 
 

@@ -38,8 +38,6 @@ from sdpid.experiment.recording.loops.passive_joints import lacking
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
-
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks, delay_checks),

@@ -13,8 +13,6 @@ from sdpid.experiment.inspection.finding import Finding, Severity, Subject
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["load_difference", "other_loads"]
-
 # Another load on the last link takes this share of the squared residuals of two recordings where
 # there is one: 0.71 to 0.90 of 14 pairs of a UR10e with and without 2.8 kg, at most 0.09 of 21
 # pairs of recordings without.

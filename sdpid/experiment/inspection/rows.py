@@ -15,8 +15,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
-__all__ = ["Rows", "low_passed"]
-
 # Rows that are compared: 300 tell every kind of wrong log that 600 do, on 17 real recordings.
 _ROWS = 300
 # Samples that are read, from the middle of longer recordings.

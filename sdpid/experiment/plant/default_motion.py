@@ -12,8 +12,6 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["default_motion"]
-
 # Joints use this part of their range, about its middle, and no more than this to either side (rad,
 # or m). Joints without limits move by as much as a limited arm's do.
 _PART, _WIDEST, _UNLIMITED = 0.8, np.pi, 2.0

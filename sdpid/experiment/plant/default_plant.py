@@ -11,8 +11,6 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["default_drives", "default_parameters", "follows"]
-
 # A link without mass in its description gets that of a screw (kg), and every link second moments
 # (kg·m²) that a simulation can divide by.
 _LEAST_MASS, _LEAST_MOMENT = 1e-3, 1e-7

@@ -13,8 +13,6 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["with_delays"]
-
 # Delays are kept to this many digits of a second: 10 µs.
 _DIGITS = 5
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contacts.loops import with_loops
 from sdpid.experiment.processing.floating.feet import carried
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.robots import require_its_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.loops.passive_joints import lacking
@@ -17,8 +17,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, SigmoidFriction
 from sdpid.robot.model.model import RobotModel
-
-__all__ = ["DEFAULT", "default_friction", "default_processing", "friction_of", "prepare"]
 
 # Among friction terms: those that are used by default.
 DEFAULT = "default"

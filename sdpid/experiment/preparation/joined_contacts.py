@@ -13,8 +13,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
 from sdpid.experiment.processing.samples import Samples
 
-__all__ = ["join_samples"]
-
 # The frames of a contact: of the robot, and of the robot again where a loop closes.
 Place: TypeAlias = "tuple[str, str | None]"
 

@@ -17,8 +17,6 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["overview"]
-
 # A step longer than this many nominal ones is a gap; less is jitter.
 _GAP = 1.5
 

@@ -17,11 +17,11 @@ from sdpid.experiment.inspection.accept import (
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.delays import with_delays
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
-from sdpid.experiment.processing.choose import with_changes
-from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled

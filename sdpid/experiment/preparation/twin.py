@@ -15,16 +15,15 @@ from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing, recordings
 from sdpid.experiment.processing.efforts import Efforts
 from sdpid.experiment.processing.period_mean import Chain
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
-
-__all__ = ["Twin"]
 
 # Processed positions of the same recording agree to rounding; those of another cut-off, or of other
 # sample times, differ by far more (rad).

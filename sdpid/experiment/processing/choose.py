@@ -19,8 +19,6 @@ from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.velocities import disagreement
 
-__all__ = ["Choice", "choose_processing", "default_processing", "with_changes"]
-
 # The cut-off for records without periods: this many times the frequency below which 95 % of the
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
 # and at most the share of the sampling rate up to which positions are differentiated well.

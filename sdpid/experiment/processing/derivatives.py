@@ -12,8 +12,6 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 
-__all__ = ["DERIVATIVES", "Derivative", "Spectral", "Stencil", "Weights", "stencil"]
-
 Derivative = Literal["central", "central4", "central6", "savitzky_golay", "spectral"]
 
 DERIVATIVES: tuple[str, ...] = get_args(Derivative)

@@ -15,8 +15,6 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["Efforts", "Moments", "in_threads"]
-
 T = TypeVar("T")
 
 # Decoding and filtering let other threads run, but each holds some copies of a period.

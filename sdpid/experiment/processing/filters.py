@@ -12,8 +12,6 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 
-__all__ = ["FILTERS", "FilterType", "ZeroPhaseFilter", "low_pass"]
-
 FilterType = Literal["butterworth", "bessel", "finite"]
 
 FILTERS: tuple[str, ...] = get_args(FilterType)

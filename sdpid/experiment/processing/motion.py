@@ -12,17 +12,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import extremes
 
-__all__ = [
-    "MOTION_SHARE",
-    "band",
-    "fourth_differences",
-    "joint_frequencies",
-    "motion_frequency",
-    "noise_limit",
-    "noise_of",
-    "spectrum",
-]
-
 # This share of a motion's power lies below its highest frequency.
 MOTION_SHARE = 0.95
 # Records with more samples than this (four minutes at 1 kHz) are averaged over neighbors down to

@@ -15,8 +15,6 @@ from sdpid.experiment.processing.derivatives import Stencil
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.processing.window import Window
 
-__all__ = ["Chain", "near_standstill"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:

@@ -35,8 +35,6 @@ from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import Grid
 
-__all__ = ["Processing", "process"]
-
 # A block must be clearly longer than the memory of the filter, which is run twice: forward and
 # backward (four times over the derivatives with filter_alike=False).
 _BLOCK_TIME_CONSTANTS = 20.0

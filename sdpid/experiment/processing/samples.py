@@ -18,8 +18,6 @@ from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, Cont
 from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
 
-__all__ = ["Samples"]
-
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
 # at the default decimation, so that filtering a run costs less than twice its own number.
 _RUN = 256

@@ -21,8 +21,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
-__all__ = ["CHUNK", "States", "TooShortError", "chain_of", "states_of"]
-
 # Without periods the signals beyond the ends are guessed; the guess decays exponentially.
 # On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
 # the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what

@@ -17,8 +17,6 @@ from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["LEAD", "WideVelocity", "wide_velocity"]
-
 # Samples before the first kept one and behind the last, in time constants of the filter: exp(-20)
 # is 2e-9 of what the guess at the ends would be off.
 LEAD = 20.0

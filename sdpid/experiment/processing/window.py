@@ -9,8 +9,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.recording.uniform_grid import Grid
 
-__all__ = ["Window"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:

@@ -16,8 +16,6 @@ from sdpid.experiment.readers.floating.quantities import HELD, SETTINGS
 from sdpid.experiment.readers.mapping import checked, find_mapping, read_mapping
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["Arguments", "complete_arguments", "only_signs"]
-
 
 @dataclass(kw_only=True)
 class Arguments:

@@ -18,8 +18,6 @@ from sdpid.experiment.readers.unit_names import UNITS, split_unit
 from sdpid.experiment.recording.memory_budget import check_memory
 from sdpid.experiment.recording.stored import StoredArray
 
-__all__ = ["CONVENTIONS", "Columns", "spelled"]
-
 # Words of positions that are commanded, and not what the robot did.
 _COMMAND_WORDS = (
     *("reference", "ref", "desired", "des", "commanded", "command", "cmd", "target"),

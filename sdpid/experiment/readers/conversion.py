@@ -23,8 +23,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import transformed
 from sdpid.experiment.recording.timestamps import guess_time_unit
 
-__all__ = ["convert"]
-
 # Larger stamps, in s, count from 1970. Finer units are then made relative before they are
 # converted, since seconds since 1970 in a double resolve 0.2 microseconds.
 _SINCE_1970 = 1e9

@@ -21,8 +21,6 @@ from sdpid.experiment.readers.unit_names import UNITS
 from sdpid.experiment.recording.floating.columns import mapping_beside
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["as_gains", "checked", "find_mapping", "read_mapping"]
-
 _NUMBERS = ("period", "start", "periods", "rate_hz")
 _NAMES = ("joint_names", "without_effort")
 _KNOWN = (

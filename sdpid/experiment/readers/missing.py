@@ -13,8 +13,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.floating.quantities import NAMES
 from sdpid.experiment.recording.recording import LARGEST
 
-__all__ = ["MISSING", "mend_missing", "sound"]
-
 # What to do with samples that lack a value.
 MISSING = ("refuse", "drop", "interpolate")
 # Linear interpolation over more samples than this would invent motion.

@@ -19,8 +19,6 @@ from sdpid.experiment.readers.selection import Selection, read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
 
-__all__ = ["Reading", "is_frame", "read_described", "read_recording"]
-
 # A file, or a data frame of pandas or polars.
 Readable: TypeAlias = "str | os.PathLike[str] | Any"
 

@@ -12,8 +12,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import Columns
 from sdpid.experiment.readers.missing import sound
 
-__all__ = ["find_reference"]
-
 # ``q_d`` is the desired position in some logs and the derivative in others. What a controller
 # follows differs from the positions by less than this part of their standard deviation; the rate
 # of a sine by more than all of it.

@@ -12,8 +12,6 @@ from sdpid.experiment.recording.joints import ways_to_match
 from sdpid.experiment.recording.recording import Recording, with_source
 from sdpid.experiment.recording.stored import transformed
 
-__all__ = ["IN_AMPERES", "gains_for", "require_torques", "scaled"]
-
 # What whoever has currents and no gains can do.
 IN_AMPERES = (
     "efforts are currents in A, which need gains: let `sdpid gains` (sdpid.identify_drive_gains) "

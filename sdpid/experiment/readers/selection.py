@@ -20,8 +20,6 @@ from sdpid.experiment.readers.slices import with_slices
 from sdpid.experiment.readers.table import Table, row_number
 from sdpid.experiment.recording.recording import CHANNELS
 
-__all__ = ["Selection", "read_selection", "select"]
-
 _SCALARS = ("period", "start", "periods")
 
 

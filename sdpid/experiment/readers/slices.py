@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from sdpid.errors import DataError
 from sdpid.experiment.readers.table import Table
 
-__all__ = ["with_slices"]
-
 _SLICE = re.compile(r"(.+)\[(\d+):(\d+)\]")
 
 

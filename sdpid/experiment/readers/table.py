@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from sdpid.errors import DataError
 
-__all__ = ["Arrays", "NoNumbersError", "Table", "row_number"]
-
 
 class NoNumbersError(DataError):
     """A name of a log stands for something else than numbers or text."""

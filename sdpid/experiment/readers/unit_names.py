@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["UNITS", "is_current", "split_unit", "unit_of"]
-
 _DEGREE = np.pi / 180.0
 # Factors to SI. Amperes stay amperes: `effort_scale`, or constants of motors, give torques.
 _CURRENTS = {"A": 1.0, "mA": 1e-3}

@@ -12,8 +12,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
 
-__all__ = ["require_plausible_units", "suspect_units"]
-
 # Joints of arms are limited to about one turn either way, and no such joint passes two turns.
 _LIMIT_OF_ARMS = 2.0 * math.pi * (1.0 + 1e-6)
 _TWO_TURNS = 4.0 * math.pi

@@ -13,8 +13,6 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS, longest_gap
 
-__all__ = ["continuous", "in_time", "split_at_gaps", "unwrapped"]
-
 _TURN = 2.0 * math.pi
 # No joint turns further from one sample to the next (rad). A jump this close to whole turns is
 # then a wrapped angle, as long as no jump lies between: those would be another unit, or outliers.

@@ -15,8 +15,6 @@ from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["joint_columns", "match_joints"]
-
 
 def match_joints(robot: RobotModel, log: Recording) -> Recording:
     """Return a recording with the robot's joints, in the robot's order.

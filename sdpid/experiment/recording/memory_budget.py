@@ -9,8 +9,6 @@ from pathlib import Path
 from sdpid._common.sandbox import memory_limit
 from sdpid.errors import DataError
 
-__all__ = ["check_claim", "check_memory"]
-
 # Deflate compresses at most 1032 times; measured numbers hardly twice. Run lengths have no such
 # bound, so a small file that claims much more is taken for damaged or hostile ...
 _MOST_COMPRESSION = 1100

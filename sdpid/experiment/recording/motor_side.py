@@ -12,8 +12,6 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 
-__all__ = ["MotorSide"]
-
 # Beyond this condition number (columns scaled) a matrix of gear ratios is a mistake: real ones
 # differ from a diagonal by a coupling or two.
 _MOST_CONDITION = 1e6

@@ -10,8 +10,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import blocks, extremes
 
-__all__ = ["require_no_outliers"]
-
 _TURN = 2.0 * math.pi
 # No joint turns by two turns (or slides by 12 m) from one sample to the next. Wrapped angles jump
 # by whole turns, a counter that is reset by at most a hundred.

@@ -14,8 +14,6 @@ from sdpid._common.extras import require
 from sdpid._common.files import atomic_path
 from sdpid.experiment.recording.stored import ROWS, taken
 
-__all__ = ["FORMAT", "KEY", "write_columns"]
-
 # Where the metadata of a recording stand in the file, and their version.
 KEY = b"sdpid"
 FORMAT = 1

@@ -28,8 +28,6 @@ from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
-__all__ = ["CHANNELS", "LARGEST", "Recording", "channels", "rows_of"]
-
 # What is measured, or commanded, of each joint.
 CHANNELS = ("position", "effort", "velocity", "reference")
 

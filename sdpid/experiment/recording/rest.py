@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 
-__all__ = ["AT_REST", "moving"]
-
 # A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
 # encoder counts, and no motion that shows an inertia. Held joints of a UR10e whose other joints
 # move stay within 5e-4 rad.

@@ -12,8 +12,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 
-__all__ = ["ROWS", "StoredArray", "blocks", "extremes", "store", "taken", "transformed"]
-
 # Rows written or read at a time: a megabyte, which stays in the cache while it is worked on.
 ROWS = 1 << 17
 # What a page fault brings in beside the page, in bytes: the system's largest page.

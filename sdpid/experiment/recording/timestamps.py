@@ -11,8 +11,6 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import blocks
 
-__all__ = ["Stamps", "guess_time_unit"]
-
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
 # To tell the two apart, stamps on either side are averaged: a lost sample shifts them all.

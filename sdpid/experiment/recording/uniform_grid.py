@@ -12,8 +12,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import blocks, taken
 
-__all__ = ["MAX_GAP_STEPS", "Grid", "Timing", "longest_gap", "make_grid"]
-
 Timing = Literal["auto", "nominal", "resample"]
 
 # Stamps are uniform when no step is off by more than this part of the nominal one. A stamp in

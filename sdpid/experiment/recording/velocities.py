@@ -9,8 +9,6 @@ import numpy as np
 
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["VelocityFit", "disagreement", "velocity_fit"]
-
 # Compared on this many samples from the middle of a record, as means over about 1000 intervals,
 # so that the quantum of an encoder does not drown a slow motion.
 _COMPARED = 20_000

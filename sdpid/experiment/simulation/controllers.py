@@ -10,10 +10,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.law import Controller, Gains, Law
+from sdpid.experiment.simulation.law import Gains, Law
 from sdpid.robot.model.dynamics import RobotDynamics
-
-__all__ = ["PD", "PID", "ComputedTorque", "Controller", "P"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,13 +10,12 @@ from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import PD, PID, ComputedTorque, Controller, P
+from sdpid.experiment.simulation.controllers import PD, PID, ComputedTorque, P
 from sdpid.experiment.simulation.fitted_controller import FittedController
+from sdpid.experiment.simulation.law import Controller
 from sdpid.experiment.simulation.law_fit import Law, LawFit, fit_law
 from sdpid.experiment.simulation.tracking import Tracking, tracking
 from sdpid.robot.model.dynamics import RobotDynamics
-
-__all__ = ["KINDS", "fit_controller"]
 
 KINDS = ("p", "pd", "pid", "computed_torque")
 # Above this standard deviation of a gain, output error is no better than without the controller.

@@ -11,9 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.errors import DataError
-from sdpid.experiment.simulation.controllers import Controller
-
-__all__ = ["FittedController"]
+from sdpid.experiment.simulation.law import Controller
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -11,8 +11,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.tracking import Tracking
 
-__all__ = ["Law", "LawFit", "fit_law"]
-
 # Where noise may take more than this part of a gain, the commanded motion serves as instruments.
 _BIAS = 0.02
 # A delay is taken where it is this many deviations from zero, up to this many seconds.

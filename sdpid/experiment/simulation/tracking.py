@@ -17,8 +17,6 @@ from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, channels
 from sdpid.experiment.recording.uniform_grid import make_grid
 
-__all__ = ["Tracking", "tracking"]
-
 # The law is linear, so every signal may pass one filter; it lets pass what moves the robot, and
 # its friction, and not the noise of encoders. In Hz, and as a part of the sample rate at most.
 _PASS, _LEAST_PASS, _LARGEST_PART = 10.0, 2.0, 0.1

@@ -17,8 +17,6 @@ from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots
 
-__all__ = ["Trajectory", "filled", "paper_excitation", "quiet_start"]
-
 # The limit frequencies are printed with four decimals; a harmonic on the limit is not above it.
 _ON_LIMIT = 1e-9
 # Points at which a connection is checked, and starts that are tried, per period.

@@ -20,8 +20,6 @@ from sdpid.experiment.trajectory.curve import rests_at_ends
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
-__all__ = ["between_rests", "read_trajectory"]
-
 # Formats of samples; a bag or a MATLAB file of a motion can be exported as one of them.
 _FORMATS = (".csv", ".csv.gz", ".npz", ".parquet", ".tsv", ".txt")
 # Names of accelerations, which logs do not have; those of the rest are the readers'.

@@ -13,8 +13,6 @@ from sdpid._common.files import read_regular
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
-__all__ = ["WholeBodyMotion"]
-
 _XYZ = ("x", "y", "z")
 
 # Minutes of a humanoid's motion have less.

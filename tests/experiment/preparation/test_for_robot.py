@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.experiment.preparation.for_robot import (
-    default_friction,
-    default_processing,
-    friction_of,
-    prepare,
-)
+from sdpid.experiment.preparation.for_robot import default_friction, friction_of, prepare
+from sdpid.experiment.processing.choose import default_processing
 
 # Relative residual in % that default settings must reach on motion that was not trained on.
 TARGETS = {

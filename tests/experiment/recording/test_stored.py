@@ -20,7 +20,8 @@ from sdpid.experiment.processing import efforts
 from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing import states as states_module
 from sdpid.experiment.processing.efforts import Moments, in_threads
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.formats import parquet_file
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording import stored

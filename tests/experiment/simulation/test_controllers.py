@@ -6,7 +6,7 @@ import pytest
 import sdpid
 from sdpid.controllers import PD, PID, ComputedTorque, P
 from sdpid.errors import DataError
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.law import Controller
 from tests.experiment.simulation.models import model_of
 from tests.helpers.data import random_links
 from tests.helpers.refusals import refuses

@@ -18,8 +18,6 @@ from sdpid.experiment.inspection.finding import Finding, Severity, Subject
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import ROWS, taken
 
-__all__ = ["RULES", "wrong_channels"]
-
 # A channel stays where it has one value for so long (s), in so many rows, and so many times as long
 # as usual: a slow bus holds every value.
 _LEAST_S, _LEAST_ROWS, _LONGER = 0.1, 5, 5.0

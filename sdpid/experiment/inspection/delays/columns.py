@@ -10,8 +10,6 @@ from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["free_columns", "orthonormal", "regressor"]
-
 # Widths of smooth signs (rad/s) that together imitate any dry friction.
 _WIDTHS = (0.01, 0.02, 0.05, 0.2, 1.0)
 # Directions of the regressor with less than this share of the largest singular value are noise.

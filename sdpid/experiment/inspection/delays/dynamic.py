@@ -29,8 +29,6 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["dynamic_delays", "is_held"]
-
 # Cut-offs (Hz). Of simulated quadrupeds efforts were found within 0.2 ms at 20 to 30 Hz with an
 # IMU; at 10 Hz the signs of speeds are smeared. Accelerations from poses need 10 Hz: at 20 Hz their
 # noise in the regressor made 2 ms of 0.8 to 3.4.

@@ -22,11 +22,6 @@ from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.model.model import RobotModel
 
-__all__ = [
-    *("DEVIATIONS", "LEAST", "channel_delays", "gyroscope_delay", "is_told"),
-    "pooled_delays",
-]
-
 # Delays below these (s) are not told: ...
 LEAST = {"effort": 5e-4, "imu": 5e-4, "base": 1e-3, "contacts": 2e-3}
 # ... nor are those of fewer errors than this, to which these were added (s): what delays of

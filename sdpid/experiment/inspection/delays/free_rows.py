@@ -13,8 +13,6 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["FreeRows", "first_scale"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FreeRows:

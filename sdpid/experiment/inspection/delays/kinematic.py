@@ -11,8 +11,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["imu_against_pose", "pose_against_joints"]
-
 # Cut-off (Hz) of poses, whose differences are noisy, and least number of memories of the filter.
 _POSE_HZ, _MEMORIES = 15.0, 8.0
 # Least number of samples of a foot that stands.

@@ -13,8 +13,6 @@ from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["Delay", "Smooth", "block_error", "filtered", "lag", "pooled"]
-
 # Gauss-Newton steps of a lag end when one is this share of its error. Of motions three are enough
 # from 20 ms away; of forces, which jump, ten and more.
 _SETTLED, _STEPS = 0.02, 50

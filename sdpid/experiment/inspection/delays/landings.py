@@ -19,8 +19,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["contacts_delay"]
-
 # Cut-off (Hz) at which a landing is a step of 8 ms.
 _CUTOFF_HZ = 120.0
 # A landing is looked for this far from its flag (s), and must not be at the edge of that.

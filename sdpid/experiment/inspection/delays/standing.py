@@ -15,8 +15,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["Standing", "on_legs"]
-
 # Cut-off (Hz) of the motion of feet that stand for some 0.2 s, and least number of memories of the
 # filter.
 _STANCE_HZ, _MEMORIES = 20.0, 8.0

@@ -16,8 +16,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import moving
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["floating_log", "floating_samples"]
-
 # Rows that are compared: with 4 feet down 6 equations each.
 _ROWS = 120
 # A joint whose bodies ask for less than this share of what they ask for at the strongest is not

@@ -16,8 +16,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import frame_places
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["LEAST_RATE", "Evidence", "feet_in_base"]
-
 # Rows at which places of feet are looked at.
 _ROWS = 200
 # Rates below this (rad/s, rms) are noise of the orientation.

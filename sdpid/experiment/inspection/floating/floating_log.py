@@ -24,8 +24,6 @@ from sdpid.experiment.inspection.floating.leg_orders import MOST_LEGS, exchanges
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 
-__all__ = ["FloatingLog"]
-
 # The base's force weighs in the fit by this share of the weight, its torque at this many meters.
 _WEIGHT_SHARE, _ARM = 0.1, 0.1
 # A contact's direction below this share of the strongest is another one's repetition.

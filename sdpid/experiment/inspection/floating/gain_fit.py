@@ -7,8 +7,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.dynamics import GAINS
 
-__all__ = ["fitted", "sensible_fit"]
-
 # Standard errors are from so many blocks of samples.
 _BLOCKS = 20
 

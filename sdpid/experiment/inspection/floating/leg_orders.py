@@ -8,8 +8,6 @@ from itertools import permutations
 from sdpid._common.arrays import Mask
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["MOST_LEGS", "exchanges", "leg_orders"]
-
 # Orders of more legs are not tried.
 MOST_LEGS = 4
 

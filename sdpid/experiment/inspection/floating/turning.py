@@ -9,11 +9,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = [
-    *("GRAVITY", "axes_in_words", "readings", "signed_axes", "turn_rates"),
-    *("unexplained", "window_means"),
-]
-
 GRAVITY = 9.80665
 # Means over this time (s) make rates of noisy orientations comparable.
 WINDOW = 0.02

@@ -13,8 +13,6 @@ from sdpid.experiment.inspection.forces.free_legs import described_weight
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["explained_log", "follow_forces"]
-
 # A mass that is this far off the description's is a scale of the torques, or a load; off what the
 # robot weighs it is a scale. Of 72 simulated logs, links 15 % off, torques carry up to 2.5 % less
 # or more than the robot weighs. Both from so many standard errors on.

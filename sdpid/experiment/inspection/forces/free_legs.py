@@ -20,8 +20,6 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["FreeLeg", "FreeLegs", "free_legs"]
-
 # Samples that are compared.
 _ROWS = 600
 # A link's mass may be off by this share of it, its first moments and moments of inertia by what

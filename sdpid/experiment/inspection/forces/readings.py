@@ -11,8 +11,6 @@ from sdpid.experiment.inspection.forces.free_legs import FreeLegs
 from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import frame_axes
 
-__all__ = ["BETTER", "Reading", "readings"]
-
 # In whose axes forces may have been recorded.
 _AXES = ("world", "base", "foot")
 # Of 72 simulated logs right forces leave at most 0.0005 of what the legs' torques need beside their

@@ -10,8 +10,6 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.forces.free_legs import FreeLeg, FreeLegs
 from sdpid.robot.inertia import skew
 
-__all__ = ["FootScale", "common_scale", "foot_scales"]
-
 # A contact point may be off by this much (m), the radius of a foot; the point that moments of soles
 # were said to be about by more.
 _POINT, _ABOUT = 0.02, 0.3

@@ -9,8 +9,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 
-__all__ = ["SURE", "BlockFit", "BlockSums", "sure_part"]
-
 # Stretches of a recording whose errors count as independent.
 _BLOCKS = 20
 # What is this many standard errors from 0 is sure.

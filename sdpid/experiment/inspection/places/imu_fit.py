@@ -17,8 +17,6 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.inertia import skew
 
-__all__ = ["RATE_BIAS", "SIZES", "ImuFit", "accelerometer_fit", "gyroscope_fit", "on_time"]
-
 # Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
 _RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
 # Samples that are looked at, from the middle of longer recordings, and least number of memories of

@@ -13,8 +13,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.places.block_fit import BlockFit, BlockSums, sure_part
 
-__all__ = ["Found", "nearest_turn", "searched"]
-
 # What explains this share of what the best does is named beside it: a level base does not tell an
 # axis that is tilted from a bias.
 _RIVAL = 0.5

@@ -15,8 +15,6 @@ from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["BETTER", "SIZE", "FootPoint", "RestingFrame", "foot_points", "resting_frames"]
-
 # Told from five standard errors on and from this size (m), about half the radius of a quadruped's
 # foot. Right logs of three quadrupeds are off by 4.4 mm at most, where feet land hard in a trot.
 SIZE = 0.01

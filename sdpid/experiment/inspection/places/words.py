@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from sdpid._common.arrays import Array
 
-__all__ = ["vector"]
-
 
 def vector(values: Array) -> str:
     """Return a vector with three digits, what is below 0.0005 as 0."""

@@ -8,8 +8,6 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.plant.legged.paths import Plan
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["weight_torques"]
-
 
 def weight_torques(legs: Legs, plan: Plan, times: Array) -> Array:
     """Return the joint torques that hold the robot still at every instant of a plan.

@@ -10,8 +10,6 @@ from sdpid.experiment.plant.legged.paths import LEAD, Plan
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["follow"]
-
 
 def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Plan:
     """Return the plan of a motion; the robot stands in its first pose for a while before.

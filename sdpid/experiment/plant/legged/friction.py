@@ -10,8 +10,6 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.robot.friction.terms import Coulomb, Stribeck
 
-__all__ = ["DryFriction"]
-
 # The narrowest sign over its height at which steps of 1 ms integrate without chatter, rad/s: the
 # slope of friction damps a rotor of the default size by 1/ms there, for a leg of 0.25 m; the
 # method of Runge and Kutta bears 2.8/ms.

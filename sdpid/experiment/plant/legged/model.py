@@ -17,8 +17,6 @@ from sdpid.experiment.plant.mujoco_model import (
 )
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["LeggedModel", "build_legged"]
-
 # Time constant of the ground in s: stiff against the gait, and soft against the step.
 _GROUND = 0.01
 # Impedance of what holds a base in the air: a humanoid that swings its legs moves it by 2 mm, and

@@ -19,8 +19,6 @@ from sdpid.experiment.plant.legged.paths import (
 )
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["MOTIONS", "plan_motion"]
-
 # Gaits: seconds a cycle, share of it that a foot is down, and height of a step for a leg of 1 m.
 _TROT = (0.5, 0.6, 0.2)
 _WALK = (2.0, 0.85, 0.2)

@@ -11,8 +11,6 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["LEAD", "RAMP", "Path", "Plan", "base_sines", "joint_sines", "planned", "rise"]
-
 # Instants a second at which inverse kinematics is solved: splines between them are exact to 1e-6
 # of a motion of 3 Hz.
 _KNOT_RATE = 200.0

@@ -24,8 +24,6 @@ from sdpid.experiment.plant.legged.paths import LEAD, Plan
 from sdpid.experiment.plant.legged.truth import Motion
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["run_plan"]
-
 # Stiffness of the motors' feedback over the torque that a joint bears at its lever, 1/rad, and
 # damping over stiffness, s: the joints follow within hundredths of a radian.
 _STIFFNESS, _DAMPING = 12.0, 0.06

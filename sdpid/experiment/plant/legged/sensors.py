@@ -16,8 +16,6 @@ from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.legs.legs import Legs
 
-__all__ = ["CHANNELS", "Sensors", "record"]
-
 # What may come late.
 CHANNELS = ("joints", "effort", "base", "imu", "contacts")
 

@@ -26,8 +26,6 @@ from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["LeggedRun", "simulate_legged"]
-
 _RATES = (500.0, 5000.0)
 # Length of a recording where nothing else is said, s.
 _SECONDS = 10.0

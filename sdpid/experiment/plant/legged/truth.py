@@ -14,8 +14,6 @@ from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["Motion", "changed_parameters"]
-
 # Friction and rotor inertia of a joint, where nobody gives them. Coulomb friction is this share of
 # what the joint bears at its lever, viscous friction this share of that at 1 rad/s, and the rotor
 # inertia this share of the robot's mass at a leg's length, less where a joint bears less: 0.2 N·m,

@@ -12,8 +12,6 @@ from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
-__all__ = ["TRANSMITS", "ContactSamples", "Kind"]
-
 Kind = Literal["point", "line", "plane"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's

@@ -8,8 +8,6 @@ from sdpid._common.arrays import Mask
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["base_held"]
-
 
 def base_held(robot: RobotModel, samples: Samples) -> Mask:
     """Return whether what holds the base takes any force and moment that nobody measured, (K,).

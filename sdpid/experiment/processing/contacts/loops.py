@@ -11,8 +11,6 @@ from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["with_loops"]
-
 
 def with_loops(robot: RobotModel, samples: Samples) -> Samples:
     """Return samples with the loops of a robot beside other contacts.

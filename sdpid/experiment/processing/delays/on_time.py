@@ -14,8 +14,6 @@ from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.recording import Recording, rows_of
 
-__all__ = ["CHANNELS", "delay_notes", "delayed_channels", "on_time"]
-
 # Groups of channels that share a clock, as words; joint positions are what all are compared with.
 CHANNELS = {
     "effort": "efforts",

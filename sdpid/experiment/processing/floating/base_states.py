@@ -19,8 +19,6 @@ from sdpid.experiment.processing.floating.rotations import body_rate, into_body,
 from sdpid.experiment.processing.settings import BaseSource
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["base_states"]
-
 
 def base_states(
     base: BaseMotion, on_grid: OnGrid, gravity: Array, wanted: BaseSource = "auto"

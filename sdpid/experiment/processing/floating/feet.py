@@ -14,8 +14,6 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["carried", "feet_of", "landing_share", "near"]
-
 
 def feet_of(
     contacts: Contacts, on_grid: OnGrid, processing: Processing

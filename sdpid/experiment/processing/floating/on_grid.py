@@ -12,8 +12,6 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.recording.uniform_grid import Grid
 
-__all__ = ["OnGrid"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnGrid:

@@ -14,8 +14,6 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.motion import fourth_differences
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["angle_noise", "base_limit", "quieter", "white_noise"]
-
 _GRAVITY = 9.81
 
 

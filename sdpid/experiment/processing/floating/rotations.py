@@ -6,8 +6,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 
-__all__ = ["body_rate", "into_body", "unit"]
-
 # Below this sine of half an angle its logarithm is taken from the series.
 _SMALL = 1e-6
 

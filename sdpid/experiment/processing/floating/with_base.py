@@ -17,8 +17,6 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["BASE_NAMES", "GRAVITY", "require_finite", "with_base"]
-
 # Velocity coordinates of a floating base, as Pinocchio and a loaded robot call them.
 BASE_NAMES = tuple(f"root_joint/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz"))
 # Where no robot says another: that of `load_robot`, m/s².

@@ -16,8 +16,6 @@ from sdpid.experiment.readers.floating.quantities import PARTS
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["base_of", "contacts_of"]
-
 _FIELDS = {"contact": "down", "contact_force": "forces", "contact_wrench": "wrenches"}
 
 

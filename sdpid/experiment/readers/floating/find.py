@@ -15,8 +15,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import Columns, spelled
 from sdpid.experiment.readers.floating.quantities import NAMES, PARTS
 
-__all__ = ["Floating", "find_floating"]
-
 _BETWEEN = r"[_./\s\[-]*"
 _FRAMES = ("world", "base")
 # Words that tell another quantity from a foot that is named behind ``contact_``.

@@ -7,8 +7,6 @@ from typing import Any
 
 from sdpid.errors import DataError
 
-__all__ = ["HELD", "NAMES", "PARTS", "SETTINGS", "checked_settings"]
-
 # Names under which quantities are found, in the order in which they are looked for.
 NAMES: dict[str, tuple[str, ...]] = {
     "base_orientation": ("base_orientation", "base_quaternion", "base_quat"),

@@ -19,8 +19,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.recording.memory_budget import check_claim
 
-__all__ = ["load_hdf5"]
-
 # What MATLAB says of an array that it wrote; such arrays have their axes reversed.
 _MATLAB = "MATLAB_class"
 # MATLAB keeps internal references here.

@@ -24,8 +24,6 @@ from sdpid.experiment.readers.formats.text_file import load_text
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.recording.memory_budget import check_claim
 
-__all__ = ["LOADERS", "MATRICES", "SANDBOXED"]
-
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
 _DAMAGE = (
     tokenize.TokenError,

@@ -17,8 +17,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.formats.hdf5 import load_hdf5
 from sdpid.experiment.readers.table import NoNumbersError, Table
 
-__all__ = ["load_mat"]
-
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # MATLAB puts 512 bytes of its own before the HDF5 file.
 _USER_BLOCK = 512

@@ -15,8 +15,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.table import Table
 from sdpid.experiment.recording.memory_budget import check_memory
 
-__all__ = ["is_folder_of_matrices", "load_matrices"]
-
 _SUFFIXES = (".dat", ".txt", ".csv", ".tsv")
 # Characters of the file by which the separator is decided.
 _SNIFFED = 1 << 12

@@ -20,8 +20,6 @@ from sdpid.experiment.recording.parquet import FORMAT, KEY
 from sdpid.experiment.recording.recording import CHANNELS
 from sdpid.experiment.recording.stored import ROWS, store
 
-__all__ = ["LARGE", "load_parquet"]
-
 # Logs that would take more bytes than this are kept in temporary files.
 LARGE = 1 << 28
 # Bytes read from the file at a time, so that the size of row groups is no matter.

@@ -19,8 +19,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.formats.ros_base import MESSAGES, BaseStream, topic_of
 from sdpid.experiment.readers.table import Table
 
-__all__ = ["load_rosbag"]
-
 _MESSAGE = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")

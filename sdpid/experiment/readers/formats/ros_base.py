@@ -12,8 +12,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 
-__all__ = ["MESSAGES", "BaseStream", "topic_of"]
-
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 # What is read of which message, and the argument that names its topic.
 MESSAGES = {ODOMETRY: "base", IMU: "imu"}

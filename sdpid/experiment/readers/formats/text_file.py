@@ -25,8 +25,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.readers.unit_names import unit_of
 
-__all__ = ["load_text"]
-
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20
 # Lines that are handed on at once.

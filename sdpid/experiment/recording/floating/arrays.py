@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid.errors import DataError
 
-__all__ = ["Sampled", "keep_flags", "keep_samples", "keep_vector", "rotation_matrix"]
-
 T = TypeVar("T", bound="Sampled")
 
 # A rotation matrix typed with three digits is off by this much; a larger error is another matrix.

@@ -17,8 +17,6 @@ from sdpid.experiment.recording.floating.arrays import (
     rotation_matrix,
 )
 
-__all__ = ["BaseMotion", "Imu"]
-
 # A unit quaternion printed with three digits has a norm this far from 1.
 _OFF_UNIT = 2e-3
 # Quaternions this near to norm 1 are kept to the bit, so that rows of a recording are its rows.

@@ -15,8 +15,6 @@ from sdpid.errors import ExportError
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["base_columns", "base_metadata", "mapping_beside", "write_mapping"]
-
 # The first line of mappings that are written beside CSV files, and may be replaced.
 _MADE = "# What the columns of the log beside it cannot tell; written with it."
 _XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")

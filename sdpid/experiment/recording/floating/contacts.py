@@ -14,8 +14,6 @@ from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.floating.arrays import Sampled, keep_flags, keep_samples
 
-__all__ = ["ContactKind", "Contacts"]
-
 # Without flags a contact counts as closed where its force is at least this share of what only one
 # in a hundred exceeds, in any contact: well above what a sensor shows in the air, and a single
 # wrong value does not lift all feet.

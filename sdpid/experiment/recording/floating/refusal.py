@@ -5,8 +5,6 @@ from __future__ import annotations
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["require_fixed_base"]
-
 
 def require_fixed_base(log: Recording, what: str) -> None:
     """Refuse a recording of a robot with a floating base.

@@ -10,8 +10,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["require_its_base", "robot_of"]
-
 
 def robot_of(robot: RobotModel | str | os.PathLike[str], logs: Sequence[object] = ()) -> RobotModel:
     """Return a robot as it is, or load it: with a floating base where a recording has one.

@@ -12,8 +12,6 @@ from sdpid.experiment.recording.recording import Recording, channels
 from sdpid.robot.model.contacts.closure import close_loops
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["driven_joints", "lacking", "with_passive_joints"]
-
 
 def driven_joints(robot: RobotModel) -> tuple[str, ...]:
     """Return the joints of a robot that have motors, in its order."""
