@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
 _XYZ = ("x", "y", "z")
+_OF_JOINTS = ("position", "velocity", "acceleration", "effort")
 
 # Minutes of a humanoid's motion have less.
 _MOST_BYTES = 256 * 2**20
@@ -78,7 +81,7 @@ class WholeBodyMotion:
     def __post_init__(self) -> None:
         k, n, c = len(self.time), len(self.joint_names), len(self.frames)
         shapes: dict[str, tuple[int, ...]] = {"time": (k,), "base_position": (k, 3)}
-        shapes |= dict.fromkeys(("position", "velocity", "acceleration", "effort"), (k, n))
+        shapes |= dict.fromkeys(_OF_JOINTS, (k, n))
         shapes |= {"base_orientation": (k, 4), "forces": (k, c, 3)}
         for name, shape in shapes.items():
             values = real_array(getattr(self, name), name, ndim=len(shape))
@@ -106,19 +109,10 @@ class WholeBodyMotion:
 
     def columns(self) -> dict[str, Array]:
         """Return all columns by the names that readers of recordings find them by."""
-        found = {"time": self.time}
-        for name in ("position", "velocity", "acceleration", "effort"):
-            for j, joint in enumerate(self.joint_names):
-                found[f"{name}_{joint}"] = getattr(self, name)[:, j]
-        for i, axis in enumerate(_XYZ):
-            found[f"base_position_{axis}"] = self.base_position[:, i]
-        for i, axis in enumerate((*_XYZ, "w")):
-            found[f"base_orientation_{axis}"] = self.base_orientation[:, i]
-        for j, frame in enumerate(self.frames):
-            found[f"contact_{frame}"] = self.down[:, j].astype(np.float64)
-        for j, frame in enumerate(self.frames):
-            for i, axis in enumerate(_XYZ):
-                found[f"contact_force_{frame}_{axis}"] = self.forces[:, j, i]
+        found: dict[str, Array] = {}
+        for name, columns in _layout(self.joint_names, self.frames).items():
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            found |= dict(zip(columns, values.reshape(-1, len(columns)).T, strict=True))
         return found
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
@@ -152,25 +146,26 @@ class WholeBodyMotion:
             if name.startswith("contact_") and not name.startswith("contact_force_")
         ]
 
-        def columns(*wanted: str) -> Array:
-            if missing := [name for name in wanted if name not in names]:
+        values: dict[str, Any] = {}
+        for field, columns in _layout(joints, frames).items():
+            if missing := [name for name in columns if name not in names]:
                 raise DataError(
                     f"{path}: has no column '{missing[0]}'; give a motion of a whole robot, such "
                     "as trajectory.csv of sdpid excite --stand."
                 )
-            return np.asarray(table[:, [names.index(name) for name in wanted]])
+            values[field] = table[:, [names.index(name) for name in columns]]
+        values["time"], values["down"] = values["time"][:, 0], values["down"] > 0.5
+        values["forces"] = values["forces"].reshape(len(table), len(frames), 3)
+        return cls(joint_names=tuple(joints), frames=tuple(frames), **values)
 
-        force = [f"contact_force_{frame}_{axis}" for frame in frames for axis in _XYZ]
-        return cls(
-            joint_names=tuple(joints),
-            time=columns("time")[:, 0],
-            **{
-                quantity: columns(*(f"{quantity}_{joint}" for joint in joints))
-                for quantity in ("position", "velocity", "acceleration", "effort")
-            },
-            base_position=columns(*(f"base_position_{axis}" for axis in _XYZ)),
-            base_orientation=columns(*(f"base_orientation_{axis}" for axis in (*_XYZ, "w"))),
-            frames=tuple(frames),
-            down=columns(*(f"contact_{frame}" for frame in frames)) > 0.5,
-            forces=columns(*force).reshape(len(table), len(frames), 3),
-        )
+
+def _layout(joints: Sequence[str], frames: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns of each field, by the names that readers of recordings find them by."""
+    found = {"time": ["time"]}
+    for name in _OF_JOINTS:
+        found[name] = [f"{name}_{joint}" for joint in joints]
+    found["base_position"] = [f"base_position_{axis}" for axis in _XYZ]
+    found["base_orientation"] = [f"base_orientation_{axis}" for axis in (*_XYZ, "w")]
+    found["down"] = [f"contact_{frame}" for frame in frames]
+    found["forces"] = [f"contact_force_{frame}_{axis}" for frame in frames for axis in _XYZ]
+    return found

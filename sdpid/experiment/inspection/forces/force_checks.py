@@ -10,11 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.forces.flag_checks import explained_log, follow_forces
 from sdpid.experiment.inspection.forces.free_legs import FreeLegs, free_legs
 from sdpid.experiment.inspection.forces.readings import BETTER, Reading, readings
-from sdpid.experiment.inspection.forces.scales import FootScale, common_scale, foot_scales
+from sdpid.experiment.inspection.forces.scales import Scale, common_scale, foot_scales
 from sdpid.experiment.inspection.places.words import vector
 
 # Told from so many standard errors on, and beyond these: of 72 simulated logs of quadrupeds, links
@@ -26,6 +27,8 @@ _APART, _ONE_APART, _OFFSET = 0.02, 0.04, 0.02
 _MOMENTS_APART, _POINT = 0.1, 0.02
 # With more than this no reading is right.
 _UNLIKE = 0.1
+# A foot that is up for fewer samples shows no offset in the air.
+_LEAST_UP = 20
 # What is measured in the air is the sensor's: within this share the offset that torques tell.
 _SAME = 0.5
 
@@ -53,15 +56,15 @@ def forces(subject: Subject) -> Iterator[Finding]:
         return
     yield from _misread(subject, legs, given, best)
     wrenches = best.apply(legs)
-    scales = foot_scales(legs, wrenches)
+    scales, of_moments = foot_scales(legs, wrenches)
     yield from _scales(legs, scales, legs.borne(wrenches[..., :3]), subject.total_mass)
-    yield from _offsets(legs, scales)
-    yield from _moments(legs, scales)
+    yield from _offsets(legs, scales, wrenches[..., :3])
+    yield from _moments(legs, scales, of_moments)
 
 
 def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) -> Iterator[Finding]:
     """Tell of which feet and axes, and of which sign, forces are."""
-    names = legs.contacts.frames
+    names = legs.frames
     better = (
         f"so read they leave {100 * best.left:.2g} % of what the legs' torques need beside their "
         f"own links, as given {100 * given.left:.3g} %, limit a factor of {BETTER:g}"
@@ -103,7 +106,7 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
 
 
 def _scales(
-    legs: FreeLegs, scales: list[FootScale], borne: float, weighed: float | None
+    legs: FreeLegs, scales: list[Scale], borne: float, weighed: float | None
 ) -> Iterator[Finding]:
     """Tell the scale of forces against torques, in common and foot by foot."""
     ratio, error = common_scale(scales)
@@ -134,7 +137,7 @@ def _scales(
         )
     if len(scales) < 2:
         return
-    for foot, (name, scale) in enumerate(zip(legs.contacts.frames, scales, strict=True)):
+    for foot, (name, scale) in enumerate(zip(legs.frames, scales, strict=True)):
         others, uncertain = common_scale([each for i, each in enumerate(scales) if i != foot])
         against = scale.ratio / others
         limit = max(_ONE_APART, _SURE * float(np.hypot(scale.error, uncertain)))
@@ -151,42 +154,46 @@ def _scales(
         )
 
 
-def _offsets(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
+def _offsets(legs: FreeLegs, scales: list[Scale], forces: Array) -> Iterator[Finding]:
     """Tell forces that are measured where there are none."""
     least = _OFFSET * legs.weight
-    for name, scale in zip(legs.contacts.frames, scales, strict=True):
-        size = np.abs(scale.offset)
-        told = size > np.maximum(least, _SURE * scale.offset_errors)
+    for foot, (name, scale) in enumerate(zip(legs.frames, scales, strict=True)):
+        offset, errors = scale.shift, scale.shift_errors
+        size = np.abs(offset)
+        told = size > np.maximum(least, _SURE * errors)
         if not told.any():
             continue
         seen = (
             "while it is down; it is never up, so that torques with an offset would show the same"
         )
-        if scale.in_air is not None:
-            if np.linalg.norm(scale.in_air - scale.offset) > _SAME * np.linalg.norm(scale.offset):
+        up = ~legs.down[:, foot]
+        if np.count_nonzero(up) >= _LEAST_UP:
+            in_air = forces[up, foot].mean(axis=0)
+            if np.linalg.norm(in_air - offset) > _SAME * np.linalg.norm(offset):
                 continue  # Torques have it, not the sensor.
             seen = "up as down"
         axis = int(np.argmax(np.where(told, size, 0.0)))
-        limit = max(least, _SURE * float(scale.offset_errors[axis]))
+        limit = max(least, _SURE * float(errors[axis]))
         yield Finding(
             kind="forces_offset",
             message=(
-                f"contact forces of {name} are off by {vector(scale.offset)} N in x, y, z "
-                f"(standard errors {vector(scale.offset_errors)}, limit {limit:.3g} N in "
+                f"contact forces of {name} are off by {vector(offset)} N in x, y, z "
+                f"(standard errors {vector(errors)}, limit {limit:.3g} N in "
                 f"{'xyz'[axis]}), {seen}"
             ),
             remedy="take it off, or zero the sensor while the foot is up",
             numbers={
-                **{f"offset_{key}": value for key, value in zip("xyz", scale.offset, strict=True)},
+                **{f"offset_{key}": value for key, value in zip("xyz", offset, strict=True)},
                 "limit": limit,
             },
         )
 
 
-def _moments(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
+def _moments(
+    legs: FreeLegs, scales: list[Scale], of_moments: list[Scale | None]
+) -> Iterator[Finding]:
     """Tell moments of soles of another scale than the forces, or about another point."""
-    for name, scale in zip(legs.contacts.frames, scales, strict=True):
-        found = scale.moments
+    for name, scale, found in zip(legs.frames, scales, of_moments, strict=True):
         if found is None:
             continue
         # Of a sensor that is wrong as a whole the forces tell.
@@ -203,19 +210,19 @@ def _moments(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
                 remedy="give moments in N·m on the robot, in the world's axes",
                 numbers={"ratio": ratio, "error": found.error, "limit": limit},
             )
-        limits = np.maximum(_POINT, _SURE * found.point_errors)
-        if not np.any(np.abs(found.point) > limits):
+        limits = np.maximum(_POINT, _SURE * found.shift_errors)
+        if not np.any(np.abs(found.shift) > limits):
             continue
         yield Finding(
             kind="wrenches_point",
             message=(
-                f"moments of {name} are about a point {vector(found.point)} m from its frame's "
-                f"origin, in the world's axes (standard errors {vector(found.point_errors)}, "
+                f"moments of {name} are about a point {vector(found.shift)} m from its frame's "
+                f"origin, in the world's axes (standard errors {vector(found.shift_errors)}, "
                 f"limits {vector(limits)})"
             ),
             remedy="give moments about the origin of the contact's frame, or the sensor's frame",
             numbers={
-                **{f"point_{key}": value for key, value in zip("xyz", found.point, strict=True)},
+                **{f"point_{key}": value for key, value in zip("xyz", found.shift, strict=True)},
                 "limit": _POINT,
             },
         )

@@ -87,8 +87,14 @@ class FreeLegs:
         One for each of the c contacts.
     position : ndarray, shape (K, 7 + n)
         Configurations of the robot.
-    contacts : ContactSamples
-        Of these legs, with their forces.
+    frames : tuple of str
+        Of the contacts.
+    flat : tuple of bool
+        Whether contacts transmit moments too.
+    down : ndarray of bool, shape (K, c)
+        Whether they are closed.
+    wrenches : ndarray, shape (K, c, 6)
+        Their forces and moments as recorded.
     needed : ndarray, shape (K, 3)
         Force on the base that weight and inertia of the description need, in its axes, N.
     whole : bool
@@ -98,15 +104,12 @@ class FreeLegs:
     robot: RobotModel
     legs: tuple[FreeLeg, ...]
     position: Array
-    contacts: ContactSamples
+    frames: tuple[str, ...]
+    flat: tuple[bool, ...]
+    down: Mask
+    wrenches: Array
     needed: Array
     whole: bool
-
-    @property
-    def wrenches(self) -> Array:
-        """Forces and moments as recorded, (K, c, 6)."""
-        assert self.contacts.forces is not None
-        return self.contacts.forces
 
     @property
     def weight(self) -> float:
@@ -115,7 +118,7 @@ class FreeLegs:
 
     def borne(self, forces: Array) -> float:
         """Return what part of the description's weight and inertia forces (K, c, 3) bear."""
-        J = contact_jacobians(self.robot, self.position, self.contacts.frames)[..., :3, :3]
+        J = contact_jacobians(self.robot, self.position, self.frames)[..., :3, :3]
         given = np.einsum("kcij,kci->kj", J, forces)
         return float(np.sum(self.needed * given) / np.sum(self.needed**2))
 
@@ -150,12 +153,13 @@ def free_legs(
     bearing = _bearing(robot, contacts)
     taken = bearing & moved.any(axis=1) & ~shared.any(axis=1)
     taken &= ~(moved & ~known).any(axis=1)
-    if not np.any(taken):
+    if not np.any(taken) or contacts.forces is None:
         return None
+    feet = np.flatnonzero(taken).tolist()
     Y = robot.regressor(q, v, a)
     described = robot.described_efforts(q, v, a)
     legs = []
-    for contact in np.flatnonzero(taken).tolist():
+    for contact in feet:
         joints = robot.n_base + np.flatnonzero(moved[contact])
         rows = Y[:, joints]
         links = np.flatnonzero(np.any(rows != 0.0, axis=(0, 1)))
@@ -179,7 +183,10 @@ def free_legs(
         robot=robot,
         legs=tuple(legs),
         position=q,
-        contacts=_only(contacts, taken),
+        frames=tuple(contacts.frames[i] for i in feet),
+        flat=tuple(contacts.kind[i] != "point" for i in feet),
+        down=contacts.down[:, feet],
+        wrenches=contacts.forces[:, feet],
         needed=described[:, :3],
         whole=bool(taken[bearing].all()),
     )
@@ -204,18 +211,3 @@ def _believed(robot: RobotModel) -> Array:
     of_mass = np.array([1.0, *3 * (_AT,), *6 * (_AT**2,)])
     masses = np.maximum(robot.prior[:, :1], 1e-3 * robot.prior[:, 0].sum())
     return np.asarray((_BELIEF * masses * of_mass).ravel())
-
-
-def _only(contacts: ContactSamples, taken: Mask) -> ContactSamples:
-    """Return some of the contacts."""
-    assert contacts.forces is not None
-    assert contacts.force_covariance is not None
-    which = np.flatnonzero(taken)
-    return ContactSamples(
-        frames=tuple(contacts.frames[i] for i in which),
-        kind=tuple(contacts.kind[i] for i in which),
-        offset=contacts.offset[which],
-        down=contacts.down[:, which],
-        forces=contacts.forces[:, which],
-        force_covariance=contacts.force_covariance[which],
-    )

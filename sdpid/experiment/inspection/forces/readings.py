@@ -86,7 +86,7 @@ def _reading(axes: str, order: Indices, left: Array, gains: Array, needs: Array)
 
 def _turns(legs: FreeLegs) -> dict[str, Array]:
     """Return the rotations (K, c, 3, 3) that bring forces into the world's axes."""
-    feet = frame_axes(legs.robot, legs.position, legs.contacts.frames)
+    feet = frame_axes(legs.robot, legs.position, legs.frames)
     base = rotation_matrices(legs.position[:, 3:7])[:, None]
     each = (np.eye(3), base, feet)
     return {name: np.broadcast_to(turn, feet.shape) for name, turn in zip(_AXES, each, strict=True)}
@@ -105,7 +105,7 @@ def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array, Array]:
             for part in (slice(0, 3), slice(3, 6))
         )
         columns = [leg.by_forces(forces)]
-        if legs.contacts.kind[foot] != "point":
+        if legs.flat[foot]:
             # Moments may be of another scale, or about another point: that is asked later.
             columns += [leg.by_moments(moments)]
             columns += [leg.by_moments(turn @ forces) for turn in skew(np.eye(3))]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.forces.free_legs import FreeLeg, FreeLegs
 from sdpid.robot.inertia import skew
 
@@ -15,64 +15,40 @@ from sdpid.robot.inertia import skew
 _POINT, _ABOUT = 0.02, 0.3
 # Scales are free within this, offsets within this share of what was measured at most.
 _SCALE, _OFFSET = 10.0, 0.3
-# A foot that is up for fewer samples shows no offset in the air.
-_LEAST_UP = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MomentScale:
-    """What the torques of a leg say of the moments at its sole.
+class Scale:
+    """What the torques of a leg say of the forces at its foot, or of the moments at its sole.
 
     Attributes
     ----------
     ratio, error : float
-        Measured moments over those that the torques show, and the standard error.
-    point, point_errors : ndarray, shape (3,)
-        The point that moments are about, from that which they are said to be about, in the
-        world's axes, and standard errors, m.
+        Measured values over those that the torques show, and the standard error.
+    shift, shift_errors : ndarray, shape (3,)
+        Of forces what is measured where there are none, N; of moments the point that they are
+        about, from that which they are said to be about, in the world's axes, m. And standard
+        errors.
     """
 
     ratio: float
     error: float
-    point: Array
-    point_errors: Array
+    shift: Array
+    shift_errors: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FootScale:
-    """What the torques of a leg say of the forces, or the wrench, at its foot.
+def foot_scales(legs: FreeLegs, wrenches: Array) -> tuple[list[Scale], list[Scale | None]]:
+    """Return the scales of forces, and of moments at soles, of wrenches (K, c, 6) on the robot.
 
-    Attributes
-    ----------
-    ratio, error : float
-        Measured forces over those that the torques show, and the standard error.
-    offset, offset_errors : ndarray, shape (3,)
-        Forces that are measured where there are none, and standard errors, N.
-    in_air : ndarray, shape (3,), or None
-        The mean of what is measured while the foot is up; None where it is hardly ever.
-    moments : MomentScale or None
-        None of points.
+    All are in the world's axes.
     """
-
-    ratio: float
-    error: float
-    offset: Array
-    offset_errors: Array
-    in_air: Array | None
-    moments: MomentScale | None
+    each = zip(legs.legs, legs.flat, strict=True)
+    found = [_scales(leg, wrenches[:, foot], flat) for foot, (leg, flat) in enumerate(each)]
+    return [forces for forces, _ in found], [moments for _, moments in found]
 
 
-def foot_scales(legs: FreeLegs, wrenches: Array) -> list[FootScale]:
-    """Return the scales of wrenches (K, c, 6) on the robot, in the world's axes."""
-    found = []
-    for foot, leg in enumerate(legs.legs):
-        flat = legs.contacts.kind[foot] != "point"
-        up = ~legs.contacts.down[:, foot]
-        found.append(_scale(leg, wrenches[:, foot], up, flat=flat))
-    return found
-
-
-def _scale(leg: FreeLeg, wrenches: Array, up: Mask, *, flat: bool) -> FootScale:
+def _scales(leg: FreeLeg, wrenches: Array, flat: bool) -> tuple[Scale, Scale | None]:
+    """Return the scale of a foot's forces, and of its moments where there are any."""
     forces, moments = wrenches[:, :3], wrenches[:, 3:]
     ones = np.broadcast_to(np.eye(3), (len(forces), 3, 3))
     # Less the cross product with the way there, a moment is about another point.
@@ -90,26 +66,20 @@ def _scale(leg: FreeLeg, wrenches: Array, up: Mask, *, flat: bool) -> FootScale:
     values, errors = (each[leg.own.shape[2] :] for each in (fit.values, fit.errors))
     # Torques show what was measured, less its offset, over its scale.
     gain = float(values[0])
-    about = None
-    if flat:
-        of_moments = float(values[7])
-        about = MomentScale(
-            ratio=1.0 / of_moments,
-            error=float(errors[7]) / of_moments**2,
-            point=values[4:7] / gain,
-            point_errors=errors[4:7] / abs(gain),
-        )
-    return FootScale(
-        ratio=1.0 / gain,
-        error=float(errors[0]) / gain**2,
-        offset=-values[1:4] / gain,
-        offset_errors=errors[1:4] / abs(gain),
-        in_air=forces[up].mean(axis=0) if np.count_nonzero(up) >= _LEAST_UP else None,
-        moments=about,
-    )
+    of_forces = _over(gain, errors[0], -values[1:4] / gain, errors[1:4] / abs(gain))
+    if not flat:
+        return of_forces, None
+    point = values[4:7] / gain, errors[4:7] / abs(gain)
+    return of_forces, _over(float(values[7]), errors[7], *point)
 
 
-def common_scale(scales: list[FootScale]) -> tuple[float, float]:
+def _over(gain: float, error: float, shift: Array, shift_errors: Array) -> Scale:
+    """Return the scale of what torques show so many times."""
+    ratio, error = 1.0 / gain, float(error) / gain**2
+    return Scale(ratio=ratio, error=error, shift=shift, shift_errors=shift_errors)
+
+
+def common_scale(scales: list[Scale]) -> tuple[float, float]:
     """Return the weighted mean of the feet's ratios, and its standard error.
 
     It is no smaller than the ratios' spread says.
