@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.delays.columns import orthonormal
+from sdpid.experiment.inspection.corrections import friction
 from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
     LEAST,
@@ -15,8 +15,8 @@ from sdpid.experiment.inspection.delays.find import (
     gyroscope_delay,
     is_told,
 )
+from sdpid.experiment.inspection.delays.free_rows import orthonormal
 from sdpid.experiment.inspection.delays.lag import block_error, pooled
-from sdpid.experiment.inspection.dynamics import friction
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.experiment.processing.delays.on_time import CHANNELS

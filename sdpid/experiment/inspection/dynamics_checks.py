@@ -8,8 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid.experiment.inspection.corrections import CorrectedLog, Correction, Step
-from sdpid.experiment.inspection.dynamics import described, misfit, placeholders
+from sdpid.experiment.inspection.corrections import (
+    CorrectedLog,
+    Correction,
+    Step,
+    described,
+    misfit,
+    placeholders,
+)
 from sdpid.experiment.inspection.effort_checks import left_out
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
 

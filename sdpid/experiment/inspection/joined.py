@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.corrections import described
 from sdpid.experiment.inspection.delays.lag import block_error
-from sdpid.experiment.inspection.dynamics import described
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.model import RobotModel

@@ -13,10 +13,9 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.processing.efforts import in_threads
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
-from sdpid.experiment.processing.period_mean import Chain, near_standstill
+from sdpid.experiment.processing.period_mean import Chain, Window, near_standstill
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.wide_velocity import WideVelocity, wide_velocity
-from sdpid.experiment.processing.window import Window
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.trajectory.coefficients import curve_of, entries
 from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
+from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
@@ -27,6 +29,50 @@ _WHOLE = 1e-6
 _LARGEST = 1e9
 # Entries of a trajectory's file.
 _DURATIONS = ("rate_hz", "rest", "connection")
+_SERIES = ("harmonics", "amplitudes", "phases")
+_SAMPLES = ("position", "velocity", "acceleration")
+
+
+def entries(curve: Curve) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the entries of the whole curve, and those of each joint.
+
+    Raises
+    ------
+    ExportError
+        When the curve is of another kind than those of this folder.
+    """
+    if isinstance(curve, Spline):
+        whole = {"period": curve.duration, "degree": curve.degree}
+        return whole, [{"control_points": points.tolist()} for points in curve.control_points.T]
+    joints: list[dict[str, Any]] = []
+    if isinstance(curve, FourierSeries):
+        for j, center in enumerate(curve.center):
+            rows = {key: np.asarray(getattr(curve, key))[j].tolist() for key in _SERIES}
+            joints.append({"center": float(center), **rows})
+        return {"period": curve.period}, joints
+    if isinstance(curve, SampledCurve):
+        given = {key: getattr(curve, key) for key in _SAMPLES if getattr(curve, key) is not None}
+        joints = [{key: given[key][:, j].tolist() for key in given} for j in range(curve.n)]
+        return {"time": curve.time.tolist()}, joints
+    raise ExportError(f"trajectory: a curve of type {type(curve).__name__} cannot be written.")
+
+
+def curve_of(table: Mapping[str, Any]) -> Curve:
+    """Return the curve of a file's table, whose joints are its list ``joint``."""
+    joints = table["joint"]
+
+    def rows(key: str) -> Array:
+        return np.array([joint[key] for joint in joints])
+
+    if joints and "control_points" in joints[0]:
+        points = rows("control_points").T
+        return Spline(duration=table["period"], control_points=points, degree=table["degree"])
+    if joints and "position" in joints[0]:
+        given = {key: rows(key).T for key in _SAMPLES if key in joints[0]}
+        return SampledCurve(time=table["time"], **given)
+    return FourierSeries(
+        period=table["period"], center=rows("center"), **{key: rows(key) for key in _SERIES}
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,8 +11,7 @@ import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.accept import require_accepted
-from sdpid.experiment.inspection.finding import Finding, Subject
-from sdpid.experiment.inspection.floating.compare import floating_log
+from sdpid.experiment.inspection.finding import Finding, Subject, floating_log
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
 from sdpid.experiment.inspection.forces import force_checks
 from sdpid.experiment.plant.legged.sensors import Sensors

@@ -15,8 +15,13 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.experiment.inspection.delays.columns import free_columns, orthonormal, regressor
-from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
+from sdpid.experiment.inspection.delays.free_rows import (
+    FreeRows,
+    first_scale,
+    free_columns,
+    orthonormal,
+    regressor,
+)
 from sdpid.experiment.inspection.delays.lag import Delay, block_error
 from sdpid.experiment.inspection.delays.standing import on_legs
 from sdpid.experiment.processing.choose import default_processing

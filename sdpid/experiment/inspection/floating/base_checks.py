@@ -9,10 +9,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.inspection.floating.evidence import LEAST_RATE, Evidence, feet_in_base
-from sdpid.experiment.inspection.floating.turning import (
+from sdpid.experiment.inspection.floating.evidence import (
     GRAVITY,
+    LEAST_RATE,
+    Evidence,
     axes_in_words,
+    feet_in_base,
     readings,
     signed_axes,
     turn_rates,

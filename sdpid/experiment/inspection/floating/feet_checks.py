@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.inspection.floating.turning import window_means
+from sdpid.experiment.inspection.floating.evidence import window_means
 from sdpid.robot.model.contacts.jacobians import frame_places
 
 # A foot that is down and moves faster than this on average (m/s) is not down, or slips. Feet of

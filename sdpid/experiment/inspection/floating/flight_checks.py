@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.inspection.floating.turning import GRAVITY
+from sdpid.experiment.inspection.floating.evidence import GRAVITY
 from sdpid.experiment.recording.recording import Recording
 
 # Times without a closed contact that are shorter than this (s) say little about acceleration, and

@@ -16,13 +16,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.corrections import CorrectedLog, Correction
-from sdpid.experiment.inspection.dynamics import Gains
-from sdpid.experiment.inspection.floating.gain_fit import fitted, sensible_fit
-from sdpid.experiment.inspection.floating.leg_orders import MOST_LEGS, exchanges, leg_orders
+from sdpid._common.arrays import Array, Mask
+from sdpid.experiment.inspection.corrections import GAINS, CorrectedLog, Correction, Gains
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.model import RobotModel
 
 # The base's force weighs in the fit by this share of the weight, its torque at this many meters.
 _WEIGHT_SHARE, _ARM = 0.1, 0.1
@@ -40,6 +38,93 @@ _MANY = 20
 _HELD = 1e-6
 # A gain is known where its standard error is below this share of it.
 _KNOWN = 0.2
+# Standard errors are from so many blocks of samples.
+_BLOCKS = 20
+# Orders of more legs are not tried.
+MOST_LEGS = 4
+
+
+def exchanges(order: tuple[int, ...], poor: Mask) -> bool:
+    """Return whether an order exchanges two joints of these, or moves more."""
+    moved = [joint for joint, place in enumerate(order) if joint != place]
+    return len(moved) > 2 or bool(poor[moved].all())
+
+
+def leg_orders(robot: RobotModel) -> Iterator[tuple[int, ...]]:
+    """Yield orders in which legs, or the joints of all legs, are exchanged."""
+    legs = _legs_of(robot)
+    n = sum(len(leg) for leg in legs)
+    by_size: dict[int, list[list[int]]] = {}
+    for leg in legs:
+        by_size.setdefault(len(leg), []).append(leg)
+    for size, alike in by_size.items():
+        if not 1 < len(alike) <= MOST_LEGS:
+            continue
+        flat = [joint for leg in alike for joint in leg]
+        turned = [alike[k // size][k % size] for k in range(len(flat))]
+        ways = [[joint for leg in way for joint in leg] for way in permutations(alike)]
+        # All first joints of legs, then all second ones; and the way back.
+        by_joint = [leg[k] for k in range(size) for leg in alike]
+        back = [flat[by_joint.index(joint)] for joint in flat]
+        for way in (*ways, by_joint, back, [joint for leg in alike for joint in reversed(leg)]):
+            order = list(range(n))
+            for place, joint in zip(turned, way, strict=True):
+                order[place] = joint
+            if order != list(range(n)):
+                yield tuple(order)
+
+
+def _legs_of(robot: RobotModel) -> list[list[int]]:
+    """Return the joints that hang on the base one after another, counted from 0 behind it."""
+    parents = list(robot.pin_model.parents)
+    legs: dict[int, list[int]] = {}
+    first: dict[int, int] = {}
+    for joint in range(2, len(parents)):
+        first[joint] = joint if parents[joint] == 1 else first[parents[joint]]
+        legs.setdefault(first[joint], []).append(joint - 2)
+    return list(legs.values())
+
+
+def fitted(columns: Array, due: Array) -> tuple[Array, Array]:
+    """Return least squares of rows (K, m, p), and standard errors from blocks of samples."""
+    A, b = columns.reshape(-1, columns.shape[2]), due.ravel()
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0.0] = 1.0
+    A = A / size
+    inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
+    found = inverse @ (A.T @ b)
+    scores = (A * (b - A @ found)[:, None]).reshape(*due.shape, -1).sum(axis=1)
+    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, _BLOCKS)])
+    errors = np.sqrt(np.sum((sums @ inverse) ** 2, axis=0))
+    return found / size, errors / size
+
+
+def sensible_fit(columns: Array, due: Array, scale: float) -> Array:
+    """Return gains of 0.3 to 3, friction that takes power, rotors that have inertia."""
+    from scipy.optimize import nnls
+
+    n = columns.shape[2] // 4
+    A, b = columns.reshape(-1, columns.shape[2]), due.ravel()
+    # A root of the normal equations is exact enough for shares, and several times faster than QR.
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0.0] = 1.0
+    A = A / size
+    values, vectors = np.linalg.eigh(A.T @ A)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    factor, rhs = (vectors * root).T, (vectors.T @ (A.T @ b)) / root
+    low, high = np.zeros(4 * n), np.full(4 * n, np.inf)
+    low[:n], high[:n] = (limit / scale * size[:n] for limit in GAINS)
+    found = low.copy()
+    open_ = np.ones(4 * n, dtype=np.bool_)
+    for _ in range(n):
+        fixed = factor[:, ~open_] @ found[~open_] + factor[:, open_] @ low[open_]
+        found[open_] = low[open_] + nnls(factor[:, open_], rhs - fixed)[0]
+        over = open_ & (found > high)
+        if not over.any():
+            break
+        found[over] = high[over]
+        open_ &= ~over
+    return np.asarray(found / size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding, Subject, check, vector
 from sdpid.experiment.inspection.forces.flag_checks import explained_log, follow_forces
 from sdpid.experiment.inspection.forces.free_legs import FreeLegs, free_legs
 from sdpid.experiment.inspection.forces.readings import BETTER, Reading, readings
 from sdpid.experiment.inspection.forces.scales import Scale, common_scale, foot_scales
-from sdpid.experiment.inspection.places.words import vector
 
 # Told from so many standard errors on, and beyond these: of 72 simulated logs of quadrupeds, links
 # 15 % off their description, the common scale is up to 1.1 % off, that of a foot against all 2.7 %,

@@ -6,19 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding, Subject, check, vector
 from sdpid.experiment.inspection.floating import base_checks
-from sdpid.experiment.inspection.floating.turning import GRAVITY, axes_in_words, signed_axes
+from sdpid.experiment.inspection.floating.evidence import GRAVITY, axes_in_words, signed_axes
 from sdpid.experiment.inspection.places.imu_fit import (
     RATE_BIAS,
     SIZES,
+    Found,
     ImuFit,
     accelerometer_fit,
     gyroscope_fit,
     on_time,
 )
-from sdpid.experiment.inspection.places.imu_search import Found
-from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.base import Imu
 
 # Accelerations of a wrong place or axes are those of another time.

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.experiment.inspection.delays.standing import Standing
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding, Subject, check, vector
 from sdpid.experiment.inspection.floating import feet_checks
 from sdpid.experiment.inspection.places.point_fit import (
     BETTER,
@@ -17,7 +17,6 @@ from sdpid.experiment.inspection.places.point_fit import (
     foot_points,
     resting_frames,
 )
-from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.contacts import Contacts
 
 # A point rests that is slower than so many times what noise makes, or than this (m/s): of

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.paths import (
-    LEAD,
-    RAMP,
-    Plan,
-    base_sines,
-    joint_sines,
-    planned,
-    rise,
-)
 from sdpid.robot.legs.legs import Legs
 
 # Gaits: seconds a cycle, share of it that a foot is down, and height of a step for a leg of 1 m.
@@ -28,6 +21,166 @@ _STEP = (3.0, 0.75, 0.05)
 _SPEED, _SLOW = 0.4, 0.03
 # How far the base leans over the feet that are down: of two feet, all the way.
 _LEAN, _LEAN_ON_SOLES = 1.0, 1.45
+# Instants a second at which inverse kinematics is solved: splines between them are exact to 1e-6
+# of a motion of 3 Hz.
+_KNOT_RATE = 200.0
+# The robot stands for this long before it moves, s: what falls to the ground comes to rest.
+LEAD = 1.0
+# The motion grows to its size over this long, s.
+RAMP = 0.5
+# Amplitudes of the base: metres for a leg of 1 m, and rad. Sines in each of the six directions.
+_SWAY, _TILT = 0.12, 0.18
+_SWAY_HZ = ((0.35, 0.9, 1.7), (0.45, 1.1, 1.9), (0.4, 1.3, 2.1))
+_TILT_HZ = ((0.5, 1.2, 2.0), (0.55, 1.0, 1.8), (0.3, 0.8, 1.5))
+# Shares of the sines: slower ones are larger, so that all accelerate alike.
+_SHARES = (0.6, 0.3, 0.1)
+# Robots on soles sway less along the ground, so that the pressure under them stays inside, and
+# less up and about, which their ankles follow.
+_SWAY_ON_SOLES, _TURN_ON_SOLES = 0.12, 0.3
+# Joints beside the legs swing by this share of what they do when the robot hangs.
+_FREE_SHARE = 0.5
+# Hanging: amplitudes of the joints in rad, and frequencies in Hz.
+_SWING = 0.35
+_SWING_HZ = (0.4, 0.7, 1.1, 1.6, 2.3)
+# Rounds in which the base of a robot on soles is moved until the weight is where it is planned:
+# legs are a third of its mass, so that each round leaves a third of the error.
+_ROUNDS = 3
+
+Path: TypeAlias = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A desired motion.
+
+    Attributes
+    ----------
+    joints : callable
+        Joint positions and velocities wanted at times (K,), two arrays (K, joints).
+    base : callable
+        Positions (K, 3) and rotation vectors (K, 3) of the base at times.
+    down : callable
+        Which feet shall bear weight, (K, c) bool.
+    held : bool
+        Whether the base is held in the air.
+    duration : float
+        Length without the lead, s.
+    effort : callable, optional
+        Torques (K, joints) that carry the motion; by default those that carry the weight.
+    """
+
+    joints: Path
+    base: Path
+    down: Callable[[Array], Mask]
+    held: bool
+    duration: float
+    effort: Callable[[Array], Array] | None = None
+
+
+def planned(
+    legs: Legs,
+    duration: float,
+    rng: np.random.Generator,
+    base: Path,
+    feet: Callable[[Array], Array],
+    down: Callable[[Array], Mask],
+) -> Plan:
+    """Plan a motion: solve for the joints at knots.
+
+    Parameters
+    ----------
+    legs : Legs
+        The robot.
+    duration : float
+        Seconds after the lead.
+    rng : numpy.random.Generator
+        Phases of the joints beside the legs, which swing.
+    base : callable
+        Motion of the base about the place of the neutral one. Of a robot on soles its horizontal
+        part is that of the center of mass about the middle of the feet, and the base follows.
+    feet : callable
+        Centers of the feet in the frame of the neutral base at times (K,), (K, c, 3).
+    down : callable
+        Which feet shall bear weight.
+    """
+    from scipy.interpolate import make_interp_spline
+    from scipy.spatial.transform import Rotation
+
+    knots = np.arange(0.0, LEAD + duration + 2.0 / _KNOT_RATE, 1.0 / _KNOT_RATE)
+    position, turn = base(knots)
+    places, axes = feet(knots), Rotation.from_rotvec(turn).as_matrix()
+    swing = joint_sines(len(legs.free), rng) if len(legs.free) else None
+    wave = 0.0 if swing is None else _FREE_SHARE * swing(knots)[0]
+
+    def solved(moved: Array) -> Array:
+        away = places - position[:, None]
+        away[:, :, :2] -= moved[:, None]
+        wanted = np.einsum("kji,kcj->kci", axes, away)
+        reached = legs.reach(wanted, np.swapaxes(axes, 1, 2))
+        reached[:, legs.free] = legs.standing[legs.free] + wave
+        return reached
+
+    moved = np.zeros((len(knots), 2))
+    if legs.flat:
+        # The weight where the base is planned, from the middle of the feet.
+        target = position[:, :2] + legs.feet(legs.standing[None])[0, :, :2].mean(axis=0)
+        for _ in range(_ROUNDS):
+            center = np.einsum("kij,kj->ki", axes, legs.centers_of_mass(solved(moved)))
+            moved = target - position[:, :2] - center[:, :2]
+    spline = make_interp_spline(knots, solved(moved), k=5)
+    slope, shift = spline.derivative(), make_interp_spline(knots, moved, k=5)
+    height = np.array([0.0, 0.0, legs.radius - legs.feet(legs.standing[None])[0, :, 2].min()])
+
+    def lifted(t: Array) -> tuple[Array, Array]:
+        position, turn = base(t)
+        position = position + height
+        position[:, :2] += shift(t)
+        return position, turn
+
+    def joints(t: Array) -> tuple[Array, Array]:
+        return spline(t), slope(t)
+
+    return Plan(joints, lifted, down, False, duration)
+
+
+def joint_sines(n: int, rng: np.random.Generator) -> Path:
+    """Return sines of joints about zero, and their rates."""
+    frequency = rng.permuted(np.tile(_SWING_HZ, (n, 1)), axis=1)[:, :3] * rng.uniform(
+        0.9, 1.1, (n, 3)
+    )
+    phase = rng.uniform(0.0, 2.0 * np.pi, (n, 3))
+    size = _SWING * np.array(_SHARES) / frequency
+
+    def joints(t: Array) -> tuple[Array, Array]:
+        angle = 2.0 * np.pi * frequency * t[:, None, None] + phase
+        ramp, rate = rise(t)
+        wave = np.sum(size * np.sin(angle), axis=2)
+        slope = np.sum(size * 2.0 * np.pi * frequency * np.cos(angle), axis=2)
+        return ramp[:, None] * wave, ramp[:, None] * slope + rate[:, None] * wave
+
+    return joints
+
+
+def base_sines(legs: Legs, rng: np.random.Generator, scale: float) -> Path:
+    """Return sines of the base about the height at which it stands."""
+    frequency = np.array([*_SWAY_HZ, *_TILT_HZ]) * rng.uniform(0.9, 1.1, (6, 3))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
+    size = np.repeat([_SWAY * legs.height, _TILT], 3)[:, None] * scale * np.array(_SHARES)
+    size[:2] *= _SWAY_ON_SOLES if legs.flat else 1.0
+    size[2:] *= _TURN_ON_SOLES if legs.flat else 1.0
+
+    def base(t: Array) -> tuple[Array, Array]:
+        wave = np.sum(size * np.sin(2.0 * np.pi * frequency * t[:, None, None] + phase), axis=2)
+        wave *= rise(t)[0][:, None]
+        return wave[:, :3], wave[:, 3:]
+
+    return base
+
+
+def rise(t: Array) -> tuple[Array, Array]:
+    """Return a smooth rise from 0 to 1 after the lead, and its rate."""
+    x = np.clip((t - LEAD) / RAMP, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x * (1.0 - x)) ** 2 / RAMP
 
 
 def plan_motion(legs: Legs, motion: str, *, duration: float, rng: np.random.Generator) -> Plan:
