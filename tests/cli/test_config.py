@@ -200,8 +200,7 @@ def test_options_offer_what_the_library_knows() -> None:
     from sdpid.assurance.intervals.intervals import Method
     from sdpid.cli import options
     from sdpid.estimation.compression import covariance
-    from sdpid.experiment.processing.derivatives import DERIVATIVES
-    from sdpid.experiment.processing.filters import FILTERS
+    from sdpid.experiment.processing.filters import DERIVATIVES, FILTERS
     from sdpid.robot import inertia
     from sdpid.robot.friction.model import BY_NAME
 

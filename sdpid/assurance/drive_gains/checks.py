@@ -16,7 +16,7 @@ from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel

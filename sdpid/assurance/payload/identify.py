@@ -42,7 +42,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import BY_NAME

@@ -24,7 +24,7 @@ from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.open_loop import Track

@@ -20,7 +20,7 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop

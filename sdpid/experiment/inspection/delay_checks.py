@@ -8,6 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.corrections import friction
+from sdpid.experiment.inspection.delays.dynamic import orthonormal
 from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
     LEAST,
@@ -15,7 +16,6 @@ from sdpid.experiment.inspection.delays.find import (
     gyroscope_delay,
     is_told,
 )
-from sdpid.experiment.inspection.delays.free_rows import orthonormal
 from sdpid.experiment.inspection.delays.lag import block_error, pooled
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.rows import Rows

@@ -17,7 +17,7 @@ from sdpid.experiment.inspection.corrections import (
     placeholders,
 )
 from sdpid.experiment.inspection.effort_checks import left_out
-from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
+from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check, exchanged
 
 # Efforts beyond this many times the description's, either way, are in another unit: of six real
 # arms they are 0.7 to 2.3 times.
@@ -261,10 +261,8 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
 def _words(change: Correction, names: tuple[str, ...], feet: tuple[str, ...]) -> tuple[str, str]:
     """Return what is wrong, and the remedy."""
     if change.kind == "feet_exchanged":
-        order = [int(i) for i in change.value]
-        pairs = [f"those of {feet[j]} are of {feet[i]}" for i, j in enumerate(order) if i != j]
         return (
-            f"flags of contacts are of other feet: {', '.join(pairs)}",
+            f"flags of contacts are of other feet: {exchanged(feet, change.value)}",
             "give the contacts' frames in the order of their columns",
         )
     if change.kind == "flags_unlike_motion":

@@ -102,6 +102,12 @@ def floating_log(
     return replace(log, rows=replace(rows, usable=usable)) if usable.any() else None
 
 
+def exchanged(names: Sequence[str], order: Sequence[float]) -> str:
+    """Return of which other feet columns are, where `order` has the column of each foot."""
+    pairs = ((int(j), i) for i, j in enumerate(order) if i != j)
+    return ", ".join(f"those of {names[j]} are of {names[i]}" for j, i in pairs)
+
+
 def vector(values: Array) -> str:
     """Return a vector with three digits, what is below 0.0005 as 0."""
     rounded = [float(f"{value:.3g}") if abs(value) >= 5e-4 else 0.0 for value in values]

@@ -28,7 +28,7 @@ from sdpid.experiment.inspection.floating import (
     feet_checks,
     flight_checks,
 )
-from sdpid.experiment.inspection.forces import flag_checks, force_checks, missing_checks
+from sdpid.experiment.inspection.forces import flag_checks, force_checks
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.places import imu_checks, point_checks
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -42,7 +42,7 @@ from sdpid.robot.model.model import RobotModel
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks, delay_checks),
     *(base_checks, imu_checks, feet_checks, point_checks, flight_checks),
-    *(missing_checks, flag_checks, force_checks),
+    *(flag_checks, force_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.

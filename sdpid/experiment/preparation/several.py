@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -14,18 +14,20 @@ from sdpid.experiment.inspection.accept import (
     kinds_accepted,
     require_accepted,
 )
+from sdpid.experiment.inspection.delays.find import channel_delays, is_told, pooled_delays
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
-from sdpid.experiment.preparation.delays import with_delays
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import default_processing, with_changes
+from sdpid.experiment.processing.delays.on_time import CHANNELS
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.floating.robots import require_its_base, robot_of
+from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -35,6 +37,57 @@ Logs: TypeAlias = "Log | Sequence[Log]"
 Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
 # All settings, or those that differ from the default.
 ProcessingOf: TypeAlias = "Processing | Mapping[str, Any] | None"
+# Delays are kept to this many digits of a second: 10 µs.
+_DIGITS = 5
+
+
+def with_delays(
+    robot: RobotModel,
+    logs: Sequence[Recording],
+    processing: Processing,
+    given: Mapping[str, Any] | None = None,
+    unused: Collection[str] = (),
+) -> Processing:
+    """Return a processing that takes late channels of recordings with a base on time.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    logs : sequence of Recording
+        What is to be processed alike; their sensors are the same, and so are the delays.
+    processing : Processing
+        Chosen for them.
+    given : mapping, optional
+        Settings that stand as they are.
+    unused : collection of str, optional
+        Joints whose efforts say nothing.
+
+    Returns
+    -------
+    Processing
+        With a reason for each delay that was found.
+    """
+    own = [match_joints(robot, log) for log in logs if log.base is not None]
+    if not robot.free_flyer or robot.loops or not own:
+        return processing
+    each = [channel_delays(robot, log, unused) for log in own]
+    changes: dict[str, Any] = {}
+    reasons = []
+    for channel, delay in pooled_delays(each).items():
+        field = f"{channel}_delay_s"
+        if field in (given or {}) or not is_told(channel, delay):
+            continue
+        value = round(delay.value, _DIGITS)
+        count = sum(channel in found for found in each)
+        shown = "the recording shows" if len(own) == 1 else f"{count} of {len(own)} recordings show"
+        text = (
+            f"{CHANNELS[channel]} late by {1e3 * value:.3g} ± {1e3 * delay.error:.2g} ms against "
+            f"the joints, as {shown}"
+        )
+        changes[field] = value
+        reasons.append(Reason(field=field, value=value, text=text))
+    return replace(processing, **changes, reasons=(*processing.reasons, *reasons))
 
 
 def all_recordings(

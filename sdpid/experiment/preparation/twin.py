@@ -19,7 +19,7 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording

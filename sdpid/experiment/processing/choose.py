@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
+from sdpid.experiment.processing.filters import BAND_OVER_RATE
 from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.processing.floating.quieter import base_limit
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit

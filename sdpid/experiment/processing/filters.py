@@ -1,8 +1,9 @@
-"""Zero-phase low-pass filters: Butterworth, Bessel, and one of finite memory."""
+"""Zero-phase low-pass filters, and derivatives of sampled signals."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
@@ -22,6 +23,189 @@ _FORGOTTEN = 45.0
 # Five time constants, which are cut off the ends of a record, are then the whole memory of a finite
 # filter.
 _CUT_OFF = 5.0
+Derivative = Literal["central", "central4", "central6", "savitzky_golay", "spectral"]
+
+DERIVATIVES: tuple[str, ...] = get_args(Derivative)
+
+# Differences of fourth order lose no more than 2 % of a velocity up to this share of the rate.
+BAND_OVER_RATE = 1.0 / 7.5
+
+# Degree of the local polynomials. A velocity is then exact on degree 4, and an acceleration,
+# whose next odd term vanishes in the middle of the window, on degree 5: as with "central4", which
+# is what the shortest window of 5 samples gives.
+_DEGREE = 4
+
+
+class Stencil(ABC):
+    """How a uniformly sampled signal is differentiated."""
+
+    @property
+    @abstractmethod
+    def margin(self) -> int:
+        """Number of samples m needed on either side."""
+
+    @abstractmethod
+    def velocity(self, signal: Array, step: float) -> Array:
+        """Return the first derivative of (N,) samples at the inner N - 2 m ones."""
+
+    @abstractmethod
+    def acceleration(self, signal: Array, step: float) -> Array:
+        """Return the second derivative of (N,) samples at the inner N - 2 m ones."""
+
+    def inner(self, signal: Array) -> Array:
+        """Return the samples at which derivatives are known."""
+        return signal[self.margin : signal.size - self.margin]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Weights(Stencil):
+    """Weights of neighboring samples, for a unit step.
+
+    Attributes
+    ----------
+    first, second : (2 m + 1,) ndarray
+        Weights of the first and of the second derivative.
+    """
+
+    first: Array
+    second: Array
+
+    @property
+    def margin(self) -> int:
+        """Number of samples m needed on either side."""
+        return self.first.size // 2
+
+    def velocity(self, signal: Array, step: float) -> Array:
+        """Return the first derivative of (N,) samples at the inner N - 2 m ones."""
+        return np.correlate(signal, self.first, mode="valid") / step
+
+    def acceleration(self, signal: Array, step: float) -> Array:
+        """Return the second derivative of (N,) samples at the inner N - 2 m ones."""
+        return np.correlate(signal, self.second, mode="valid") / step**2
+
+
+class Spectral(Stencil):
+    """Derivatives of the Fourier series through one whole period; m is 0.
+
+    Exact for signals without power at half the sampling rate or above.
+    """
+
+    @property
+    def margin(self) -> int:
+        """Number of samples needed on either side: a period is followed by itself."""
+        return 0
+
+    def velocity(self, signal: Array, step: float) -> Array:
+        """Return the first derivative of one period (N,) at all its samples."""
+        # At half the rate a sampled cosine says nothing of the sine beside it: the imaginary part
+        # there is ignored.
+        factor = 1j * _angular_frequencies(signal.size, step)
+        derivative: Array = np.fft.irfft(factor * np.fft.rfft(signal), signal.size)
+        return derivative
+
+    def acceleration(self, signal: Array, step: float) -> Array:
+        """Return the second derivative of one period (N,) at all its samples."""
+        factor = -(_angular_frequencies(signal.size, step) ** 2)
+        derivative: Array = np.fft.irfft(factor * np.fft.rfft(signal), signal.size)
+        return derivative
+
+
+def _angular_frequencies(count: int, step: float) -> Array:
+    return np.asarray(2.0 * math.pi * np.fft.rfftfreq(count, step), dtype=np.float64)
+
+
+# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]_
+_WEIGHTS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "central": ((1 / 2,), (-2.0, 1.0)),
+    "central4": ((2 / 3, -1 / 12), (-5 / 2, 4 / 3, -1 / 12)),
+    "central6": ((3 / 4, -3 / 20, 1 / 60), (-49 / 18, 3 / 2, -3 / 20, 1 / 90)),
+}
+
+
+def stencil(name: str, *, cutoff_over_rate: float | None = None) -> Weights:
+    """Return the weights of central differences or of local polynomials.
+
+    Parameters
+    ----------
+    name : {"central", "central4", "central6", "savitzky_golay"}
+        Central differences of order 2, 4 or 6 [fornberg1988]_, or the derivatives of polynomials
+        of degree 4 fitted to windows of 2 m + 1 samples [savitzky1964]_.
+    cutoff_over_rate : float, optional
+        Cut-off of the low-pass filter over the sample rate, between 0 and 1/2: what local
+        polynomials need for the length of their windows. It is the longest whose smoothing lets
+        at least as much white noise pass as an ideal low-pass filter with this cut-off, a share
+        of 2 cut-off / rate of its variance, so that the window takes nothing that the filter was
+        to keep; about 1.76 rate / cut-off samples, and at least 5.
+
+    Returns
+    -------
+    Weights
+
+    Raises
+    ------
+    DataError
+        When there is no such scheme, or the cut-off is missing for local polynomials.
+    """
+    if name == "savitzky_golay":
+        if cutoff_over_rate is None or not 0.0 < cutoff_over_rate < 0.5:
+            raise DataError(
+                f"derivative: 'savitzky_golay' needs the cut-off over the sample rate, between 0 "
+                f"and 0.5, for the length of its window; it is {cutoff_over_rate}."
+            )
+        return _savitzky_golay(_half_window(2.0 * cutoff_over_rate))
+    if name not in _WEIGHTS:
+        raise DataError(
+            f"derivative: {name!r} is unknown here; choose one of {', '.join(_WEIGHTS)}, "
+            "savitzky_golay."
+        )
+    odd, even = _WEIGHTS[name]
+    return Weights(
+        first=frozen([-w for w in odd[::-1]] + [0.0] + list(odd)),
+        second=frozen(list(even[:0:-1]) + list(even)),
+    )
+
+
+def _passed_noise(half: int) -> float:
+    """Return the share of white noise's variance that a fit of degree 4 lets pass.
+
+    It is the middle weight of the smoothing, since smoothing is a projection.
+    """
+    place = np.arange(-half, half + 1) / half
+    even = np.stack([place**0, place**2, place**4])
+    return float(np.linalg.lstsq(even, np.array([1.0, 0.0, 0.0]))[0][half])
+
+
+def _half_window(share: float) -> int:
+    """Return the largest m whose window lets at least this share of white noise pass."""
+    low, high = _DEGREE // 2, _DEGREE
+    while _passed_noise(high) >= share:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _passed_noise(middle) >= share:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _savitzky_golay(half: int) -> Weights:
+    """Return the derivatives of polynomials fitted to 2 half + 1 samples.
+
+    The same as SciPy's savgol_coeffs, which takes powers of the sample number as they are and so
+    leaves rounding that shows in accelerations once a window has hundreds of samples.
+    """
+    place = np.arange(-half, half + 1) / half
+    # The shortest weights that give each power its derivative in the middle; by symmetry the
+    # first derivative concerns odd powers alone, the second even ones.
+    odd, even = np.stack([place, place**3]), np.stack([place**0, place**2, place**4])
+    first = np.linalg.lstsq(odd, np.array([1.0, 0.0]))[0] / half
+    second = np.linalg.lstsq(even, np.array([0.0, 2.0, 0.0]))[0] / half**2
+    # Antisymmetric and without effect on a constant to the last bit.
+    first = (first - first[::-1]) / 2.0
+    second = (second + second[::-1]) / 2.0
+    second[half] -= second.sum()
+    return Weights(first=frozen(first), second=frozen(second))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.processing.derivatives import Stencil
-from sdpid.experiment.processing.filters import ZeroPhaseFilter
+from sdpid.experiment.processing.filters import Stencil, ZeroPhaseFilter
 from sdpid.experiment.recording.uniform_grid import Grid
 
 

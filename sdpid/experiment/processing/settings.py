@@ -10,14 +10,17 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
-from sdpid.experiment.processing.derivatives import (
+from sdpid.experiment.processing.filters import (
     DERIVATIVES,
+    FILTERS,
     Derivative,
+    FilterType,
     Spectral,
     Stencil,
+    ZeroPhaseFilter,
+    low_pass,
     stencil,
 )
-from sdpid.experiment.processing.filters import FILTERS, FilterType, ZeroPhaseFilter, low_pass
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import Timing
 

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen_view
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.efforts import in_threads
-from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.filters import BAND_OVER_RATE, ZeroPhaseFilter, low_pass
 from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording

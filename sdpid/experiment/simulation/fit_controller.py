@@ -6,7 +6,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
+from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm

@@ -10,8 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.overview import noise
-from sdpid.experiment.processing.derivatives import stencil
-from sdpid.experiment.processing.filters import low_pass
+from sdpid.experiment.processing.filters import low_pass, stencil
 from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, channels

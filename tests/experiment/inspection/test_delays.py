@@ -8,8 +8,8 @@ import pytest
 
 import sdpid
 from sdpid import Recording
+from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.find import channel_delays
-from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.lag import lag
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.plant.legged.sensors import Sensors

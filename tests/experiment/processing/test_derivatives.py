@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import savgol_coeffs
 
 from sdpid.errors import DataError
-from sdpid.experiment.processing.derivatives import Spectral, Stencil, stencil
+from sdpid.experiment.processing.filters import Spectral, Stencil, stencil
 from sdpid.experiment.processing.settings import Processing
 from tests.helpers.refusals import refuses
 

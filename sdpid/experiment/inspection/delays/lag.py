@@ -7,8 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
-from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.filters import (
+    BAND_OVER_RATE,
+    Weights,
+    ZeroPhaseFilter,
+    low_pass,
+    stencil,
+)
 from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.recording import Recording

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.free_rows import first_scale
+from sdpid.experiment.inspection.delays.dynamic import first_scale, processing_at
 from sdpid.experiment.inspection.delays.lag import Delay, lag
 from sdpid.experiment.inspection.delays.standing import on_legs
-from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
-from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -52,16 +49,8 @@ def contacts_delay(robot: RobotModel, log: Recording, unused: Collection[str] = 
     steps = round(_WINDOW / step)
     if contacts.forces is None and (down is None or not _landings(down, steps)):
         return None
-    processing = replace(
-        default_processing(log),
-        cutoff_hz=min(_CUTOFF_HZ, BAND_OVER_RATE * log.rate_hz),
-        decimation=1,
-        reversal_time=None,
-        impact_s=None,
-        contact_force_std=None if contacts.forces is None else 1.0,
-        contact_moment_std=None,
-        reasons=(),
-    )
+    std = None if contacts.forces is None else 1.0
+    processing = processing_at(log, _CUTOFF_HZ, decimation=1, contact_force_std=std)
     samples = process(log, processing, gravity=robot.gravity.tolist())
     q, v, a = samples.position, samples.velocity, samples.acceleration
     need = robot.inverse_dynamics(robot.prior, q, v, a) - samples.effort

@@ -9,7 +9,7 @@ from itertools import permutations
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding, Subject, check, exchanged
 from sdpid.experiment.inspection.floating.evidence import window_means
 from sdpid.robot.model.contacts.jacobians import frame_places
 
@@ -98,17 +98,12 @@ def feet(subject: Subject) -> Iterator[Finding]:
     if order is not None:
         better = float(np.sqrt(np.mean(_speed_down(found.speed, found.down[:, order]) ** 2)))
         worse = float(np.sqrt(np.mean(own**2)))
-        pairs = [
-            f"those of {found.names[j]} are of {found.names[i]}"
-            for i, j in enumerate(order)
-            if i != j
-        ]
         yield Finding(
             kind="feet_exchanged",
             message=(
-                f"flags of contacts are of other feet: {', '.join(pairs)}; feet that are down "
-                f"then move by {better:.3g} m/s (rms) in place of {worse:.3g}, limit a factor of "
-                f"{_BETTER:g}"
+                f"flags of contacts are of other feet: {exchanged(found.names, order)}; feet that "
+                f"are down then move by {better:.3g} m/s (rms) in place of {worse:.3g}, limit a "
+                f"factor of {_BETTER:g}"
             ),
             remedy="give the contacts' frames in the order of their columns",
             numbers={"speed": worse, "exchanged": better, "limit": _BETTER},

@@ -1,4 +1,4 @@
-"""Check the mass that torques carry, and flags of contacts against measured forces."""
+"""Check the mass that torques carry, flags against forces, and that sensors show anything."""
 
 from __future__ import annotations
 
@@ -25,6 +25,38 @@ _UP_SHARE = 0.01
 # What shows less is no force: three times what a sensor shows where nothing touches it, and at
 # least this share of the largest force, and of the weight.
 _NOISE = 0.03
+# A foot that is down more rarely may bear nothing while it is.
+_OFTEN = 0.1
+
+
+@check
+def missing_forces(subject: Subject) -> Iterator[Finding]:
+    """Find forces of feet that are down which never change, and components that do not."""
+    contacts = subject.log.contacts
+    if contacts is None or contacts.down is None:
+        return
+    measured = contacts.measured
+    if measured is None:
+        return
+    still = np.ptp(measured, axis=0) == 0.0
+    for foot in np.flatnonzero(still.any(axis=1)).tolist():
+        down = float(contacts.down[:, foot].mean())
+        if down < _OFTEN:
+            continue
+        dead = bool(still[foot].all())
+        which = "" if dead else f" in {', '.join(np.array(list('xyz'))[still[foot]])}"
+        shown = ", ".join(f"{value + 0.0:.4g}" for value in measured[0, foot, still[foot]])
+        yield Finding(
+            severity="refuse" if dead else "warning",
+            kind="forces_missing",
+            message=(
+                f"contact forces of {contacts.frames[foot]}{which} never change: they are "
+                f"({shown}) N in every row, while the foot is down in {100 * down:.3g} % of them, "
+                f"limit {100 * _OFTEN:g} %"
+            ),
+            remedy="if they were not measured, leave all forces out, and keep the flags",
+            numbers={"down": down, "limit": _OFTEN},
+        )
 
 
 def explained_log(subject: Subject) -> FloatingLog | None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding, Subject, check, vector
+from sdpid.experiment.inspection.finding import Finding, Subject, check, exchanged, vector
 from sdpid.experiment.inspection.forces.flag_checks import explained_log, follow_forces
 from sdpid.experiment.inspection.forces.free_legs import FreeLegs, free_legs
 from sdpid.experiment.inspection.forces.readings import BETTER, Reading, readings
@@ -71,14 +71,11 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
     numbers = {"unexplained": given.left, "unexplained_mended": best.left, "limit": BETTER}
     if best.order != given.order:
         both = follow_forces(subject.log.contacts, subject.floating)
-        pairs = [
-            f"those of {names[j]} are of {names[i]}" for i, j in enumerate(best.order) if i != j
-        ]
         yield Finding(
             kind="forces_exchanged",
             message=(
                 f"contact forces{', and flags with them,' if both else ''} are of other feet: "
-                f"{', '.join(pairs)}; {better}"
+                f"{exchanged(names, best.order)}; {better}"
             ),
             remedy="give the contacts' frames in the order of their columns"
             if both

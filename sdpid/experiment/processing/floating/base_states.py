@@ -12,7 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.processing.derivatives import Weights
+from sdpid.experiment.processing.filters import Weights
 from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.floating.quieter import angle_noise, quieter, white_noise
 from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit

@@ -11,6 +11,30 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 
+def require_fixed_base(log: Recording, what: str) -> None:
+    """Refuse a recording of a robot with a floating base.
+
+    Parameters
+    ----------
+    log : Recording
+        What was measured.
+    what : str
+        What asks for it, as the beginning of the message.
+
+    Raises
+    ------
+    DataError
+        When the recording has a base.
+    """
+    if log.base is not None:
+        raise DataError(
+            f"{what}: this recording has a floating base (log.base), and only robots that are "
+            "fixed to the ground are known here. Where the base stood still, read the log with "
+            "columns={'base_orientation': None}, or drop it with dataclasses.replace(log, "
+            "base=None, contacts=None)."
+        )
+
+
 def robot_of(robot: RobotModel | str | os.PathLike[str], logs: Sequence[object] = ()) -> RobotModel:
     """Return a robot as it is, or load it: with a floating base where a recording has one.
 
