@@ -30,7 +30,8 @@ from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
 

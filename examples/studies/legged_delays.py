@@ -28,7 +28,7 @@ from sdpid._common.tables import Table
 from sdpid.experiment.inspection.delays.find import channel_delays, is_told
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.simulate import LeggedRun
-from sdpid.experiment.preparation.delays import with_delays
+from sdpid.experiment.preparation.several import with_delays
 from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.legs.find import find_legs
 

@@ -33,12 +33,8 @@ from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import (
-    SMOOTH,
-    default_friction,
-    default_processing,
-    prepare,
-)
+from sdpid.experiment.preparation.for_robot import SMOOTH, default_friction, prepare
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency, margin
 
 Terms = tuple[str | sdpid.friction.FrictionTerm, ...]

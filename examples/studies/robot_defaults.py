@@ -28,7 +28,8 @@ from truth import friction_rows
 
 import sdpid
 from sdpid._common.files import atomic_write_text
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.friction.term import FrictionTerm
 
 # Arguments of `identify` for a recording to train on.

@@ -106,7 +106,7 @@ def simulated(
 
 def how(case: Case) -> sdpid.Processing:
     """Return the processing of the training part."""
-    from sdpid.experiment.preparation.for_robot import default_processing
+    from sdpid.experiment.processing.choose import default_processing
 
     return default_processing(case.log)
 

@@ -13,7 +13,8 @@ from harness import Bench, Row
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.plant.simulate import simulate
 from sdpid.experiment.processing.filters import low_pass
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.model.load import load_robot

@@ -30,7 +30,8 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression import distributed_rows
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
+from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.processing.choose import default_processing
 
 ROBOT = "denso_vp6242"
 # Samples of the hour, and periods of its motion.

@@ -17,7 +17,8 @@ from sdpid.experiment.plant.default_plant import default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives
 from sdpid.experiment.plant.mujoco_model import build_mujoco
 from sdpid.experiment.plant.simulate import simulate, true_parameters
-from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
+from sdpid.experiment.trajectory.paper import paper_excitation
+from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.model.load import load_robot

@@ -14,9 +14,9 @@ from sdpid.experiment.preparation.several import chosen_processing
 from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing import states as states_module
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.derivatives import Weights, stencil
-from sdpid.experiment.processing.filters import low_pass
-from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.filters import Weights, low_pass, stencil
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.uniform_grid import make_grid
 from tests.helpers.refusals import refuses
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
-from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
+from sdpid.experiment.trajectory.paper import paper_excitation
+from sdpid.experiment.trajectory.trajectory import Trajectory
 from tests.helpers.refusals import refuses
 
 ROBOT = "denso_vp6242"
