@@ -19,12 +19,12 @@ from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.fit_controller import fit_controller
+from sdpid.experiment.simulation.law import Controller
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Instruments = Literal["simulated", "reference", "periods"]
@@ -197,7 +197,7 @@ def source_of(
     if instruments is None:
         instruments = _best(twin.logs, told, controller)
     if instruments == "periods":
-        return _periods(problem, twin.logs, chosen, purpose)
+        return _periods(problem, twin, purpose)
     if told is None:
         raise DataError(
             f"{purpose}: instruments={instruments!r} needs what was commanded; read the log with "
@@ -280,9 +280,7 @@ def _fitted(log: Recording) -> Controller:
     return (usable or tried)[0].require()
 
 
-def _periods(
-    problem: Problem, logs: tuple[Recording, ...], processing: Processing, purpose: str
-) -> OtherPeriods:
+def _periods(problem: Problem, twin: Twin, purpose: str) -> OtherPeriods:
     """Return the halves of a record's periods.
 
     Raises
@@ -290,7 +288,7 @@ def _periods(
     DataError
         When there are fewer than two periods.
     """
-    log = logs[0]
+    log = twin.logs[0]
     layout = log.period_layout
     if layout is None or layout[2] < _FEWEST_PERIODS:
         raise DataError(
@@ -300,7 +298,7 @@ def _periods(
         )
     first, length, count = layout
     half = count // 2
-    plain = replace(processing, covariance=None)
+    plain = replace(twin.processing, covariance=None)
     begin = log.stamps.first + first * log.step
     samples = problem.samples
     halves = []

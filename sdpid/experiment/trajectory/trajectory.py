@@ -15,8 +15,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen, frozen_view, real_array
 from sdpid._common.files import atomic_write_text, load_toml
 from sdpid._common.tables import facts_html
-from sdpid.errors import DataError
-from sdpid.experiment.trajectory.coefficients import curve_of, entries
+from sdpid.errors import DataError, ExportError
 from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
 from sdpid.experiment.trajectory.sampled import SampledCurve
