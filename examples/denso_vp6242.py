@@ -1,10 +1,10 @@
-"""The Denso VP-6242G case study, end to end, on two simulated plants, and the real arms.
+"""The Denso VP-6242G case study, end to end, on two simulated plants.
 
 Kinematic table, excitation, closed-loop experiment, signal processing, then weighted least
 squares (WLS), the paper's constrained nonlinear program (CWLS, by SLSQP from many starts) and
 the semidefinite program (SDP) that is equivalent to it; tables, figures, URDF and certificate.
-One plant is ideal, the other has effects that no linear model has, as every real robot. Where
-the public records of real arms are at hand (see real_arms.py), these are compared too.
+One plant is ideal, the other has effects that no linear model has, as every real robot.
+RESULTS/index.html shows everything; real_arms.py compares public records of real arms.
 
     python examples/denso_vp6242.py --out results
 """
@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import real_arms
 from case_study import pictures, tables
 from case_study.estimates import Estimates, estimate_all
 from case_study.experiments import PLANTS, Size, run_experiments
+from case_study.page import Page, point
 
 import sdpid
 from sdpid import plots
@@ -46,25 +46,30 @@ def arguments() -> argparse.Namespace:
     return options
 
 
-def write_plant(found: Estimates, out: Path) -> None:
-    """Print and write the tables, pictures, certificate and URDF of one plant."""
+def write_plant(found: Estimates, out: Path, page: Page) -> None:
+    """Write the tables, pictures, certificate and URDF of one plant, and show them on the page."""
     shown = {
         "Table IV": (tables.table_iv(found), "table_iv.csv"),
         "Table V": (tables.table_v(found), "table_v.csv"),
         "Torque reconstruction, N·m": (tables.reconstruction(found), "reconstruction.csv"),
     }
     for title, (table, file) in shown.items():
-        print(f"\n{title}\n{table.to_string(float_format='{:.4g}'.format)}")
+        page.table(title, table)
         table.to_csv(out / file)
-    for name, comparison in found.comparisons.items():
-        print(f"\n{name}:\n{comparison.table()}")
-        plots.save_figure(comparison.plot(against="seconds"), out / f"convergence_{name}.png")
-    tables.comparison(found).to_csv(out / "comparison.csv")
+    page.picture(out / "figure_3.png", out.parent)
     pictures.reconstruction(found, out / "figure_4.png")
+    page.picture(out / "figure_4.png", out.parent)
+    for name, comparison in found.comparisons.items():
+        path = out / f"convergence_{name}.png"
+        plots.save_figure(comparison.plot(against="seconds"), path)
+        page.text(f"Solvers, {name} inequality", comparison.table())
+        page.picture(path, out.parent)
+    tables.comparison(found).to_csv(out / "comparison.csv")
     certificate = found.comparisons["4x4"].certificate
     certificate.to_json(out / "certificate.json")
-    print(f"\n{certificate.summary()}")
-    print(sdpid.write_urdf(found.sdp("4x4"), target=out / "identified.urdf").describe())
+    page.text("Certificate", certificate.summary())
+    written = sdpid.write_urdf(found.sdp("4x4"), target=out / "identified.urdf")
+    page.text("identified.urdf", written.describe())
 
 
 def main() -> None:
@@ -77,15 +82,19 @@ def main() -> None:
     begin = time.perf_counter()
 
     def say(what: str) -> None:
-        print(f"\n[{time.perf_counter() - begin:6.1f} s] {what}", flush=True)
+        print(f"[{time.perf_counter() - begin:6.1f} s] {what}", flush=True)
+
+    def simulated(done: int, count: int) -> None:
+        say(f"simulated and processed {done} of {count} experiments")
 
     window = (20.0, 40.0) if options.quick else (1200.0, 1400.0)
     size = Size(options.periods, options.period, options.seed, window)
+    page = Page("The Denso VP-6242G case study")
     trajectory = size.trajectory()
     print(f"{trajectory.duration:g} s of excitation, {trajectory.n_samples} samples per joint")
-    print("\n".join(trajectory.velocity_report()))
-    say(f"simulating and processing the experiments ({', '.join(names)})")
-    experiments = run_experiments(names, size, out)
+    page.text("Excitation", "\n".join(trajectory.velocity_report()))
+    say(f"simulating and processing experiments on two plants ({', '.join(names)})")
+    experiments = run_experiments(names, size, out, simulated)
     found: dict[str, Estimates] = {}
     facts: dict[str, dict[str, Any]] = {}
     for name, experiment in experiments.items():
@@ -96,20 +105,24 @@ def main() -> None:
             seed=options.seed,
             max_iterations=options.iterations,
         )
-        write_plant(found[name], out / name)
+        page.heading(pictures.HEADINGS[name])
+        write_plant(found[name], out / name, page)
         facts[name] = found[name].facts()
     pictures.plants(found, out / "plants.png")
     solvers = tables.solvers({name: tables.comparison(each) for name, each in found.items()})
     solvers.to_csv(out / "solvers.csv")
     table = pd.DataFrame(facts).rename_axis("fact")
     table.to_csv(out / "plants.csv")
-    print(f"\n{table.to_string(float_format='{:.3g}'.format)}")
+    page.heading("Both plants")
+    page.picture(out / "plants.png", out)
+    page.table("Facts", table)
+    page.table("Solvers", solvers)
+    page.write(out / "index.html", point(facts, options.starts))
     run = {"seed": options.seed, "periods": options.periods, "period": options.period}
-    say("real arms, from their public records")
-    real_arms.run(out / "real_arms", quick=options.quick)
     summary = {**run, "plants": facts, "seconds": time.perf_counter() - begin}
     (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    say(f"done: {out}")
+    print(f"\n{table.to_string(float_format='{:.3g}'.format)}\n\n{point(facts, options.starts)}")
+    say(f"done; everything, with tables and pictures: {out / 'index.html'}")
 
 
 if __name__ == "__main__":

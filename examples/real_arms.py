@@ -4,7 +4,7 @@ Five public records (docs/evidence/data.md), each fitted by least squares, by ri
 towards the
 description, and by `sdpid.identify` with its defaults. Of each: the least eigenvalue of the mass
 matrix on the recorded motion, errors on what was held out, and how long the arm can be simulated
-once it is let go of. The case study runs this too.
+once it is let go of.
 
     python examples/real_arms.py --data /path/to/data --out results
 

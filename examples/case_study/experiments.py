@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -89,12 +89,21 @@ class Experiment:
     floor: np.ndarray
 
 
-def run_experiments(plants: Sequence[str], size: Size, out: Path) -> dict[str, Experiment]:
-    """Simulate and process all experiments, and draw the filtering of each plant's first."""
+def run_experiments(
+    plants: Sequence[str], size: Size, out: Path, report: Callable[[int, int], None]
+) -> dict[str, Experiment]:
+    """Simulate and process all experiments, and draw the filtering of each plant's first.
+
+    `report` is called with how many are done, and of how many, after each.
+    """
     kinds = ("first", "fresh", "noiseless")
     tasks = [(plant, kind) for plant in plants for kind in kinds]
-    done = Parallel(n_jobs=JOBS)(delayed(_measured)(*task, size, out) for task in tasks)
-    found = dict(zip(tasks, done, strict=True))
+    work = Parallel(n_jobs=JOBS, return_as="generator")
+    found = {}
+    results = work(delayed(_measured)(*task, size, out) for task in tasks)
+    for count, (task, samples) in enumerate(zip(tasks, results, strict=True), 1):
+        found[task] = samples
+        report(count, len(tasks))
     experiments = {}
     for plant in plants:
         (samples, literal), (check, check_literal), (exact,) = (

@@ -29,6 +29,7 @@ PARAMETER_UNITS = ("kg", *("kg.m",) * 3, *("kg.m2",) * 6)
 
 # Order of the six entries of a rotational inertia.
 TENSOR_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+_ROWS, _COLUMNS = np.array(TENSOR_INDEX).T
 
 
 def inertia_tensor(theta: ArrayLike) -> Array:
@@ -97,7 +98,7 @@ def spatial_inertia(theta: ArrayLike) -> Array:
 
 def tensor_entries(tensor: Array) -> Array:
     """Return the entries of symmetric matrices in theta's order, (..., 3, 3) to (..., 6)."""
-    return np.stack([tensor[..., i, j] for i, j in TENSOR_INDEX], axis=-1)
+    return tensor[..., _ROWS, _COLUMNS]
 
 
 def physical_parameters(theta: ArrayLike) -> tuple[Array, Array, Array]:

@@ -299,7 +299,7 @@ class _Run(LocalRun):
         self.coordinates = LogCholesky.of(problem)
         # Constant rows: the floor, so that tolerances are shares of the cost, and one for each
         # row of curvature.
-        self.constant = np.zeros(1 + 10 * problem.feasible.n_links + problem.n_theta)
+        self.constant = np.zeros(1 + problem.n_theta)
         self.constant[0] = self.scale * np.sqrt(problem.floor)
         lower, upper = self.coordinates.bounds(_THINNEST[-1])
         self.free = upper - lower > _FIXED
@@ -330,15 +330,15 @@ class _Run(LocalRun):
         inertial = 10 * self.problem.feasible.n_links
         gradient = (self.G @ self.coordinates.theta(full) - self.rhs) @ self.G
         values, vectors = np.linalg.eigh(self.coordinates.curvatures(full, gradient))
-        roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
+        roots = np.sqrt(np.maximum(values, 0.0) + _STILL)[:, :, None] * np.swapaxes(vectors, 1, 2)
         jacobians = self.coordinates.link_jacobians(full)
         count = len(self.rhs)
         J = np.zeros((count + len(self.constant), len(full)))
+        J[count + 1 :] = np.sqrt(_STILL) * np.eye(len(full))
         for link, first in enumerate(range(0, inertial, 10)):
             own = slice(first, first + 10)
             J[:count, own] = self.G[:, own] @ jacobians[link]
             J[count + 1 + first : count + 11 + first, own] = roots[link]
-        J[-len(full) :] = np.sqrt(_STILL) * np.eye(len(full))
         J[:count, inertial:] = self.G[:, inertial:] * self.coordinates.friction
         return np.asarray(J[:, self.free])
 

@@ -158,9 +158,10 @@ class PhysicalConstraints:
         _, basis = self.variables.inertias(x)
         slopes = np.einsum("lia,kij,lja->lak", vectors, basis, vectors)
         links, count = slopes.shape[:2]
-        full = np.zeros((count * links, len(self.variables.expand(x))))
-        for link in range(links):
-            full[count * link : count * (link + 1), 10 * link : 10 * link + 6] = slopes[link]
+        each = np.zeros((links, count, links, 10))
+        each[range(links), :, range(links), :6] = slopes
+        full = np.zeros((links * count, len(self.variables.expand(x))))
+        full[:, : 10 * links] = each.reshape(links * count, -1)
         return self.variables.reduced(full) / self.moment
 
     def _bounded(self) -> tuple[np.ndarray, np.ndarray]:

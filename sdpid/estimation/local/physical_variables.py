@@ -19,6 +19,7 @@ from sdpid.estimation.scaling import Scaling
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
     TENSOR_INDEX,
+    complement,
     inertia_tensor,
     physical_parameters,
     second_moment_from_inertia,
@@ -29,6 +30,10 @@ from sdpid.robot.inertia import (
 # Order of a link's variables: inertia about the center of mass (6, as in theta), center of mass
 # (3), mass (1).
 _TENSOR_BASIS = inertia_tensor(np.eye(10)[4:])
+
+# Forms (6, 3, 3): the inertia that a unit mass at r adds about the origin has entries r^T·F_k·r.
+_FORMS = tensor_entries(complement(np.eye(9).reshape(3, 3, 3, 3)))
+_PARALLEL_AXIS = np.moveaxis(0.5 * (_FORMS + _FORMS.swapaxes(0, 1)), -1, 0)
 
 # A column of the regressor this small beside the largest is zero.
 _INVISIBLE = 1e-12
@@ -113,14 +118,17 @@ class PhysicalVariables:
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivative of theta in the scaled free variables, shape (p, count)."""
+        return self.pulled(x, np.eye(len(self.expand(x))))
+
+    def pulled(self, x: Array, slopes: Array) -> Array:
+        """Return derivatives in theta (k, p) as ones in the scaled free variables (k, count)."""
         links = self.problem.robot.n_links
-        full = self.expand(x)
-        J = np.eye(len(full))
-        for link in range(links):
-            start = 10 * link
-            com, mass = full[start + 6 : start + 9], full[start + 9]
-            J[start : start + 10, start : start + 10] = _link_jacobian(com, mass)
-        return self.reduced(J)
+        each = self.expand(x)[: 10 * links].reshape(links, 10)
+        blocks = _link_jacobians(each[:, 9], each[:, 6:9])
+        out = slopes.copy()
+        parts = slopes[:, : 10 * links].reshape(-1, links, 10).swapaxes(0, 1)
+        out[:, : 10 * links] = (parts @ blocks).swapaxes(0, 1).reshape(len(slopes), -1)
+        return self.reduced(out)
 
     def reduced(self, slopes: Array) -> Array:
         """Return derivatives in all variables (k, all) as ones in the scaled free variables."""
@@ -155,19 +163,16 @@ class PhysicalVariables:
         return tensors, _TENSOR_BASIS
 
 
-def _link_jacobian(com: Array, mass: float) -> Array:
-    """Return the derivative (10, 10) of a link's parameters in (I_g, r, m)."""
-    J = np.zeros((10, 10))
-    J[4:, :6] = np.eye(6)
-    J[0, 9] = 1.0
-    J[1:4, 6:9] = mass * np.eye(3)
-    J[1:4, 9] = com
-    square = com @ com * np.eye(3) - np.outer(com, com)
-    J[4:, 9] = tensor_entries(square)
-    for k in range(3):
-        e = np.eye(3)[k]
-        change = 2.0 * com[k] * np.eye(3) - np.outer(e, com) - np.outer(com, e)
-        J[4:, 6 + k] = mass * tensor_entries(change)
+def _link_jacobians(mass: Array, com: Array) -> Array:
+    """Return the derivatives (links, 10, 10) of the links' parameters in (I_g, r, m)."""
+    J = np.zeros((len(mass), 10, 10))
+    J[:, 4:, :6] = np.eye(6)
+    J[:, 0, 9] = 1.0
+    J[:, 1:4, 6:9] = mass[:, None, None] * np.eye(3)
+    J[:, 1:4, 9] = com
+    slopes = np.einsum("kij,lj->lki", _PARALLEL_AXIS, com)
+    J[:, 4:, 9] = np.einsum("lki,li->lk", slopes, com)
+    J[:, 4:, 6:9] = 2.0 * mass[:, None, None] * slopes
     return J
 
 

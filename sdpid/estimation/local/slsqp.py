@@ -119,7 +119,7 @@ class _Run(LocalRun):
         value, slope = float(residual @ residual), 2.0 * residual @ self.G
         more, slopes = _continued(self.problem.log_det, theta)
         value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
-        return value, slope @ self.variables.jacobian(x)
+        return value, self.variables.pulled(x, slope[None])[0]
 
     def minimized(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
         """Return the standard parameters of the end point, and SciPy's last result."""
@@ -192,6 +192,9 @@ def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
     Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
     `_CONTINUED` the logarithm is replaced by its second-order expansion there.
     """
+    out = np.zeros(len(theta))
+    if not len(entropy.links):
+        return 0.0, out
     roots = entropy.roots
     t, vectors = np.linalg.eigh(np.swapaxes(roots, 1, 2) @ entropy.matrices(theta) @ roots)
     near = np.maximum(t, _CONTINUED)
@@ -200,7 +203,6 @@ def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
     slopes = 1.0 - (1.0 - below) / near
     turned = roots @ vectors
     matrices = (turned * slopes[:, None, :]) @ np.swapaxes(turned, 1, 2)
-    out = np.zeros(len(theta))
     each = np.einsum("lij,kij->lk", matrices, matrix_basis("pseudo_inertia"))
     for link, part in zip(entropy.links, each, strict=True):
         out[10 * link : 10 * link + 10] = part
