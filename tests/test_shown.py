@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 import sdpid
 from sdpid.constraints import TotalMass
+from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
@@ -179,7 +181,19 @@ def test_every_public_name_is_looked_at() -> None:
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_results_show_themselves(name: str) -> None:
-    require_safe(SHOWN[name]())
+    shown = SHOWN[name]()
+    require_safe(shown)
+    if hasattr(shown, "to_dict"):
+        json.dumps(shown.to_dict(), allow_nan=False)
+
+
+def test_parts_are_shown_in_a_line() -> None:
+    multipliers = Multipliers.of_cost(problem(), problem().rhs)
+    for part in (problem().feasible, problem().excitation, multipliers, motion()):
+        line = repr(part)
+        assert line.startswith(type(part).__name__ + "(")
+        assert "\n" not in line
+        assert len(line) < LINE
 
 
 def test_names_are_shown_as_text() -> None:
