@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import audit_urdf
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
-from sdpid.cli import app
 from sdpid.errors import ModelError
 from sdpid.robot.description import mjcf_bodies
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.mjcf import parsed
 from sdpid.robot.inertia import complement, margin, point_masses
+from tests.helpers.commands import ran, refused, run
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
 from tests.helpers.robots import TREE
 from tests.helpers.strategies import bodies, reals, rotations
@@ -257,16 +256,10 @@ def test_command(tmp_path: Path) -> None:
     good, bad, none = tmp_path / "good.urdf", tmp_path / "bad.urdf", tmp_path / "none.urdf"
     good.write_text(chain(GOOD))
     bad.write_text(chain(diagonal(1.0, 0.01, 0.01, 0.03)))
-
-    def run(*arguments: object) -> Result:
-        return CliRunner().invoke(app, ["audit", *map(str, arguments)])
-
-    assert run(good).exit_code == 0
-    missing = run(none)
-    assert missing.exit_code == 2
-    assert "none.urdf" in missing.stderr
+    ran("audit", good)
+    refused(run("audit", none), 2, "none.urdf")
     out = tmp_path / "out.urdf"
-    done = run(bad, "--repair", out, "--json")
+    done = run("audit", bad, "--repair", out, "--json")
     assert done.exit_code == 3
     assert json.loads(done.stdout)["repair"]["bodies"][0]["link"] == "link1"
-    assert run(out).exit_code == 0
+    ran("audit", out)

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import sdpid
-from sdpid import cli, load_robot
+from sdpid import load_robot
 from sdpid.assurance.tables.csv_table import read_base_table
 from sdpid.assurance.tables.witness import Question
 from sdpid.assurance.tables.witness_search import Search
@@ -33,6 +32,7 @@ from sdpid.verifier.decimals import decimal_text
 from sdpid.verifier.reading import MalformedError, digest
 from sdpid.verifier.realizable import Realization, Refutation
 from sdpid.verifier.tables import answer_of, check, inequality, require_form
+from tests.helpers.commands import ran
 from tests.helpers.refusals import refuses
 
 VERIFIER = Path(sdpid.__file__).parent / "verifier"
@@ -274,10 +274,7 @@ def test_coefficients_are_those_of_the_robot(kind: str, tmp_path: Path) -> None:
     assert found.passed
     assert "are those of robot 'denso_vp6242', computed anew" in found.statements[-1]
     assert not any("coefficients" in each for each in found.unchecked)
-    done = CliRunner().invoke(
-        cli.app, ["verify", str(tmp_path / "proof.json"), "--robot", "denso_vp6242"]
-    )
-    assert done.exit_code == 0, done.output
+    ran("verify", tmp_path / "proof.json", "--robot", "denso_vp6242")
 
 
 def test_other_coefficients_are_named(tmp_path: Path) -> None:

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 import sdpid
-from sdpid import RobotModel, Samples, cli, load_robot
+from sdpid import RobotModel, Samples, load_robot
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import half_unit, read_base_table
@@ -36,8 +35,9 @@ from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.verifier.decimals import decimal_text, rounded
 from sdpid.verifier.realizable import coefficient_matrices
 from sdpid.verifier.tables import check, load, require_form
+from tests.helpers import world
 from tests.helpers.arm import BOTH
-from tests.helpers.data import make_samples, random_theta
+from tests.helpers.commands import ran, refused, run
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, pendulum, small_arm
 from tests.helpers.strategies import SEEDS, bodies, links, random_states
@@ -335,19 +335,15 @@ def test_bad_input(values: Any, halfwidths: Any, more: Any, word: str) -> None:
 @pytest.mark.parametrize("kind", BOTH)
 def test_tables_of_ones_own_estimates_are_realisable(kind: Consistency, tmp_path: Path) -> None:
     """The file that `identify` writes names its friction by itself, whatever the terms are."""
-    rng = np.random.default_rng(0)
     robot, terms = small_arm(2), ("coulomb", "viscous", "offset", "rotor_inertia")
     friction = (*terms, SigmoidFriction(0.1), Coupling(*robot.joint_names))
-    theta = random_theta(robot, rng, friction)
-    samples = make_samples(robot, theta, rng, friction=friction, noise=0.05)
+    samples, _ = world.samples(robot, friction=friction, noise=0.05)
     problem = sdpid.build_problem(robot, samples, friction=friction, consistency=kind)
     table = tmp_path / "base_parameters.csv"
     base_table(sdpid.solve_sdp(problem)).write(table)
     (tmp_path / "arm.urdf").write_text(robot.urdf or "", encoding="utf-8")
-    arguments = ["audit", str(table), "--robot", str(tmp_path / "arm.urdf"), "--consistency", kind]
-    done = CliRunner().invoke(cli.app, arguments)
-    assert done.exit_code == 0, done.output
-    assert ": realisable" in done.output
+    how = ("--robot", tmp_path / "arm.urdf", "--consistency", kind)
+    assert ": realisable" in ran("audit", table, *how).output
 
 
 def test_a_table_with_effects_is_audited_by_the_description(tmp_path: Path) -> None:
@@ -368,9 +364,7 @@ def test_a_table_with_effects_is_audited_by_the_description(tmp_path: Path) -> N
     table = tmp_path / "base_parameters.csv"
     base_table(estimate).write(table)
     assert {"Gx", "Gy", "Fl1", "Fl6"} <= set(read_base_table(table).values)
-    done = CliRunner().invoke(cli.app, ["audit", str(table), "--robot", "ur5_robot"])
-    assert done.exit_code == 0, done.output
-    assert ": realisable" in done.output
+    assert ": realisable" in ran("audit", table, "--robot", "ur5_robot").output
 
 
 def test_a_tilt_that_folds_into_a_link_needs_that_link() -> None:
@@ -381,21 +375,16 @@ def test_a_tilt_that_folds_into_a_link_needs_that_link() -> None:
 
 
 def test_command(tmp_path: Path) -> None:
-    def run(*arguments: Any) -> Any:
-        return CliRunner().invoke(cli.app, ["audit", *map(str, arguments)])
-
     how = ("--robot", "denso_vp6242", "--value", "cwls", "--consistency")
-    done = run(TABLE_IV, *how, "spatial_inertia", "--json")
-    assert done.exit_code == 0, done.output
+    done = ran("audit", TABLE_IV, *how, "spatial_inertia", "--json")
     assert json.loads(done.stdout)["verdict"] == "realisable"
     path = tmp_path / "proof.json"
-    done = run(TABLE_IV, *how, "pseudo_inertia", "--proof", path)
+    done = run("audit", TABLE_IV, *how, "pseudo_inertia", "--proof", path)
     assert done.exit_code == 3
     assert "not realisable" in done.stdout
     assert ">= 0 for links that can exist" in done.stdout
     assert check(load(path.read_bytes())).passed
-    done = run(TABLE_IV, *how, "spatial_inertia", "--proof", path)
-    assert done.exit_code == 0
+    ran("audit", TABLE_IV, *how, "spatial_inertia", "--proof", path)
     assert any("table_iv.csv" in line for line in check(load(path.read_bytes())).statements)
     for wrong in (
         (TABLE_IV,),
@@ -404,24 +393,20 @@ def test_command(tmp_path: Path) -> None:
         (TABLE_IV, *how, "none"),
         (TABLE_IV, "--robot", "denso_vp6242", "--repair", tmp_path / "out.urdf"),
     ):
-        done = run(*wrong)
-        assert done.exit_code == 2, done.output
-        assert done.stderr.startswith("sdpid: ")
+        refused(run("audit", *wrong), 2)
 
 
 def test_a_table_to_fill_in(tmp_path: Path) -> None:
     """It has the names of the robot, is never written over a file, and is read once filled in."""
     table = tmp_path / "mine.csv"
-    arguments = ["audit", str(table), "--robot", "denso_vp6242"]
-    done = CliRunner().invoke(cli.app, [*arguments, "--template"])
-    assert (done.exit_code, "48 base parameters" in done.output) == (0, True)
+    arguments = ("audit", table, "--robot", "denso_vp6242")
+    assert "48 base parameters" in ran(*arguments, "--template").output
     lines = table.read_text().splitlines()
     assert lines[0] == "name,unit,value,halfwidth,regrouping"
     assert [line.split(",")[0] for line in lines[1:]] == list(arm("denso")[1].names)
-    assert "column 'value' has no values" in CliRunner().invoke(cli.app, arguments).stderr
-    again = CliRunner().invoke(cli.app, [*arguments, "--template"])
-    assert (again.exit_code, "is there already" in again.stderr) == (2, True)
+    refused(run(*arguments), 2, "column 'value' has no values")
+    refused(run(*arguments, "--template"), 2, "is there already")
     filled = table.read_text().replace("zz6,kg.m2,,", "zz6,kg.m2,0.00,")
     table.write_text(filled.replace("xxr6,kg.m2,,", "xxr6,kg.m2,-0.07,"))
-    done = CliRunner().invoke(cli.app, arguments)
+    done = run(*arguments)
     assert (done.exit_code, "xxr6 + zz6 >= 0" in done.output) == (3, True)
