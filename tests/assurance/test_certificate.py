@@ -5,8 +5,6 @@ import hashlib
 import json
 import math
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import cache
@@ -37,11 +35,10 @@ from sdpid.verifier.bodies import has_margin
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.verify import Verification
 from tests.helpers.arm import ARM, BODIES, BOTH, FIRST, LAST, LIGHT, arm_problem
+from tests.helpers.commands import VERIFIER, alone
 from tests.helpers.data import make_samples, random_covariance, random_links, random_theta
 from tests.helpers.refusals import refuses
 
-# The stand-alone checker.
-FOLDER = Path(command.__file__).parent
 Data = dict[str, Any]
 KINDS = ("pseudo", "spatial", "prior", "entropic")
 Path_ = tuple[Any, ...]
@@ -100,12 +97,6 @@ def rejected(data: Data, folder: Path) -> bool:
         return not checked(data, folder).passed
     except CertificateError:
         return True
-
-
-def alone(path: Path) -> subprocess.CompletedProcess[str]:
-    """Run the script where nothing but the standard library can be imported."""
-    command = [sys.executable, "-I", "-S", str(FOLDER), str(path)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -592,11 +583,11 @@ def test_large_files_are_not_read(tmp_path: Path) -> None:
 
 
 def test_the_checker_runs_wherever_it_is_copied(tmp_path: Path) -> None:
-    shutil.copytree(FOLDER, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("__pycache__"))
+    copied = tmp_path / "elsewhere"
+    shutil.copytree(VERIFIER, copied, ignore=shutil.ignore_patterns("__pycache__"))
     path = tmp_path / "c.json"
     path.write_text(json.dumps(stated("pseudo")), encoding="utf-8")
-    command = [sys.executable, "-I", "-S", str(tmp_path / "elsewhere"), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd="/")
+    done = alone(path, copied, cwd="/")
     assert done.returncode == 0, done.stderr
     assert done.stdout == alone(path).stdout
 

@@ -2,8 +2,6 @@
 
 import copy
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -32,10 +30,9 @@ from sdpid.verifier.decimals import decimal_text
 from sdpid.verifier.reading import MalformedError, digest
 from sdpid.verifier.realizable import Realization, Refutation
 from sdpid.verifier.tables import answer_of, check, inequality, require_form
-from tests.helpers.commands import ran
+from tests.helpers.commands import alone, ran
 from tests.helpers.refusals import refuses
 
-VERIFIER = Path(sdpid.__file__).parent / "verifier"
 TABLE_IV = bundled_folder("denso_vp6242") / "table_iv.csv"
 
 # Few numbers, so that a proof is made in a moment: link 6 of the Denso arm, with friction.
@@ -75,8 +72,7 @@ def holds(data: dict[str, Any]) -> bool:
 def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
     path.write_text(stored(kind), encoding="utf-8")
-    command = [sys.executable, "-I", "-S", str(VERIFIER), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = alone(path)
     assert done.returncode == 0, done.stderr
     said = done.stdout
     assert "robot 'denso_vp6242' (6 links" in said
@@ -90,11 +86,11 @@ def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> No
     changed = proof(kind)
     changed["parameters"][0]["value"] = "17"
     path.write_text(json.dumps(changed), encoding="utf-8")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = alone(path)
     assert done.returncode == 1
     assert "NOT PROVEN: the digest is another" in done.stdout
     path.write_text("{}", encoding="utf-8")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = alone(path)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
 

@@ -1,10 +1,15 @@
-"""The command `sdpid`, run in this process, as it ends well and as it is refused."""
+"""The command `sdpid`, as it ends well and as it is refused, and the stand-alone verifier."""
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 from typer.testing import CliRunner, Result
 
-from sdpid import cli
+from sdpid import cli, verifier
+
+VERIFIER = Path(verifier.__file__).parent
 
 
 def run(*arguments: Any) -> Result:
@@ -27,3 +32,9 @@ def refused(done: Result, status: int, *words: str) -> None:
     assert "Traceback" not in done.output
     for word in words:
         assert word in done.stderr
+
+
+def alone(path: Path, folder: Path = VERIFIER, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run the verifier, or a copy, where nothing but the standard library can be imported."""
+    command = [sys.executable, "-I", "-S", str(folder), str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)

@@ -4,8 +4,6 @@ import json
 import math
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,13 +11,11 @@ from typing import Any
 import pytest
 
 import sdpid
-from sdpid import verifier
 from sdpid.verifier.reading import digest
 from sdpid.verifier.results.friction_code import WRITERS
+from tests.helpers.commands import alone
 from tests.helpers.forged import edit, reseal
 from tests.helpers.runs import arm, recorded
-
-VERIFIER = Path(verifier.__file__).parent
 
 
 def made(folder: Path, seed: int) -> Path:
@@ -39,12 +35,6 @@ def results(run: Path, tmp_path: Path) -> Path:
     """A copy of them."""
     shutil.copytree(run, tmp_path / "results")
     return tmp_path / "results"
-
-
-def alone(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run the verifier where nothing but the standard library can be imported."""
-    command = [sys.executable, "-I", "-S", str(VERIFIER), str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 def problems(folder: Path) -> list[str]:

@@ -4,8 +4,6 @@ import copy
 import json
 import re
 import shutil
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -28,10 +26,10 @@ from sdpid.verifier.command import main
 from sdpid.verifier.reading import MAX_BYTES, MalformedError, digest
 from sdpid.verifier.result import Result
 from tests.helpers.arm import BODIES, LAST, LIGHT, arm_problem
+from tests.helpers.commands import VERIFIER, alone
 from tests.helpers.studies import study
 
 Data = dict[str, Any]
-VERIFIER = Path(checker.__file__).parent
 JUDGE = study("certificate_judge").Judge()
 MUTATIONS = study("certificate_mutations")
 FORGERIES = study("forgeries")
@@ -374,12 +372,6 @@ def test_a_stated_share_is_not_rounded_down(honest: Data) -> None:
 # ---- How little a hostile file can cost ---------------------------------------------------------
 
 
-def alone(path: Path) -> subprocess.CompletedProcess[str]:
-    """Run the verifier where nothing but the standard library can be imported."""
-    command = [sys.executable, "-I", "-S", str(VERIFIER), str(path)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
-
-
 def test_a_large_file_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "large.json"
     with path.open("wb") as file:
@@ -436,7 +428,6 @@ def test_nothing_beside_a_copied_verifier_is_imported(honest: Data, tmp_path: Pa
     path.write_text(json.dumps(sealed(honest)), encoding="utf-8")
     for name in ("json", "hashlib", "fractions", "certificate", "urdf"):
         (tmp_path / f"{name}.py").write_text("print('PROVEN.'); raise SystemExit(0)\n")
-    command = [sys.executable, "-I", "-S", str(copied), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    done = alone(path, copied, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "They cost at most" in done.stdout

@@ -3,8 +3,6 @@
 import json
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +18,7 @@ from sdpid.verifier.reading import MalformedError
 from sdpid.verifier.result import Result
 from sdpid.verifier.results.manifest import sealed
 from sdpid.workflow.verify import Verification
+from tests.helpers.commands import VERIFIER, alone
 from tests.helpers.forged import edit, reseal
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
@@ -88,10 +87,9 @@ def test_what_was_written_holds(folder: Path) -> None:
 
 def test_the_copied_checker_says_the_same(folder: Path, tmp_path: Path) -> None:
     """With the standard library alone, wherever it lies and whatever it is called."""
-    source = Path(sdpid.verifier.__file__).parent
-    there = shutil.copytree(source, tmp_path / "checker-1", ignore=shutil.ignore_patterns("*.pyc"))
-    command = [sys.executable, "-I", "-S", str(there), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    there = tmp_path / "checker-1"
+    shutil.copytree(VERIFIER, there, ignore=shutil.ignore_patterns("*.pyc"))
+    done = alone(folder, there, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == list(verified(folder).lines)
 
