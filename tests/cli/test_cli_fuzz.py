@@ -123,7 +123,7 @@ def commands(kind: str, case: int, folder: Path) -> list[Any]:
     return [("audit", folder / kind, *robot)]
 
 
-# Logs of other formats are damaged in tests/experiment/readers/test_hostile_files.py.
+# Logs of other formats are damaged in tests/experiment/test_formats.py.
 KINDS = ("log.csv", "arm.urdf", "map.toml", "certificate.json", "table.csv")
 
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.errors import DataError
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.workflow.cross_validation import CrossValidation
 from sdpid.workflow.formulate import formulate
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
 FOLDS = 4
@@ -117,16 +119,13 @@ def test_the_verdict_tells_when_blocks_are_not_predicted(log: sdpid.Recording) -
 
 @pytest.mark.parametrize("folds", [0, 1, 2.5, True])
 def test_folds_that_make_no_sense(log: sdpid.Recording, folds: int) -> None:
-    with pytest.raises(sdpid.errors.DataError, match="whole number of at least 2"):
-        sdpid.cross_validate(arm(), log, folds=folds)
+    refuses(DataError, "whole number of at least 2", sdpid.cross_validate, arm(), log, folds=folds)
 
 
 def test_what_cannot_be_cross_validated(log: sdpid.Recording) -> None:
-    with pytest.raises(sdpid.errors.DataError, match="repeats one motion"):
-        sdpid.cross_validate(arm(), recorded(1, period=10.0))
-    with pytest.raises(sdpid.errors.DataError, match="at least two recordings"):
-        sdpid.cross_validate(arm(), log, by="recording")
-    with pytest.raises(sdpid.errors.DataError, match="by is 'luck'"):
+    refuses(DataError, "repeats one motion", sdpid.cross_validate, arm(), recorded(1, period=10.0))
+    refuses(DataError, "at least two recordings", sdpid.cross_validate, arm(), log, by="recording")
+    with pytest.raises(DataError, match="by is 'luck'"):
         sdpid.cross_validate(arm(), log, by="luck")  # type: ignore[arg-type]
-    with pytest.raises(sdpid.errors.DataError, match=r"without block 1 of 200.*fewer folds"):
+    with pytest.raises(DataError, match=r"without block 1 of 200.*fewer folds"):
         sdpid.cross_validate(arm(), log, folds=200)

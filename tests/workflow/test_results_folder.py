@@ -20,6 +20,7 @@ import sdpid
 from sdpid._common import files as _files
 from sdpid._common import signals as _signals
 from sdpid._common import staging
+from sdpid.errors import ExportError
 from sdpid.output.report import report
 from sdpid.plots.figures import save_figure
 from sdpid.plots.reconstruction import plot_fit
@@ -164,7 +165,7 @@ def test_whatever_fails_all_or_none(
         try:
             other.save(out, figures=False)
             saved = True
-        except sdpid.errors.ExportError:
+        except ExportError:
             saved = False
             failures += 1
         reached = injector.left <= 0
@@ -212,7 +213,7 @@ def test_a_single_file_is_written_whole_or_not_at_all(
         try:
             writers[write](target)
             saved = True
-        except sdpid.errors.ExportError:
+        except ExportError:
             saved = False
         reached = injector.left <= 0
         injector.arm(None)
@@ -235,7 +236,7 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
-        refuses(sdpid.errors.ExportError, "too large", result.save, tmp_path / "out")
+        refuses(ExportError, "too large", result.save, tmp_path / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert contents(tmp_path / "out") == before
@@ -244,7 +245,7 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
 @pytest.mark.parametrize("name", ["report.html", "training.png", "result.json"])
 def test_a_folder_in_the_place_of_a_file(result: Identification, tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
-    refuses(sdpid.errors.ExportError, f"{name}: it is a folder", result.save, tmp_path)
+    refuses(ExportError, f"{name}: it is a folder", result.save, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -287,7 +288,7 @@ def test_two_runs_do_not_wait_for_ever(
     result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(staging, "_PATIENCE", 0.2)
-    with staging.staged(tmp_path), pytest.raises(sdpid.errors.ExportError, match="another run"):
+    with staging.staged(tmp_path), pytest.raises(ExportError, match="another run"):
         result.save(tmp_path, figures=False)
 
 
@@ -378,9 +379,8 @@ def test_files_get_the_permissions_of_any_new_file(
 def test_what_no_file_can_replace(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path, words in ((tmp_path, "a folder"), (tmp_path / "pipe", "no regular file")):
-        refuses(sdpid.errors.ExportError, words, _files.atomic_write_text, path, "")
-    with pytest.raises(sdpid.errors.ExportError, match="No such file"):
-        _files.atomic_write_text(tmp_path / "no" / "file", "")
+        refuses(ExportError, words, _files.atomic_write_text, path, "")
+    refuses(ExportError, "No such file", _files.atomic_write_text, tmp_path / "no" / "file", "")
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
 
 
@@ -390,10 +390,9 @@ def test_a_link_to_itself_is_not_replaced(tmp_path: Path) -> None:
         (tmp_path / name).symlink_to(other)
     (tmp_path / "own").symlink_to("own")
     for name in (*names, "own"):
-        with pytest.raises(sdpid.errors.ExportError, match=rf"{name}: it is .* back to itself"):
+        with pytest.raises(ExportError, match=rf"{name}: it is .* back to itself"):
             _files.atomic_write_text(tmp_path / name, "")
-    with pytest.raises(sdpid.errors.ExportError, match=r"identified\.urdf: it is .* to itself"):
-        require_writable(tmp_path)
+    refuses(ExportError, r"identified\.urdf: it is .* to itself", require_writable, tmp_path)
     assert all(path.is_symlink() for path in tmp_path.iterdir())
 
 

@@ -6,15 +6,14 @@ import threading
 import pytest
 
 import sdpid
+from sdpid.errors import ModelError
 from sdpid.robot.description.quiet import caught_stderr
 from tests.helpers.arm_files import ARM_URDF
 
 
 def test_the_parser_of_urdf_is_quoted(capfd: pytest.CaptureFixture[str]) -> None:
     bad = ARM_URDF.replace('effort="100"', 'effort="many"')
-    with pytest.raises(
-        sdpid.errors.ModelError, match=r"joint \[a\]: effort value \(many\)"
-    ) as caught:
+    with pytest.raises(ModelError, match=r"joint \[a\]: effort value \(many\)") as caught:
         sdpid.load_robot(bad)
     assert "at line" not in str(caught.value)
     assert capfd.readouterr().err == ""

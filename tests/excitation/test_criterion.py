@@ -1,0 +1,454 @@
+"""What a run is planned for: earlier runs, noise, bodies, objectives and purposes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.problem import build_problem
+from sdpid.excitation.criterion.belief import default_prior, information_of_rows, prior_information
+from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.earlier import earlier_information
+from sdpid.excitation.criterion.marginal import marginal
+from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
+from sdpid.excitation.criterion.nominal import nominal_bodies, nominal_theta
+from sdpid.excitation.criterion.objectives import Objective
+from sdpid.excitation.criterion.purpose import PURPOSES, effort_functionals, purpose_of
+from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.inertia import margin
+from sdpid.robot.model.base_parameters import structural_base
+from tests.helpers.arm import ARM
+from tests.helpers.data import FRICTION as LINEAR
+from tests.helpers.data import make_samples, random_theta
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
+from tests.helpers.small_robots import SMALL, URDFS
+
+TERMS = ("coulomb", "viscous")
+FRICTION = FrictionModel.from_terms(TERMS, ARM.joint_names)
+BASE = structural_base(ARM, FRICTION)
+THETA = random_theta(ARM, np.random.default_rng(0))
+
+
+def estimated(count: int = 300, terms: tuple[str, ...] = TERMS) -> Estimate:
+    samples = make_samples(ARM, THETA, np.random.default_rng(1), count=count, noise=0.1)
+    samples = replace(samples, time=np.arange(count) / 50.0)
+    return sdpid.solve_wls(sdpid.build_problem(ARM, samples, friction=terms))
+
+
+def scaled(J: np.ndarray, by: np.ndarray) -> np.ndarray:
+    size = np.sqrt(np.diag(by))
+    return J / np.outer(size, size)
+
+
+def test_it_is_the_inverse_of_the_covariance() -> None:
+    estimate = estimated()
+    found = earlier_information(ARM, FRICTION, BASE, estimate)
+    dense = np.linalg.inv(NoiseSpectrum.of(estimate.problem, estimate.theta).covariance)
+    np.testing.assert_allclose(scaled(found.information, dense), scaled(dense, dense), atol=1e-6)
+    np.testing.assert_allclose(BASE.matrix @ found.theta, estimate.base, atol=1e-9)
+    np.testing.assert_allclose(found.noise.deviation, 0.1, rtol=0.15)
+
+
+def test_terms_of_the_earlier_model_alone_are_marginalized() -> None:
+    estimate = estimated(terms=(*TERMS, "offset"))
+    found = earlier_information(ARM, FRICTION, BASE, estimate)
+    C = NoiseSpectrum.of(estimate.problem, estimate.theta).covariance
+    own = [estimate.problem.base.names.index(name) for name in BASE.names]
+    dense = np.linalg.inv(C[np.ix_(own, own)])
+    np.testing.assert_allclose(scaled(found.information, dense), scaled(dense, dense), atol=1e-6)
+
+
+def test_of_terms_that_it_did_not_have_it_tells_nothing() -> None:
+    model = FrictionModel.from_terms((*TERMS, "offset"), ARM.joint_names)
+    base = structural_base(ARM, model)
+    found = earlier_information(ARM, model, base, estimated())
+    offsets = [base.names.index(name) for name in ("Fo1", "Fo2")]
+    assert not found.information[offsets].any()
+    assert any("Fo1" in note for note in found.notes)
+
+
+def test_what_holds_an_estimate_and_recordings_do_too() -> None:
+    class Result:
+        estimate = estimated()
+
+    whole = earlier_information(ARM, FRICTION, BASE, Result())
+    np.testing.assert_array_equal(
+        whole.information, earlier_information(ARM, FRICTION, BASE, Result.estimate).information
+    )
+
+
+def test_another_robot_is_refused() -> None:
+    other = small_arm(3)
+    model = FrictionModel.from_terms(TERMS, other.joint_names)
+    with pytest.raises(DataError, match="the plan is for"):
+        earlier_information(other, model, structural_base(other, model), estimated())
+
+
+# Information of some parameters, and of a prior, against dense inverses.
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds, st.integers(1, 4), st.integers(0, 4))
+def test_marginal_information_is_the_inverse_of_a_block(seed: int, k: int, rest: int) -> None:
+    X = np.random.default_rng(seed).standard_normal((20, k + rest))
+    J = X.T @ X
+    kept = np.arange(k + rest) < k
+    np.testing.assert_allclose(
+        marginal(J, kept), np.linalg.inv(np.linalg.inv(J)[:k, :k]), rtol=1e-6, atol=1e-9
+    )
+
+
+def test_what_is_open_takes_nothing_with_it() -> None:
+    J = np.diag([4.0, 0.0, 1.0])
+    np.testing.assert_allclose(marginal(J, np.array([True, False, True])), np.diag([4.0, 1.0]))
+
+
+@given(seeds)
+def test_information_of_rows_is_the_inverse_of_a_covariance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = rng.standard_normal((12, 9)) * 10.0 ** rng.uniform(-2, 2, 9)
+    B = rng.standard_normal((4, 9))
+    dense = np.linalg.inv(B @ np.linalg.inv(R.T @ R) @ B.T)
+    size = np.sqrt(np.diag(dense))
+    found = information_of_rows(R, B)
+    np.testing.assert_allclose(
+        found / np.outer(size, size), dense / np.outer(size, size), atol=1e-5
+    )
+
+
+def test_a_prior_says_nothing_of_what_it_does_not_believe() -> None:
+    friction = FrictionModel.from_terms(("coulomb", "viscous"), ARM.joint_names)
+    base = structural_base(ARM, friction)
+    bodies = np.tile([1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.2], (ARM.n_links, 1))
+    rms = np.array([1.0, 2.0])
+    of_links = base.kept < 10 * ARM.n_links
+    without = prior_information(
+        ARM, friction, base, sdpid.Prior(bodies=bodies, friction=False), rms
+    )
+    size = np.sqrt(np.diag(without)[of_links].max())
+    assert np.all(np.abs(without[~of_links]) < 1e-9 * size)
+    whole = prior_information(ARM, friction, base, sdpid.Prior(bodies=bodies), rms)
+    assert np.all(np.linalg.eigvalsh(whole) > 0.0)
+    doubled = prior_information(ARM, friction, base, sdpid.Prior(strength=2.0, bodies=bodies), rms)
+    own = np.ix_(of_links, of_links)
+    np.testing.assert_allclose(doubled[own], 2.0 * whole[own], rtol=1e-6, atol=1e-9)
+    assert not prior_information(ARM, friction, base, False, rms).any()
+
+
+@pytest.mark.parametrize("name", ["ur10_robot", "denso_vp6242", *URDFS])
+def test_the_default_is_that_of_identify(name: str) -> None:
+    robot = sdpid.load_robot(name)
+    described = bool(np.any(robot.prior[:, 0] > 0.0))
+    assert (default_prior(robot, None) is not None) == described
+    assert default_prior(robot, False) is None
+    assert default_prior(robot, True) == sdpid.Prior()
+
+
+# Expected noise: densities, what is assumed, and what earlier residuals say.
+
+
+NAMES = ("joint_1", "joint_2", "joint_3")
+RMS = np.array([3.0, 48.0, 0.0])
+
+
+def test_white_noise_has_a_density() -> None:
+    noise = ExpectedNoise.of(NAMES, [1.0, 2.0, 3.0], RMS, 250.0)
+    np.testing.assert_allclose(noise.density, np.array([1.0, 4.0, 9.0]) / 250.0)
+    np.testing.assert_allclose(noise.filtered_variance(25.0), np.array([1.0, 4.0, 9.0]) / 10.0)
+    # A filter takes nothing away beyond the noise itself.
+    np.testing.assert_allclose(noise.filtered_variance(1e6), [1.0, 4.0, 9.0])
+
+
+def test_one_number_serves_all_joints_and_names_serve_each() -> None:
+    one = ExpectedNoise.of(NAMES, 0.5, RMS, 100.0)
+    np.testing.assert_allclose(one.deviation, 0.5)
+    named = ExpectedNoise.of(NAMES, dict(zip(NAMES, (3.0, 2.0, 1.0), strict=True)), RMS, 100.0)
+    np.testing.assert_allclose(named.deviation, [3.0, 2.0, 1.0])
+    assert ExpectedNoise.of(NAMES, named, RMS, 1.0) is named
+
+
+def test_without_numbers_it_is_assumed_and_said() -> None:
+    noise = ExpectedNoise.of(NAMES, None, RMS, 100.0)
+    assert noise.deviation[0] < noise.deviation[1]
+    assert np.all(noise.deviation > 0.0)
+    assert "assumed" in noise.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("noise", "says"),
+    [
+        ([1.0, 2.0], "give one number or 3"),
+        ({"joint_1": 1.0, "elbow": 2.0}, "elbow"),
+        ([1.0, -1.0, 1.0], "positive"),
+        ([1.0, np.nan, 1.0], "not finite"),
+    ],
+)
+def test_wrong_numbers_are_refused(noise: object, says: str) -> None:
+    with pytest.raises(DataError, match=says):
+        ExpectedNoise.of(NAMES, noise, RMS, 100.0)  # type: ignore[arg-type]
+
+
+@given(st.lists(st.floats(0.0, 1e4), min_size=1, max_size=7), st.floats(1e-3, 1e3))
+def test_usual_efforts_scale_and_are_never_zero(rms: list[float], factor: float) -> None:
+    usual = usual_effort(np.array(rms))
+    assert np.all(usual > 0.0)
+    if max(rms) > 1e-3:
+        np.testing.assert_allclose(usual_effort(factor * np.array(rms)), factor * usual)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "residual"])
+def test_residuals_of_white_noise_give_its_density(weighting: str) -> None:
+    deviations = np.array([0.1, 0.3])
+    theta = random_theta(ARM, np.random.default_rng(0))
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        samples = make_samples(ARM, theta, rng, count=400, noise=0.0)
+        effort = samples.effort + deviations * rng.standard_normal(samples.effort.shape)
+        samples = replace(samples, effort=effort, time=np.arange(400) / 50.0)
+        problem = build_problem(ARM, samples, friction=LINEAR, weighting=weighting)  # type: ignore[arg-type]
+        found.append(ExpectedNoise.of_residuals(problem, theta))
+    density: Array = np.mean([each.density for each in found], axis=0)
+    np.testing.assert_allclose(density, deviations**2 / 50.0, rtol=0.15)
+    deviation = np.mean([each.deviation for each in found], axis=0)
+    np.testing.assert_allclose(deviation, deviations, rtol=0.1)
+
+
+# What a robot is taken to be before a run.
+
+
+NOMINAL = small_arm(3)
+RNG = np.random.default_rng(0)
+STATES = tuple(RNG.standard_normal((50, 3)) for _ in range(3))
+
+
+def test_described_bodies_are_made_possible() -> None:
+    robot = sdpid.load_robot("ur10_robot")
+    bodies, notes = nominal_bodies(robot)
+    assert notes == ()
+    known = robot.prior[:, 0] > 0.0
+    np.testing.assert_allclose(bodies[known, 0], robot.prior[known, 0])
+    assert np.all(margin(bodies, "pseudo_inertia") > 0.0)
+
+
+def test_without_masses_some_are_assumed_and_told() -> None:
+    bodies, notes = nominal_bodies(NOMINAL)
+    assert not NOMINAL.prior.any()
+    assert np.all(bodies[:, 0] > 0.0)
+    assert "no masses" in notes[0]
+    assert np.all(margin(bodies, "pseudo_inertia") > 0.0)
+
+
+def test_friction_is_of_a_usual_size_and_other_terms_are_zero() -> None:
+    friction = FrictionModel.from_terms(("coulomb", "viscous", "offset"), NOMINAL.joint_names)
+    theta, _ = nominal_theta(NOMINAL, friction, *STATES)
+    coulomb, viscous, offset = theta[-9:].reshape(3, 3)
+    assert np.all(coulomb > 0.0)
+    assert np.all(viscous > 0.0)
+    assert not offset.any()
+    faster, _ = nominal_theta(NOMINAL, friction, STATES[0], 2.0 * STATES[1], STATES[2])
+    assert np.all(faster[-6:-3] / faster[-9:-6] < viscous / coulomb)
+
+
+# The objectives: their derivatives, and what each is invariant to.
+
+
+KINDS = ("mixed", "D", "A", "E", "V", "condition")
+
+
+def matrix(rng: np.random.Generator, b: int) -> np.ndarray:
+    root = rng.standard_normal((b + 3, b))
+    return root.T @ root
+
+
+def objective(kind: str, rng: np.random.Generator, b: int) -> Objective:
+    functionals = rng.standard_normal((3, b)) if kind == "V" else None
+    return Objective(kind=kind, functionals=functionals, scale=rng.uniform(0.5, 2.0, b))
+
+
+@given(st.sampled_from(KINDS), st.integers(0, 1000))
+def test_derivatives_agree_with_differences(kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    total, plain, d1, d2 = (matrix(rng, 5) for _ in range(4))
+    made = objective(kind, rng, 5)
+    _, by_total, by_plain = made.value(total, plain)
+    h = 1e-6
+    ahead = made.value(total + h * d1, plain + h * d2)[0]
+    behind = made.value(total - h * d1, plain - h * d2)[0]
+    expected = np.sum(by_total * d1) + np.sum(by_plain * d2)
+    # Central differences err by h², and by rounding of the values over h.
+    assert (ahead - behind) / (2.0 * h) == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+@given(st.integers(0, 1000))
+def test_more_information_is_never_worse(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    total, plain, more = (matrix(rng, 5) for _ in range(3))
+    for kind in ("D", "A", "E", "V"):
+        made = objective(kind, np.random.default_rng(seed), 5)
+        assert made.value(total + more, plain)[0] <= made.value(total, plain)[0] + 1e-9
+
+
+@given(st.integers(0, 1000))
+def test_log_det_does_not_depend_on_the_units(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second, plain = (matrix(rng, 5) for _ in range(3))
+    units = rng.uniform(0.01, 100.0, 5)
+    made = Objective(kind="D")
+    before = made.value(first, plain)[0] - made.value(second, plain)[0]
+    scaled = [m * np.outer(units, units) for m in (first, second)]
+    after = made.value(scaled[0], plain)[0] - made.value(scaled[1], plain)[0]
+    assert after == pytest.approx(before, abs=1e-9)
+
+
+def test_the_smooth_condition_number_is_above_the_true_one_and_near_it() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        plain = matrix(rng, 8)
+        smooth = np.exp(Objective(kind="condition").value(plain, plain)[0])
+        true = np.sqrt(np.linalg.cond(plain))
+        assert true <= smooth <= 8 ** (1 / 32) * true
+
+
+def test_functionals_of_a_part_are_log_det_of_its_covariance() -> None:
+    rng = np.random.default_rng(1)
+    total = matrix(rng, 5)
+    L = np.eye(5)[:2]
+    value = Objective(kind="D", functionals=L).value(total, total)[0]
+    expected = np.linalg.slogdet(np.linalg.inv(total)[:2, :2])[1] / 2
+    assert value == pytest.approx(expected)
+
+
+def test_unknown_objectives_are_refused() -> None:
+    with pytest.raises(DataError, match="use one of mixed, D"):
+        Objective(kind="G")  # type: ignore[arg-type]
+    refuses(DataError, "needs functionals", Objective, kind="V")
+
+
+@pytest.mark.parametrize("friction", [("coulomb", "viscous", "offset"), ("viscous", "tilt"), ()])
+def test_the_gradient_of_a_motion_agrees_with_differences(friction: tuple[str, ...]) -> None:
+    robot = sdpid.load_robot("denso_vp6242")
+    rows = BaseRows.of(robot, friction).smooth()
+    rng = np.random.default_rng(2)
+    criterion = Criterion(
+        rows=rows,
+        objective=Objective(),
+        rates=rng.uniform(0.5, 2.0, robot.n),
+        known=1e-3 * np.eye(rows.count),
+    )
+    state = list(rng.standard_normal((3, 60, robot.n)))
+    _, slopes = criterion.gradient(*state, 20.0)
+    for order in range(3):
+        step = rng.standard_normal(state[order].shape)
+        values = []
+        for h in (1e-6, -1e-6):
+            moved = list(state)
+            moved[order] = state[order] + h * step
+            values.append(criterion.value(*moved, 20.0))
+        found = (values[0] - values[1]) / 2e-6
+        assert found == pytest.approx(float(np.sum(slopes[order] * step)), rel=1e-4, abs=1e-5)
+
+
+def test_rows_are_the_regressor_of_the_base_parameters() -> None:
+    robot = sdpid.load_robot("denso_vp6242")
+    rows = BaseRows.of(robot, ("coulomb", "viscous"))
+    rng = np.random.default_rng(3)
+    q, v, a = rng.standard_normal((3, 10, robot.n))
+    theta = np.concatenate([robot.prior.ravel(), rng.uniform(0.0, 1.0, 2 * robot.n)])
+    effort = robot.inverse_dynamics(theta, q, v, a)
+    effort = effort + np.sign(v) * theta[-2 * robot.n : -robot.n] + v * theta[-robot.n :]
+    np.testing.assert_allclose(rows.rows(q, v, a) @ (rows.base.matrix @ theta), effort, atol=1e-9)
+
+
+# Purposes: which functions of the base parameters count.
+
+
+ROBOT = small_arm(3)
+LAWS = FrictionModel.from_terms(("coulomb", "viscous"), ROBOT.joint_names)
+BASIS = structural_base(ROBOT, LAWS)
+MOTION = tuple(RNG.standard_normal((40, 3)) for _ in range(3))
+X = RNG.standard_normal((200, BASIS.count))
+INFORMATION = X.T @ X
+
+
+@pytest.mark.parametrize("name", PURPOSES)
+def test_more_information_never_widens(name: str) -> None:
+    purpose = purpose_of(name, ROBOT, LAWS, BASIS, motion=MOTION)
+    before = purpose.covariance(INFORMATION)
+    after = purpose.covariance(INFORMATION + np.outer(X[0], X[0]))
+    assert np.linalg.eigvalsh(before - after).min() > -1e-12 * np.trace(before)
+
+
+@given(st.floats(0.01, 100.0))
+def test_covariances_scale(factor: float) -> None:
+    purpose = purpose_of("torque", ROBOT, LAWS, BASIS, motion=MOTION)
+    np.testing.assert_allclose(
+        purpose.covariance(factor * INFORMATION), purpose.covariance(INFORMATION) / factor
+    )
+
+
+def test_all_and_friction_are_blocks_of_the_covariance() -> None:
+    C = np.linalg.inv(INFORMATION)
+    np.testing.assert_allclose(
+        purpose_of("all", ROBOT, LAWS, BASIS).covariance(INFORMATION), C, atol=1e-12
+    )
+    own = BASIS.kept >= 10 * ROBOT.n_links
+    friction = purpose_of("friction", ROBOT, LAWS, BASIS)
+    np.testing.assert_allclose(friction.covariance(INFORMATION), C[np.ix_(own, own)], atol=1e-12)
+
+
+def test_a_payload_is_the_last_link_with_all_else_known() -> None:
+    purpose = purpose_of("payload", ROBOT, LAWS, BASIS)
+    columns = BASIS.matrix[:, 10 * ROBOT.n_links - 10 : 10 * ROBOT.n_links]
+    assert purpose.directions.shape[1] == np.linalg.matrix_rank(columns)
+    # Knowing all else is knowing more.
+    others = np.linalg.inv(INFORMATION)
+    D = purpose.directions
+    marginal = np.linalg.pinv(D) @ others @ np.linalg.pinv(D).T
+    assert np.linalg.eigvalsh(marginal - purpose.covariance(INFORMATION)).min() > -1e-12
+
+
+def test_torque_is_the_mean_variance_of_efforts() -> None:
+    scale = np.array([1.0, 2.0, 3.0])
+    L = effort_functionals(ROBOT, LAWS, BASIS, *MOTION, scale=scale)
+    C = np.linalg.inv(INFORMATION)
+    W = ROBOT.regressor(*MOTION)
+    W = np.concatenate([W, LAWS.columns(MOTION[1], MOTION[2])], axis=2)[:, :, BASIS.kept]
+    variance = np.einsum("kjb,bc,kjc->kj", W, C, W) / scale**2
+    np.testing.assert_allclose(np.trace(L @ C @ L.T), variance.mean())
+
+
+def test_gravity_asks_nothing_of_friction() -> None:
+    purpose = purpose_of("gravity", ROBOT, LAWS, BASIS)
+    assert purpose.kind == "sum"
+    assert not purpose.functionals[:, BASIS.kept >= 10 * ROBOT.n_links].any()
+
+
+def test_gravity_counts_all_around_where_the_description_has_no_limits() -> None:
+    robot = SMALL["without_limits"].model
+    base = structural_base(robot, none := FrictionModel.from_terms((), robot.joint_names))
+    variances = purpose_of("gravity", robot, none, base).covariance(np.eye(base.count))
+    assert np.linalg.matrix_rank(variances, tol=1e-6) == 4  # mx and mz of two links
+
+
+def test_wrong_purposes_are_refused() -> None:
+    refuses(DataError, "use one of", purpose_of, "speed", ROBOT, LAWS, BASIS)
+    refuses(DataError, "give the motion", purpose_of, "torque", ROBOT, LAWS, BASIS)
+    none = FrictionModel.from_terms((), ROBOT.joint_names)
+    with pytest.raises(DataError, match="no friction terms"):
+        purpose_of("friction", ROBOT, none, structural_base(ROBOT, none))
+    upright = small_arm(1)
+    terms = FrictionModel.from_terms(("viscous",), upright.joint_names)
+    with pytest.raises(DataError, match="'gravity', and none of the robot's 2 base parameters"):
+        purpose_of("gravity", upright, terms, structural_base(upright, terms))

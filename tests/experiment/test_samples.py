@@ -1,0 +1,1020 @@
+"""Samples: settings, derivatives, contacts, delays and floating bases."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import savgol_coeffs
+
+import sdpid
+import sdpid.experiment.processing.motion as motion_module
+from sdpid import Recording
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.preparation.overview import overview
+from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.processing.choose import choose_processing, default_processing
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.delays.on_time import on_time
+from sdpid.experiment.processing.filters import Spectral, Stencil, low_pass, stencil
+from sdpid.experiment.processing.floating.quieter import base_limit
+from sdpid.experiment.processing.floating.rotations import body_rate, unit
+from sdpid.experiment.processing.motion import motion_frequency, noise_limit
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.floating.base import BaseMotion
+from tests.experiment.processing.floating.crawl import FEET as CRAWLING
+from tests.experiment.processing.floating.crawl import RADIUS, Crawl, crawl
+from tests.helpers.refusals import refuses
+
+# The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
+# velocity,
+# for the whole record. All have order 4, "central4" and a mask of a tenth of the cut-off's period.
+DEFAULTS = {
+    "ur10_unisa/ur10_exciting": (3.178581807729566, "differentiated"),
+    "panda_unisa/panda_exciting": (3.0949029320985986, "measured"),
+    "kuka_lwr4plus/measurements_1": (2.983950778897212, "differentiated"),
+    "kuka_lwr4plus/measurements_2": (2.983892007320999, "differentiated"),
+    "staubli_tx40/tx40_rows_0_24750": (22.727272727272723, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing1": (10.546298249314491, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing2": (21.79598953792502, "differentiated"),
+}
+
+
+def sweep(
+    noise: float = 0.0, *, rate: float = 200.0, seconds: float = 40.0, seed: int = 0
+) -> tuple[sdpid.Recording, np.ndarray]:
+    """Return a record of five tones up to 2 Hz, and its exact accelerations."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(rate * seconds)) / rate
+    omega = 2.0 * np.pi * np.array([0.3, 0.6, 1.0, 1.5, 2.0])
+    phase = rng.uniform(0.0, 2.0 * np.pi, (5, 2))
+    angle = time[:, None, None] * omega[:, None] + phase
+    position = (np.sin(angle) / omega[:, None] ** 2).sum(axis=1)
+    noisy = position + noise * rng.standard_normal(position.shape)
+    log = sdpid.Recording(time=time, position=noisy, effort=noisy)
+    return log, -np.sin(angle).sum(axis=1)
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
+    cutoff, velocity = DEFAULTS[name]
+    log = sdpid.read_recording(data_folder / f"{name}.npz")
+    chosen = default_processing(log)
+    expected = sdpid.Processing(
+        cutoff_hz=chosen.cutoff_hz,
+        order=4,
+        decimation=None,
+        reversal_time=0.1 / chosen.cutoff_hz,
+        kept_share=0.1,
+        derivative="central4",
+        velocity="measured" if velocity == "measured" else "differentiated",
+    )
+    assert chosen == expected
+    assert expected.cutoff_hz == pytest.approx(cutoff, rel=1e-12)
+
+
+def test_the_page_in_the_docs(data_folder: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "guides" / "processing.md").read_text(
+        encoding="utf-8"
+    )
+    log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
+    assert "\n".join(choose_processing(log).reasons) in page
+
+
+def test_the_choice_says_why() -> None:
+    log, _ = sweep()
+    choice = choose_processing(log)
+    assert choice.motion_hz == motion_frequency(log)
+    assert choice.rate_hz == pytest.approx(200.0)
+    cutoff, velocity = choice.reasons
+    assert cutoff.startswith(f"cutoff_hz {choice.processing.cutoff_hz:.4g}: 25 × motion, below")
+    assert f"below {choice.motion_hz:.4g} Hz" in cutoff
+    assert velocity == "velocity differentiated: none was recorded"
+    # The bound by the rate, and that by the length.
+    slow = replace(log, time=10.0 * log.time)
+    fast = choose_processing(sweep(rate=20.0)[0])
+    assert fast.processing.cutoff_hz == pytest.approx(20.0 / 7.5)
+    assert fast.reasons[0].startswith(
+        "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 25 × motion"
+    )
+    assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
+    # They end up in the notes of the samples.
+    assert sdpid.process(log, choice.processing).notes[:2] == choice.reasons
+
+
+@pytest.mark.parametrize("rate", [80.0, 250.0, 1000.0])
+@pytest.mark.parametrize("stored", [False, True])
+def test_long_records_are_averaged_first(
+    rate: float, stored: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, _ = sweep(1e-3, rate=rate, seconds=40.3)
+    # A joint that stands still has no say, whatever its angle is rounded to.
+    still = np.full(log.n_samples, 0.1)
+    position = np.column_stack([log.position, still])
+    log = replace(log, position=position, effort=position)
+    expected = motion_frequency(replace(log, position=position[:, :2], effort=position[:, :2]))
+    monkeypatch.setattr(motion_module, "_LONG", 1000)
+    monkeypatch.setattr(motion_module, "_BLOCK", 777)
+    if stored:
+        log.to_parquet(tmp_path / "log.parquet")
+        log = sdpid.read_recording(tmp_path / "log.parquet", stored=True)
+        assert log.stored
+    # The resolution of either is the inverse of the record's length.
+    assert motion_frequency(log) == pytest.approx(expected, abs=1.5 / 40.3)
+    quiet = replace(log, position=np.tile(still[:, None], 3))
+    refuses(DataError, "no joint moves", motion_frequency, quiet)
+
+
+def test_noise_of_joints_at_rest_has_no_say() -> None:
+    """Five joints of six hold still: encoder noise would put the cut-off where nothing moves."""
+    time = np.arange(4000) / 200.0
+    rng = np.random.default_rng(0)
+    moves = np.sin(2.0 * np.pi * 0.5 * time)
+    still = 0.3 + 1e-4 * rng.standard_normal((time.size, 4))
+    dragged = 5e-3 * moves[:, None] ** 9
+    position = np.column_stack([moves, still, dragged])
+    log = sdpid.Recording(time=time, position=position, effort=position)
+    assert motion_frequency(log) == pytest.approx(0.5, abs=0.1)
+    samples = sdpid.process(log)
+    np.testing.assert_array_equal(samples.velocity[:, 1:5], 0.0)
+    assert samples.velocity[:, 5].any()
+
+
+def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 40 Hz an average over 10 ms leaves 0.76 of the amplitude: 0.57 of the power."""
+    time = np.arange(40000) / 1000.0
+    # 92.6 % of the power is slow, 7.4 % fast; left as it was averaged the fast part has 4.4 %.
+    slow, fast = np.sin(2.0 * np.pi * 2.0 * time), np.sin(2.0 * np.pi * 40.0 * time)
+    position = (slow + np.sqrt(0.08) * fast)[:, None]
+    log = sdpid.Recording(time=time, position=position, effort=position)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
+    monkeypatch.setattr(motion_module, "_LONG", 1000)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("given_", "expected"),
+    [
+        ({"cutoff_hz": 5.0}, "cutoff_hz 5: as given, for "),
+        ({"velocity": "measured"}, "velocity measured: as given, for differentiated"),
+        ({"order": 2, "filter": "bessel", "derivative": "savitzky_golay"}, None),
+    ],
+)
+def test_what_is_given_stays(given_: dict[str, Any], expected: str | None) -> None:
+    log, _ = sweep()
+    log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
+    choice = choose_processing(log, **given_)
+    plain = choose_processing(log)
+    for name, value in given_.items():
+        assert getattr(choice.processing, name) == value
+    assert choice.processing == replace(plain.processing, **given_)
+    if expected is None:
+        assert choice.reasons == plain.reasons
+    else:
+        assert any(reason.startswith(expected) for reason in choice.reasons)
+    # Notes have later changes as well.
+    changed = replace(plain.processing, **given_)
+    assert sdpid.process(log, changed).notes[:2] == choice.reasons
+
+
+def test_records_with_periods_say_their_covariance() -> None:
+    log, _ = sweep(noise=1e-5)
+    for periods, covariance in ((8, "period"), (2, "pooled"), (1, None)):
+        choice = choose_processing(replace(log, period=5.0, start=0.0, periods=periods))
+        assert choice.processing == sdpid.Processing(covariance=covariance)  # type: ignore[arg-type]
+        assert choice.motion_hz is None
+        assert choice.reasons[0].startswith(f"covariance {covariance}: {periods} period")
+
+
+def test_what_cannot_be_chosen() -> None:
+    log, _ = sweep()
+    refuses(DataError, "cutoff_hz", choose_processing, log, cutoff_hz=-1.0)
+    still = replace(log, position=np.ones_like(log.position))
+    refuses(DataError, "no joint moves", choose_processing, still)
+
+
+def test_the_overview_shows_the_choice() -> None:
+    log, _ = sweep()
+    facts = overview(log)
+    assert facts["processing_chosen_for"] == "; ".join(choose_processing(log).reasons)
+    assert "reasons" not in facts["processing"]
+    assert facts["processing"]["filter"] == "butterworth"
+
+
+def test_noise_of_accelerations_lowers_the_cutoff_of_a_floating_robot() -> None:
+    noise, share, rate = 1e-4, 2e-4, 200.0
+    log, acceleration = sweep(noise, rate=rate)
+    limit = noise_limit(log, share)
+    # Noise of positions below a frequency f has (2 pi f)^4/5 of its power in accelerations.
+    power = noise**2 * (2.0 * np.pi * limit) ** 4 / 5.0 * limit / (rate / 2.0)
+    assert power / np.median(acceleration.var(axis=0)) == pytest.approx(share, rel=0.1)
+    assert noise_limit(sweep(0.0)[0], share) > 4.0 * limit
+    turn = np.tile([0.0, 0.0, 0.0, 1.0], (log.n_samples, 1))
+    base = sdpid.BaseMotion(orientation=turn, position=np.zeros((log.n_samples, 3)))
+    motion = motion_frequency(log)
+    assert 5.0 * motion < limit < 15.0 * motion
+    assert choose_processing(replace(log, base=base)).processing.cutoff_hz == limit
+    much = replace(sweep(3e-3)[0], base=base)
+    assert choose_processing(much).processing.cutoff_hz == pytest.approx(5.0 * motion)
+    assert choose_processing(log).processing.cutoff_hz > limit
+
+
+# Derivatives: exact where they must be, and what they let pass of the noise.
+
+
+# A velocity is exact up to the first degree, an acceleration up to the second.
+DEGREES = {
+    "central": (2, 3),
+    "central4": (4, 5),
+    "central6": (6, 7),
+    "savitzky_golay": (4, 5),
+}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    name=st.sampled_from(sorted(DEGREES)),
+    coefficients=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=8),
+    cutoff=st.floats(0.01, 0.49),
+    step=st.sampled_from([1e-3, 0.02, 1.0]),
+)
+def test_polynomials_are_differentiated_exactly(
+    name: str, coefficients: list[float], cutoff: float, step: float
+) -> None:
+    weights = stencil(name, cutoff_over_rate=cutoff)
+    margin = weights.margin
+    time = step * np.arange(-margin, margin + 1)
+    scale = max(1.0, time[-1])
+    for order, degree in zip((1, 2), DEGREES[name], strict=True):
+        p = np.polynomial.Polynomial(coefficients[: degree + 1])
+        signal = p(time / scale)
+        expected = p.deriv(order)(0.0) / scale**order
+        act = weights.velocity if order == 1 else weights.acceleration
+        found = act(signal, step)
+        assert found.shape == (1,)
+        # Rounding of values up to 8 over a power of the step.
+        assert abs(found[0] - expected) <= 1e-14 * 8 / step**order + 1e-9 * abs(expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    count=st.integers(5, 64),
+    step=st.sampled_from([1e-3, 0.02, 1.0]),
+    seed=st.integers(0, 99),
+)
+def test_the_fourier_series_is_differentiated_exactly(count: int, step: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    highest = (count - 1) // 2
+    harmonics = np.arange(highest + 1)
+    omega = 2.0 * np.pi * harmonics / (count * step)
+    amplitude, phase = rng.uniform(-1, 1, (2, highest + 1))
+    angle = step * np.arange(count)[:, None] * omega + 3.0 * phase
+    spectral = Spectral()
+    assert spectral.margin == 0
+    signal = np.sin(angle) @ amplitude
+    first = np.cos(angle) @ (amplitude * omega)
+    second = -np.sin(angle) @ (amplitude * omega**2)
+    np.testing.assert_allclose(
+        spectral.velocity(signal, step), first, rtol=0, atol=1e-13 * count / step
+    )
+    np.testing.assert_allclose(
+        spectral.acceleration(signal, step), second, rtol=0, atol=1e-12 * count / step**2
+    )
+
+
+def test_half_the_rate_has_no_slope_but_a_curvature() -> None:
+    signal = np.array([1.0, -1.0] * 4)
+    np.testing.assert_allclose(Spectral().velocity(signal, 0.1), 0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        Spectral().acceleration(signal, 0.1), -((np.pi / 0.1) ** 2) * signal, rtol=1e-12
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    name=st.sampled_from([*sorted(DEGREES), "spectral"]),
+    factors=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+    seed=st.integers(0, 99),
+)
+def test_derivatives_are_linear(name: str, factors: tuple[float, float], seed: int) -> None:
+    how: Stencil = Spectral() if name == "spectral" else stencil(name, cutoff_over_rate=0.1)
+    one, other = np.random.default_rng(seed).standard_normal((2, 60))
+    for act in (how.velocity, how.acceleration):
+        together = act(factors[0] * one + factors[1] * other, 0.1)
+        apart = factors[0] * act(one, 0.1) + factors[1] * act(other, 0.1)
+        np.testing.assert_allclose(together, apart, rtol=0, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(cutoff=st.floats(0.001, 0.499))
+def test_a_window_lets_as_much_noise_pass_as_the_cut_off(cutoff: float) -> None:
+    half = stencil("savitzky_golay", cutoff_over_rate=cutoff).margin
+    # Of smoothing weights, the sum of squares is the share of the variance that passes.
+    passed = [np.sum(savgol_coeffs(2 * h + 1, 4) ** 2) for h in (half, half + 1)]
+    assert passed[0] >= 2.0 * cutoff * (1.0 - 1e-3)
+    assert passed[1] < 2.0 * cutoff * (1.0 + 1e-3)
+
+
+@pytest.mark.parametrize("half", [2, 3, 10, 40])
+def test_local_polynomials_are_scipys(half: int) -> None:
+    cutoffs = np.geomspace(1e-3, 0.49, 400)
+    cutoff = next(c for c in cutoffs[::-1] if _half(c) == half)
+    weights = stencil("savitzky_golay", cutoff_over_rate=cutoff)
+    for order, ours in ((1, weights.first), (2, weights.second)):
+        theirs = savgol_coeffs(2 * half + 1, 4, deriv=order, use="dot")
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
+
+
+def _half(cutoff: float) -> int:
+    return stencil("savitzky_golay", cutoff_over_rate=cutoff).margin
+
+
+def test_long_windows_keep_their_digits() -> None:
+    weights = stencil("savitzky_golay", cutoff_over_rate=1e-4)
+    assert weights.margin > 8000
+    place = np.arange(-weights.margin, weights.margin + 1) / 1e3
+    # SciPy's weights lose 63 % here.
+    assert weights.velocity(place, 1e-3)[0] == pytest.approx(1.0, rel=1e-12)
+    assert weights.acceleration(place**2, 1e-3)[0] == pytest.approx(2.0, rel=1e-9)
+    assert weights.second.sum() == pytest.approx(0.0, abs=1e-20)
+
+
+def test_the_shortest_window_is_central() -> None:
+    shortest = stencil("savitzky_golay", cutoff_over_rate=0.4999)
+    central = stencil("central4")
+    np.testing.assert_allclose(shortest.first, central.first, atol=1e-14)
+    np.testing.assert_allclose(shortest.second, central.second, atol=1e-14)
+
+
+def test_what_is_asked_for_must_exist() -> None:
+    refuses(DataError, "'central8' is unknown", stencil, "central8")
+    for cutoff in (None, 0.0, 0.5):
+        with pytest.raises(DataError, match="needs the cut-off over the sample rate"):
+            stencil("savitzky_golay", cutoff_over_rate=cutoff)
+    assert isinstance(Processing(derivative="spectral").stencil(100.0), Spectral)
+    assert Processing(derivative="savitzky_golay").stencil(1000.0).margin == _half(0.015)
+
+
+K, JOINTS = 5, 2
+
+
+def fields(**changes: Any) -> dict[str, Any]:
+    table = np.arange(float(K * JOINTS)).reshape(K, JOINTS)
+    values = dict.fromkeys(("position", "velocity", "acceleration", "effort"), table)
+    return values | changes
+
+
+def test_defaults_and_views():
+    samples = Samples(**fields())
+    assert (samples.n, samples.n_samples, samples.n_rows, samples.block) == (2, 5, 10, 1)
+    assert samples.covariance is None
+    assert samples.mask is None
+    assert samples.notes == ()
+    assert samples.names == ("1", "2")
+    for name in ("position", "velocity", "acceleration", "effort"):
+        assert not getattr(samples, name).flags.writeable
+    assert repr(samples) == "Samples(5 samples, 2 joints, 10 rows used)"
+
+
+def test_everything_given():
+    mask = np.ones((K, JOINTS), dtype=bool)
+    mask[:3, 1] = False
+    samples = Samples(
+        **fields(
+            covariance=np.tile(np.eye(2), (K, 1, 1)),
+            mask=mask,
+            time=np.arange(5),
+            joint_names=["a", "b"],
+            periods=3,
+            block=2,
+            notes=["filtered"],
+            effort_periods=np.zeros((3, K, JOINTS)),
+        )
+    )
+    assert samples.n_rows == 7
+    assert samples.joint_names == ("a", "b")
+    assert not samples.mask.flags.writeable
+    assert Samples(**fields(covariance=np.eye(2))).covariance.shape == (2, 2)
+
+
+def test_a_free_flyer_has_more_positions():
+    assert Samples(**fields(position=np.zeros((K, 3)))).n == 2
+
+
+def test_a_joint_may_be_masked_altogether():
+    # The rows of a floating base: they are in the equation of motion, but they are not measured.
+    mask = np.tile([False, True], (K, 1))
+    samples = Samples(**fields(mask=mask, position=np.zeros((K, 3))))
+    assert samples.n_rows == K
+    np.testing.assert_array_equal(samples.mask, mask)
+
+
+nan = np.full((K, JOINTS), np.nan)
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "nan": ({"acceleration": nan}, "acceleration: 10 of 10 values are not finite"),
+    "rows": ({"position": np.zeros((4, 2))}, r"position: has shape \(4, 2\)"),
+    "positions": ({"position": np.zeros((K, 1))}, "position: has shape"),
+    "velocity": ({"velocity": np.zeros((K, 3))}, r"velocity: has shape \(5, 3\), expected"),
+    "empty": ({"effort": np.zeros((0, 2))}, "nothing to fit"),
+    "time": ({"time": np.zeros(3)}, "time: has shape"),
+    "names": ({"joint_names": ("a",)}, "1 names"),
+    "covariance shape": ({"covariance": np.eye(3)}, "covariance: has shape"),
+    "covariance count": ({"covariance": np.zeros((2, 2, 2))}, "covariance: has shape"),
+    "asymmetric": ({"covariance": [[1.0, 0.5], [0.4, 1.0]]}, "not symmetric"),
+    "negative": ({"covariance": [[1.0, 0.0], [0.0, -1.0]]}, "joint 2 has a negative variance"),
+    "indefinite": ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "not positive semidefinite"),
+    "mask shape": ({"mask": np.ones(K, dtype=bool)}, "mask: has shape"),
+    "mask type": ({"mask": np.ones((K, JOINTS))}, "expected .* bool"),
+    "mask empty": ({"mask": np.zeros((K, JOINTS), dtype=bool)}, "mask: leaves none of 10 rows"),
+    "block": ({"block": 0}, "block: is 0"),
+    "block nan": ({"block": float("nan")}, "block: is nan, expected a whole number"),
+    "block inf": ({"block": float("inf")}, "block: is inf, expected a whole number"),
+    "block text": ({"block": "2"}, "block: is 2, expected a whole number"),
+    "periods none": ({"periods": 1.5}, "periods: is 1.5, expected a whole number"),
+    "periods": ({"periods": 0}, "periods: is 0"),
+    "effort_periods": (
+        {"periods": 2, "effort_periods": np.zeros((3, K, JOINTS))},
+        "effort_periods: has shape",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_refused(case: str):
+    changes, message = BAD[case]
+    refuses(DataError, message, Samples, **fields(**changes))
+
+
+def test_pieces_are_joined_in_order():
+    first = Samples(**fields(time=np.arange(5.0), notes=["filtered", "short"], block=2))
+    mask = np.ones((K, JOINTS), dtype=bool)
+    mask[0, 0] = False
+    second = Samples(
+        **fields(effort=np.full((K, JOINTS), 9.0), time=np.arange(5.0), mask=mask, block=4),
+        notes=["filtered"],
+    )
+    joined = Samples.join([first, second])
+    assert joined.starts == (0, 5)
+    assert joined.parts == (slice(0, 5), slice(5, 10))
+    assert (joined.n_samples, joined.n_rows, joined.block) == (10, 19, 4)
+    np.testing.assert_array_equal(joined.effort[5:], second.effort)
+    np.testing.assert_array_equal(joined.time, [*range(5), *range(5)])
+    assert joined.notes == ("filtered", "2 pieces joined", "piece 1: short")
+    assert Samples.join([joined, first]).starts == (0, 5, 10)
+    assert Samples.join([first]) is first
+    assert "2 pieces" in repr(joined)
+
+
+def test_covariances_are_kept_sample_by_sample():
+    one, other = (Samples(**fields(covariance=c * np.eye(2))) for c in (1.0, 4.0))
+    assert Samples.join([one, one]).covariance.shape == (2, 2)
+    joined = Samples.join([one, other]).covariance
+    assert joined.shape == (2 * K, 2, 2)
+    np.testing.assert_array_equal(joined[:, 0, 0], [1.0] * K + [4.0] * K)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"covariance": np.eye(2)}, "1 of 2 pieces have a covariance"),
+        ({"joint_names": ("a", "b")}, "the joints of piece 2"),
+        ({"periods": 3}, "averages over periods"),
+        ({"position": np.zeros((K, 3))}, "position of piece 2 has 3 columns"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(change, message):
+    refuses(DataError, message, Samples.join, [Samples(**fields()), Samples(**fields(**change))])
+    refuses(DataError, "none to join", Samples.join, [])
+
+
+@pytest.mark.parametrize("starts", [(1,), (), (0, 3, 3), (0, 5), (0, 4, 2)])
+def test_starts_rise_from_zero(starts):
+    refuses(DataError, "rising sample numbers", Samples, **fields(starts=starts))
+
+
+def test_a_part_may_have_no_row_that_is_used():
+    mask = np.zeros((K, JOINTS), dtype=bool)
+    mask[3:] = True
+    whole = Samples(**fields(mask=mask, starts=(0, 3)))
+    first, second = whole.pieces
+    assert (first.n_rows, second.n_rows) == (0, 4)
+    np.testing.assert_array_equal(Samples.join([first, second]).mask, mask)
+    assert not first.mask.flags.writeable
+
+
+# Friction columns that pass the filter of the efforts.
+
+
+WIDTH = 0.01
+
+
+def steep(velocity: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return np.tanh(velocity / WIDTH)
+
+
+def log_of(rate: float = 500.0, seconds: float = 30.0, period: float | None = None):
+    """Return a record whose efforts are nothing but steep friction of the exact velocity."""
+    time = np.arange(round(rate * seconds)) / rate
+    tones = np.array([0.5, 0.7]) if period is None else np.array([0.5, 1.0])
+    angle = 2.0 * np.pi * time[:, None] * tones
+    position, velocity = (
+        np.sin(angle) + 0.4 * np.sin(0.5 * angle + 1.0),
+        2.0 * np.pi * tones * (np.cos(angle) + 0.2 * np.cos(0.5 * angle + 1.0)),
+    )
+    effort = steep(velocity, velocity)
+    return sdpid.Recording(time=time, position=position, effort=effort, period=period)
+
+
+def worst(samples: Samples, predicted: np.ndarray) -> float:
+    return float(np.abs(samples.effort - predicted).max())
+
+
+@pytest.mark.parametrize("rate", [200.0, 500.0, 2000.0])
+def test_friction_stands_in_filtered_efforts_as_its_columns_do(rate: float) -> None:
+    samples = process(log_of(rate), {"reversal_time": None})
+    friction = samples.through_filter(steep, slice(None))
+    smeared = worst(samples, steep(samples.velocity, samples.acceleration))
+    # The reversal itself lies between two samples of the log: a hundredth of its step.
+    assert worst(samples, friction) < 0.02 < 0.5 < smeared
+
+
+def test_records_with_periods_and_recorded_velocities() -> None:
+    periodic = log_of(1000.0, 24.0, period=4.0)
+    samples = process(periodic, {"reversal_time": None, "covariance": None})
+    assert worst(samples, samples.through_filter(steep, slice(None))) < 0.02
+    log = log_of(80.0)
+    velocity = np.gradient(log.position, log.time, axis=0, edge_order=2)
+    samples = process(replace(log, velocity=velocity), {"velocity": "measured"})
+    assert worst(samples, samples.through_filter(steep, slice(None))) < 0.1
+
+
+def test_parts_are_those_of_the_whole() -> None:
+    one, two = (process(log_of(200.0, seconds), {"cutoff_hz": 10.0}) for seconds in (30.0, 12.0))
+    joined = Samples.join([one, two])
+    whole = joined.through_filter(steep, slice(None), "steep")
+    np.testing.assert_array_equal(whole[: one.n_samples], one.through_filter(steep, slice(None)))
+    for which in (slice(100, 700), slice(one.n_samples - 5, one.n_samples + 9), slice(3, None, 7)):
+        np.testing.assert_array_equal(joined.through_filter(steep, which, "steep"), whole[which])
+    # The memory of the filter is cut off after 20 time constants, 2e-9 of a step.
+    part = joined.between(400, one.n_samples + 500)
+    np.testing.assert_allclose(
+        part.through_filter(steep, slice(None)), whole[400 : one.n_samples + 500], atol=1e-8
+    )
+    assert part.starts == (0, one.n_samples - 400)
+    thin = joined.every(3)
+    assert thin.time is not None
+    places = np.searchsorted(one.time, thin.pieces[1].time)
+    np.testing.assert_allclose(
+        thin.pieces[1].through_filter(steep, slice(None)), whole[places], atol=1e-8
+    )
+    refuses(DataError, "none from 9000", joined.between, 9000, 9100)
+
+
+def test_without_the_filter_friction_is_that_of_the_samples() -> None:
+    samples = process(log_of(), {"filter_friction": False})
+    assert samples.wide is None
+    expected = steep(samples.velocity, samples.acceleration)
+    np.testing.assert_array_equal(samples.through_filter(steep, slice(None)), expected)
+    refuses(DataError, "process all of them alike", Samples.join, [samples, process(log_of())])
+
+
+def test_a_joint_that_hardly_moves_is_not_masked() -> None:
+    log = log_of()
+    position = np.array(log.position)
+    position[:, 1] = 1.0 + 1e-3 * position[:, 1]
+    samples = process(replace(log, position=position))
+    assert 0.5 < samples.mask[:, 0].mean() < 1.0
+    assert samples.mask[:, 1].all()
+    assert any("not masked, since less than 10 % of the rows" in note for note in samples.notes)
+    with pytest.raises(DataError, match="leaves no row of joint 2"):
+        process(replace(log, position=position), {"kept_share": 0.0})
+
+
+# Contacts of samples: checked, cut and joined with them.
+
+
+FEET = ("left", "right")
+
+
+def contacts(K: int = 12, **given: Any) -> ContactSamples:
+    rng = np.random.default_rng(K)
+    down = rng.random((K, 2)) < 0.5
+    return ContactSamples(**{"frames": FEET, "down": down, **given})
+
+
+def samples(K: int = 12, **given: Any) -> Samples:
+    rng = np.random.default_rng(K + 1)
+    states = {name: rng.normal(size=(K, 8)) for name in ("velocity", "acceleration", "effort")}
+    return Samples(position=rng.normal(size=(K, 9)), contacts=contacts(K, **given), **states)
+
+
+def test_parts_and_joins_keep_contacts() -> None:
+    covariance = np.diag([1.0, 1.0, np.inf, 5.0, 5.0, 5.0])
+    forces = np.random.default_rng(3).normal(size=(12, 2, 6))
+    whole = samples(forces=forces, force_covariance=covariance)
+    # Points transmit no moments, whatever is given.
+    assert not whole.contacts.forces[:, :, 3:].any()
+    assert not whole.contacts.force_covariance[:, 3:].any()  # type: ignore[index]
+    parts = [whole.between(0, 5), whole.between(5, 12)]
+    joined = Samples.join(parts)
+    assert joined.contacts.forces is not None
+    np.testing.assert_array_equal(joined.contacts.down, whole.contacts.down)
+    np.testing.assert_array_equal(joined.contacts.forces, whole.contacts.forces)
+    for piece, part in zip(joined.pieces, parts, strict=True):
+        np.testing.assert_array_equal(piece.contacts.down, part.contacts.down)
+    thin = whole.every(4).contacts
+    np.testing.assert_array_equal(thin.down, whole.contacts.down[::4])
+    assert "2 contacts" in repr(whole)
+    assert "forces measured" in repr(thin)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"down": np.zeros((12, 3), dtype=bool)}, r"down has shape \(12, 3\)"),
+        ({"down": np.zeros((12, 2))}, "type float64"),
+        ({"kind": "ball"}, "kind is 'ball'"),
+        ({"offset": np.zeros(2)}, r"offset has shape \(2,\)"),
+        ({"forces": np.zeros((12, 2, 6))}, "forces and force_covariance together"),
+        (
+            {"forces": np.zeros((11, 2, 6)), "force_covariance": np.eye(6)},
+            r"forces have shape \(11, 2, 6\)",
+        ),
+        (
+            {"forces": np.zeros((12, 2, 6)), "force_covariance": -np.eye(6)},
+            "least eigenvalue is -1",
+        ),
+    ],
+)
+def test_refuses(given: dict[str, Any], said: str) -> None:
+    refuses(DataError, said, contacts, **given)
+
+
+def test_refuses_other_contacts_in_one_join() -> None:
+    with pytest.raises(DataError, match="contacts: those of piece 2"):
+        Samples.join([samples(), samples(offset=(0.0, 0.0, -0.02))])
+    with pytest.raises(DataError, match="contacts: are of 12 samples, expected 5"):
+        Samples(
+            position=np.zeros((5, 9)),
+            velocity=np.zeros((5, 8)),
+            acceleration=np.zeros((5, 8)),
+            effort=np.zeros((5, 8)),
+            contacts=contacts(),
+        )
+
+
+# Channels that were recorded late are taken at their time.
+
+
+STEP = 0.002
+# Whole and half steps, late and early.
+DELAYS = {
+    "effort_delay_s": 0.005,
+    "imu_delay_s": -0.003,
+    "base_delay_s": 0.004,
+    "contacts_delay_s": 0.01,
+}
+
+
+def recorded(delays: dict[str, float]) -> Recording:
+    """Return smooth channels, each as much later as is said."""
+    time = STEP * np.arange(1000)
+
+    def wave(name: str, columns: int) -> np.ndarray:
+        late = time - delays.get(f"{name}_delay_s", 0.0)
+        return np.sin(late[:, None] * np.linspace(3.0, 9.0, columns))
+
+    turned = np.column_stack([0.3 * wave("base", 3), np.ones(len(time))])
+    feet = wave("contacts", 2)
+    return Recording(
+        time=time,
+        position=wave("joints", 2),
+        effort=wave("effort", 2),
+        base=sdpid.BaseMotion(
+            orientation=turned / np.linalg.norm(turned, axis=1, keepdims=True),
+            position=wave("base", 3),
+            imu=sdpid.Imu(gyroscope=wave("imu", 3), accelerometer=wave("imu", 3)),
+        ),
+        contacts=sdpid.Contacts(frames=["a", "b"], down=feet > 0.2),
+    )
+
+
+def test_channels_are_those_of_a_recording_without_delays() -> None:
+    found = on_time(recorded(DELAYS), sdpid.Processing(**DELAYS))
+    # What no channel lacks: 10 ms at the end, 3 ms (of 2 ms steps) at the beginning.
+    assert (found.time[0], found.time[-1]) == pytest.approx((0.004, 1.988))
+    wanted = recorded({})
+    rows = slice(2, 995)
+    np.testing.assert_array_equal(found.position, wanted.position[rows])
+    np.testing.assert_allclose(found.effort, wanted.effort[rows], atol=1e-8)
+    for base, other in ((found.base, wanted.base),):
+        np.testing.assert_allclose(base.orientation, other.orientation[rows], atol=1e-8)
+        np.testing.assert_allclose(base.position, other.position[rows], atol=1e-8)
+        np.testing.assert_allclose(base.imu.gyroscope, other.imu.gyroscope[rows], atol=1e-8)
+    np.testing.assert_array_equal(found.contacts.down, wanted.contacts.down[rows])
+
+
+def test_a_periodic_record_goes_on_with_its_beginning() -> None:
+    time = 0.01 * np.arange(400)
+    wave = np.sin(2.0 * np.pi * time)[:, None]
+    late = np.sin(2.0 * np.pi * (time - 0.025))[:, None]
+    log = Recording(time=time, position=wave, effort=late, period=1.0)
+    found = on_time(log, sdpid.Processing(effort_delay_s=0.025))
+    assert found.n_samples == 400
+    np.testing.assert_allclose(found.effort, wave, atol=1e-6)
+
+
+def test_process_takes_efforts_on_time_and_says_so() -> None:
+    log = replace(recorded(DELAYS), base=None, contacts=None)
+    samples = sdpid.process(log, {"effort_delay_s": 0.005, "imu_delay_s": 0.1})
+    right = sdpid.process(replace(recorded({}), base=None, contacts=None))
+    shared = np.intersect1d(samples.time.round(6), right.time.round(6))
+    rows = [np.isin(each.time.round(6), shared) for each in (samples, right)]
+    inner = slice(50, -50)
+    np.testing.assert_allclose(
+        samples.effort[rows[0]][inner], right.effort[rows[1]][inner], atol=1e-5
+    )
+    assert "efforts recorded 5 ms too late: taken on time" in samples.notes
+
+
+def test_a_delay_longer_than_a_quarter_of_a_piece_is_refused() -> None:
+    log = replace(recorded({}), base=None, contacts=None)
+    with pytest.raises(sdpid.errors.DataError, match="limit is a quarter"):
+        sdpid.process(log, {"effort_delay_s": 0.6})
+
+
+# Recordings with a base: their states against those of the motion, and the equation of motion.
+
+
+SETTINGS = {"cutoff_hz": 25.0, "order": 2, "decimation": 10, "reversal_time": None}
+
+
+def rows(samples: sdpid.Samples, walk: Crawl) -> Array:
+    return np.round(np.asarray(samples.time) / (walk.time[1] - walk.time[0])).astype(int)
+
+
+@pytest.mark.parametrize("kind", ["imu", "twist", "own_twist", "pose"])
+def test_every_source_gives_the_motion_of_the_base(kind: str) -> None:
+    walk = crawl()
+    samples = sdpid.process(walk.log(kind), SETTINGS)
+    at = rows(samples, walk)
+    assert (samples.position.shape[1], samples.velocity.shape[1]) == (19, 18)
+    assert not samples.velocity[:, :3].any()
+    assert not samples.effort[:, :6].any()
+    # What the filter takes from motion of 1 to 2 Hz.
+    assert np.abs(samples.velocity[:, 3:6] - walk.v[at, 3:6]).max() < 0.02
+    assert np.abs(samples.acceleration[:, 3:6] - walk.a[at, 3:6]).max() < 0.2
+    classical = walk.a[at, :3] + np.cross(walk.v[at, 3:6], walk.v[at, :3])
+    assert np.abs(samples.acceleration[:, :3] - classical).max() < 0.05
+    turned = np.abs(np.einsum("ki,ki->k", samples.position[:, 3:7], walk.q[at, 3:7]))
+    assert turned.min() > 1.0 - 1e-5
+
+
+def residuals(walk: Crawl, samples: sdpid.Samples, *, forces: bool, widened: bool = True) -> Array:
+    """Return what is left of the equation of motion with the true parameters, by Pinocchio."""
+    model = walk.robot.pin_model.copy()
+    model.armature[:] = 0.0
+    data = model.createData()
+    frames = [model.getFrameId(name) for name in CRAWLING]
+    contacts = samples.contacts
+    assert contacts is not None
+    down = contacts.down if widened else walk.down[rows(samples, walk)]
+    left = []
+    for k in range(samples.n_samples):
+        q = samples.position[k]
+        error = pin.rnea(model, data, q, samples.velocity[k], samples.acceleration[k])
+        error = error - samples.effort[k]
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        J = [pin.getFrameJacobian(model, data, f, pin.LOCAL_WORLD_ALIGNED) for f in frames]
+        feet = np.array([each[:3] - pin.skew(RADIUS) @ each[3:] for each in J])
+        if forces:
+            error = error - np.einsum("cij,ci->j", feet, contacts.forces[k, :, :3])
+        else:
+            basis = np.linalg.qr(feet[down[k]].reshape(-1, 18).T)[0]
+            error = error - basis @ (basis.T @ error)
+        left.append(error)
+    return np.array(left)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_the_equation_of_motion_holds_between_filtered_channels() -> None:
+    walk = crawl()
+    samples = sdpid.process(walk.log(), {**SETTINGS, "contact_force_std": 0.0})
+    size = rms(walk.effort[:, 6:])
+    known = residuals(walk, samples, forces=True)
+    # In N, N·m and N·m; of 25 N of weight and 0.63 N·m of effort.
+    assert rms(known[:, :3]) < 0.002
+    assert rms(known[:, 3:6]) < 0.005
+    assert rms(known[:, 6:]) < 0.006 * size
+    projected = rms(residuals(walk, samples, forces=False))
+    assert projected < 0.003 * size
+    # A filter remembers feet that have left the ground.
+    assert rms(residuals(walk, samples, forces=False, widened=False)) > 20.0 * projected
+
+
+def test_wrenches_are_moved_to_the_contact_point() -> None:
+    walk = crawl()
+    settings = {**SETTINGS, "contact_force_std": 1.0, "contact_moment_std": 0.1}
+    plain = sdpid.process(walk.log(), settings).contacts
+    moment = np.cross(RADIUS, walk.forces)
+    wrenches = np.concatenate([walk.forces, moment], axis=-1)
+    moved = sdpid.process(walk.log(forces=None, wrenches=wrenches), settings).contacts
+    np.testing.assert_allclose(moved.forces, plain.forces, atol=1e-12)
+    told = sdpid.process(walk.log(down=None), settings).contacts
+    assert np.mean(told.down == plain.down) > 0.95
+
+
+def test_what_a_sensor_shows_of_a_foot_in_the_air_is_left_out() -> None:
+    walk = crawl()
+    processing = sdpid.Processing(filter="finite", contact_force_std=0.2)
+    shown = np.where(walk.down[:, :, None], walk.forces, [3.0, -2.0, 5.0])
+    plain, offset = (
+        prepare(walk.robot, walk.log(forces=each), processing).contacts
+        for each in (walk.forces, shown)
+    )
+    assert np.array_equal(plain.forces, offset.forces)  # type: ignore[arg-type]
+
+
+def test_a_time_around_landings_is_left_out() -> None:
+    walk = crawl()
+    samples = sdpid.process(walk.log(), {**SETTINGS, "impact_s": 0.01})
+    landing = walk.time[1:][(walk.down[1:] & ~walk.down[:-1]).any(axis=1)]
+    distance = np.abs(np.asarray(samples.time)[:, None] - landing).min(axis=1)
+    assert samples.used[distance > 0.051].all()
+    assert not samples.used[distance < 0.049].any()
+    near = float(np.mean(distance < 0.05))
+    all_of_them = {**SETTINGS, "impact_s": 0.01, "kept_share": 1.0 - 0.9 * near}
+    assert sdpid.process(walk.log(), all_of_them).used.all()
+    # Chosen by how many samples would go: of one landing few, of one every 50 ms most.
+    once = np.tile(walk.time[:, None] > 0.5 * walk.time[-1], len(CRAWLING))
+    often = np.tile(np.sin(2.0 * np.pi * walk.time[:, None] / 0.05) > 0.0, len(CRAWLING))
+    for down, chosen in ((once, 0.0), (often, None)):
+        found = choose_processing(walk.log(down=down))
+        assert found.processing.impact_s == chosen
+        assert any("sees a landing" in reason for reason in found.reasons)
+
+
+def test_recordings_with_other_contacts_are_put_together() -> None:
+    walk = crawl()
+    log = walk.log()
+    held = sdpid.Contacts(frames=["base_link"], kind="plane", down=np.ones((len(walk.time), 1)))
+    for chosen in ({}, {"contact_force_std": 2.0}):
+        processing = sdpid.Processing(filter="finite", **chosen)
+        logs = [log, replace(log, contacts=held), replace(log, contacts=None)]
+        standing, hanging, flying = (prepare(walk.robot, each, processing) for each in logs)
+        both = join_samples([standing, hanging, flying]).contacts
+        assert both.frames == (*CRAWLING, "base_link")
+        K = standing.n_samples
+        assert both.down[:, 4].tolist() == [False] * K + [True] * K + [False] * K
+        assert not both.down[K:, :4].any()
+        assert both.measured == bool(chosen)
+        if both.force_covariance is not None:
+            assert np.isinf(np.diagonal(both.force_covariance[4])).all()
+            assert np.isfinite(both.force_covariance[:4]).all()
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    walk = crawl()
+    log = walk.log("pose")
+    with pytest.raises(DataError, match="'butterworth', whose memory has no end"):
+        sdpid.process(log, {"filter": "butterworth"})
+    with pytest.raises(DataError, match="'imu', and the recording has no accelerometer"):
+        sdpid.process(log, {"base_motion": "imu"})
+    with pytest.raises(DataError, match="'twist', and the recording has no angular velocity"):
+        sdpid.process(log, {"base_motion": "twist"})
+    with pytest.raises(DataError, match="no contact forces"):
+        sdpid.process(walk.log(forces=None), {"contact_force_std": 1.0})
+    fused = sdpid.Processing(filter="finite", contact_force_std=0.2)
+    without = walk.log("pose", forces=None)
+    with pytest.raises(
+        DataError, match="recording 2 of 2: contact_force_std: the recording has no"
+    ):
+        prepare_recordings(walk.robot, [log, without], fused)
+    # What is predicted needs no forces.
+    predicted = prepare_recordings(walk.robot, log, fused).others(without).samples
+    assert not predicted.contacts.measured
+    with pytest.raises(DataError, match=r"fixed to the ground.*root='free_flyer'"):
+        prepare(sdpid.load_robot("solo12"), log)
+    with pytest.raises(DataError, match="no motion of the base"):
+        prepare(walk.robot, replace(log, base=None, contacts=None))
+
+
+def test_a_finite_filter_sees_no_farther_than_it_says() -> None:
+    for order in (1, 2, 3):
+        finite = low_pass("finite", 20.0, order, 1000.0)
+        assert finite.reach == 25 * order
+        assert finite.gain(20.0, 1000.0)[0] == pytest.approx(0.5, abs=1e-6)
+        pulse = np.zeros((301, 2))
+        pulse[150] = 1.0
+        seen = finite.apply(pulse)
+        assert not seen[: 150 - finite.reach].any()
+        np.testing.assert_allclose(seen.sum(axis=0), 1.0)
+        np.testing.assert_allclose(seen, seen[::-1])
+
+
+def test_angular_velocities_are_those_of_pinocchio() -> None:
+    rng = np.random.default_rng(1)
+    axis, step = rng.normal(size=3), 0.01
+    turns = [pin.exp3(axis * t) @ pin.exp3(np.array([0.3, -0.5, 2.0])) for t in step * np.arange(9)]
+    quaternions = unit(np.array([pin.Quaternion(R).coeffs() for R in turns]))
+    expected = [R.T @ axis for R in turns]
+    weights = np.array([1 / 12, -2 / 3, 0.0, 2 / 3, -1 / 12])
+    np.testing.assert_allclose(
+        body_rate(quaternions, weights, step)[2:-2], expected[2:-2], rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        body_rate(quaternions * [[-1.0] if k % 2 else [1.0] for k in range(9)], weights, step)[
+            2:-2
+        ],
+        expected[2:-2],
+        rtol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("frame", ["twist", "own_twist"])
+@pytest.mark.parametrize(
+    ("pose", "velocity"), [(3e-5, 3e-2), (3e-4, 1e-3), (1e-6, 1e-2), (1e-3, 1e-2)]
+)
+def test_accelerations_come_from_what_has_the_less_noise(
+    frame: str, pose: float, velocity: float
+) -> None:
+    walk, random = crawl(), np.random.default_rng(1)
+    log = walk.log(frame)
+
+    def noise(table: Array | None, size: float) -> Array:
+        return np.asarray(table) + size * random.normal(size=np.shape(table))
+
+    base = replace(
+        log.base,
+        position=noise(log.base.position, pose),
+        orientation=unit(noise(log.base.orientation, 0.5 * pose)),
+        linear_velocity=noise(log.base.linear_velocity, velocity),
+        angular_velocity=noise(log.base.angular_velocity, velocity),
+    )
+    log = replace(log, base=base)
+    found = {
+        source: sdpid.process(log, {**SETTINGS, "base_motion": source})
+        for source in ("auto", "twist", "pose")
+    }
+    at = rows(found["auto"], walk)
+    classical = walk.a[at, :3] + np.cross(walk.v[at, 3:6], walk.v[at, :3])
+    truth = np.hstack([classical, walk.a[at, 3:6]])
+    for part in (slice(0, 3), slice(3, 6)):
+        error = {
+            source: rms(samples.acceleration[:, part] - truth[:, part])
+            for source, samples in found.items()
+        }
+        assert error["auto"] <= 1.01 * min(error["twist"], error["pose"]), error
+    said = next(note for note in found["auto"].notes if "accelerations of the base" in note)
+    assert "noise of" in said
+
+
+# The noise of a pose bounds the cut-off where the base's accelerations are its differences.
+
+
+def test_noise_of_the_pose_is_at_most_a_share_of_gravity_below_the_limit() -> None:
+    rate, share = 1000.0, 2e-4
+    rng = np.random.default_rng(1)
+    position = 3e-4 * rng.normal(size=(2**15, 3))
+    base = BaseMotion(orientation=np.tile([0.0, 0.0, 0.0, 1.0], (2**15, 1)), position=position)
+    limit = base_limit(base, rate, share)
+    frequency = np.fft.rfftfreq(2**15, 1.0 / rate)
+    power = 2.0 * np.abs(np.fft.rfft(position, axis=0) / 2**15) ** 2
+    below = ((2.0 * np.pi * frequency[:, None]) ** 4 * power)[frequency <= limit].sum()
+    assert below == pytest.approx(share * 9.81**2, rel=0.15)
+
+
+def test_a_base_without_an_accelerometer_is_filtered_more() -> None:
+    log = sdpid.simulate_legged("solo12", "stand", duration=2.0).recording
+    with_imu = choose_processing(log).processing
+    posed = choose_processing(replace(log, base=replace(log.base, imu=None)))
+    assert posed.processing.cutoff_hz < 0.8 * with_imu.cutoff_hz
+    assert "the base's acceleration" in posed.reasons[0]
+    # What stands beside the pose does not help where it is not used, or is worse.
+    chosen = choose_processing(log, base_motion="pose").processing
+    assert chosen.cutoff_hz == posed.processing.cutoff_hz
+    rng = np.random.default_rng(1)
+    velocity = np.gradient(np.array(log.base.position), log.step, axis=0)
+    base = BaseMotion(
+        orientation=log.base.orientation,
+        position=log.base.position,
+        linear_velocity=velocity + rng.normal(size=velocity.shape),
+        velocity_frame="world",
+    )
+    beside = choose_processing(replace(log, base=base)).processing
+    assert beside.cutoff_hz == posed.processing.cutoff_hz
+    exact = replace(base, linear_velocity=np.zeros_like(velocity))
+    assert choose_processing(replace(log, base=exact)).processing.cutoff_hz == with_imu.cutoff_hz

@@ -1,0 +1,656 @@
+"""Recordings that stay in their file: the same results, and never in memory as a whole."""
+
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+import sdpid
+from sdpid.errors import DataError
+from sdpid.experiment.processing import efforts
+from sdpid.experiment.processing import process as processing_module
+from sdpid.experiment.processing import states as states_module
+from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.efforts import Moments, in_threads
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.readers.formats import parquet_file
+from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording import stored
+from sdpid.experiment.recording import timestamps as stamps
+from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.timestamps import Stamps
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
+
+RATE, JOINTS = 100.0, 2
+# Fast enough to forget within a few samples, so that records can be short.
+QUICK = Processing(cutoff_hz=10.0, decimation=2, reversal_time=0.02, derivative="central4")
+ARM = small_arm(JOINTS)
+
+
+def make(seconds: float = 12.0, lead: float = 0.0, jitter: float = 0.0, **fields: Any) -> Recording:
+    rng = np.random.default_rng(0)
+    time = np.arange(round((seconds + 2 * lead) * RATE)) / RATE
+    angle = 2 * np.pi * time[:, None] / 2.0 + [0.0, 1.0]
+    noise = lambda: 1e-3 * rng.standard_normal(angle.shape)  # noqa: E731
+    return Recording(
+        time=time + jitter / RATE * rng.uniform(-0.5, 0.5, time.size),
+        position=np.sin(angle) + noise(),
+        velocity=np.pi * np.cos(angle) + noise(),
+        effort=3.0 * np.cos(2 * angle) + 100 * noise(),
+        **fields,
+    )
+
+
+PERIODIC = {"period": 2.0, "periods": 6}
+RECORDS: dict[str, tuple[Recording, Processing]] = {
+    "periodic": (make(**PERIODIC), QUICK),
+    "with a lead": (make(lead=1.5, start=1.5, **PERIODIC), QUICK),
+    "filtered twice": (make(**PERIODIC), replace(QUICK, filter_alike=False)),
+    "pooled, measured": (
+        make(**PERIODIC),
+        replace(QUICK, covariance="pooled", shrinkage=0.5, velocity="measured"),
+    ),
+    "no covariance": (make(**PERIODIC), replace(QUICK, covariance=None)),
+    "without periods": (make(), QUICK),
+    "by stamp": (make(jitter=0.4), replace(QUICK, timing="resample")),
+    "jitter": (make(jitter=0.2, **PERIODIC), QUICK),
+}
+
+
+@pytest.fixture(params=["small", "one group"])
+def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Write a recording with small or large row groups, which are then decoded in small pieces."""
+    rows = {"small": 101, "one group": 1 << 20}[request.param]
+
+    def write(log: Recording) -> Path:
+        file = tmp_path / "log.parquet"
+        log.to_parquet(file)
+        schema = pq.read_schema(file)
+        table = pq.read_table(file)
+        pq.write_table(table.replace_schema_metadata(schema.metadata), file, row_group_size=rows)
+        return file
+
+    monkeypatch.setattr(stored, "ROWS", 37)
+    monkeypatch.setattr(parquet_file, "ROWS", 37)
+    monkeypatch.setattr(parquet_file, "_BUFFER", 1000)
+    for module in (processing_module, states_module):
+        monkeypatch.setattr(module, "CHUNK", 250)
+    return write
+
+
+@pytest.mark.parametrize("case", RECORDS)
+def test_samples_are_the_same_to_the_last_bit(case: str, file_of: Any):
+    log, processing = RECORDS[case]
+    again = read_recording(file_of(log), stored=True)
+    assert again.stored
+    assert not log.stored
+    expected, samples = process(log, processing), process(again, processing)
+    for name in ("position", "velocity", "acceleration", "effort", "covariance", "time", "mask"):
+        a, b = getattr(samples, name), getattr(expected, name)
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a, b, err_msg=name)
+    assert samples.notes == expected.notes
+    assert (samples.effort_periods is None) == (expected.effort_periods is None)
+
+
+def test_memory_does_not_grow_with_the_record(tmp_path: Path):
+    """The most that a process has in memory, of a record and of one ten times as long."""
+    peaks = []
+    for periods in (8, 80):
+        file = tmp_path / f"{periods}.parquet"
+        make(200.0 * periods, period=200.0).to_parquet(file)
+        code = (
+            "import sys; "
+            "from sdpid.experiment.processing import efforts; "
+            "from sdpid.experiment.recording import stored; "
+            "from sdpid.experiment.readers import read; "
+            "from sdpid.experiment.processing.process import Processing, process; "
+            "efforts._MOST_KEPT = 0; stored.ROWS = 10_000; "
+            "log = read.read_recording(sys.argv[1], stored=True); "
+            "samples = process(log, Processing(cutoff_hz=10.0, covariance=None)); "
+            "assert samples.effort_periods is None; "
+            "print(open('/proc/self/status').read().split('VmHWM:')[1].split()[0])"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True
+        )
+        peaks.append(1024 * int(done.stdout))
+    values = 8 * 200 * 100 * (80 - 8) * (1 + 3 * JOINTS)
+    assert peaks[1] - peaks[0] < 0.3 * values
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_stored_arrays_are_as_others(data: st.DataObject):
+    size, width = data.draw(st.integers(1, 40)), data.draw(st.integers(1, 3))
+    values = np.random.default_rng(0).standard_normal((size, width))
+    part = data.draw(st.integers(1, 45))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stored, "ROWS", part)
+        table = stored.store(size, width, stored.blocks(values, part))
+        assert table.mapped
+        assert not table.flags.writeable
+        np.testing.assert_array_equal(table, values)
+        begin, end = sorted(data.draw(st.tuples(*[st.integers(0, size)] * 2)))
+        np.testing.assert_array_equal(stored.taken(table, begin, end), values[begin:end])
+        np.testing.assert_array_equal(stored.taken(table[:, 0], begin, end), values[begin:end, 0])
+        for name in ("min", "max"):
+            for axis in (0, 1, None):
+                found, expected = (getattr(v, name)(axis=axis) for v in (table, values))
+                np.testing.assert_array_equal(found, expected)
+            assert getattr(np, name)(table[:, -1]) == getattr(np, name)(values[:, -1])
+        doubled = stored.transformed(table, lambda rows: 2.0 * rows[:, ::-1])
+        assert doubled.mapped
+        np.testing.assert_array_equal(doubled, 2.0 * values[:, ::-1])
+        assert not (2.0 * table).mapped
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)), values)
+        rows = values[:, 0] > 0
+        np.testing.assert_array_equal(table[rows], values[rows])
+
+
+def test_a_full_disk_is_a_data_error(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(stored.tempfile, "TemporaryFile", full)
+    with pytest.raises(DataError, match=r"does not fit .*No space left on device.* set TMPDIR"):
+        stored.store(10, 2, [])
+
+
+def write_columns(file: Path, **changes: Any) -> None:
+    log = make()
+    columns = {
+        "time": log.time,
+        **{f"position_{j + 1}": log.position[:, j] for j in range(JOINTS)},
+        **{f"effort_{j + 1}": log.effort[:, j] for j in range(JOINTS)},
+    }
+    pq.write_table(pa.table(columns | changes), file, row_group_size=100)
+
+
+def spoilt(row: int, value: Any) -> list[Any]:
+    values: list[Any] = make().position[:, 0].tolist()
+    values[row] = value
+    return values
+
+
+BAD = {
+    "nan": ({"position_2": spoilt(703, np.nan)}, r"row 704: position: 'position_2' has no value"),
+    "inf": ({"effort_1": spoilt(5, -np.inf)}, r"row 6: effort: 'effort_1' is -inf, not finite"),
+    "huge": ({"effort_2": spoilt(99, 3e13)}, r"row 100: effort: 'effort_2' is 3e\+13, more than"),
+    "missing": ({"position_1": spoilt(7, None)}, "row 8: position: 'position_1' has no value"),
+    "text": ({"effort_1": ["a"] * 1200}, "'effort_1' holds object, expected numbers"),
+    "time": ({"time": spoilt(100, np.nan)}, "row 101: time: 'time' has no value"),
+    "time back": ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 101: 0.98 s "),
+    "time again": ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 101: 0.99 s "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_values_are_refused_as_they_are_read(case: str, tmp_path: Path):
+    changes, message = BAD[case]
+    file = tmp_path / "log.parquet"
+    write_columns(file, **changes)
+    with pytest.raises(DataError, match=message):
+        process(read_recording(file, stored=True), QUICK)
+    write_columns(file)
+    process(read_recording(file, stored=True), QUICK)
+
+
+def test_damage_is_found_as_it_is_decoded(tmp_path: Path):
+    file = tmp_path / "log.parquet"
+    make(20.0).to_parquet(file)
+    content = bytearray(file.read_bytes())
+    content[2000:60000] = bytes(58000)
+    file.write_bytes(content)
+    refuses(DataError, "not a readable Parquet file", read_recording, file, stored=True)
+
+
+def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = tmp_path / "log.parquet"
+    log = make(**PERIODIC)
+    log.to_parquet(file)
+    assert not read_recording(file).stored
+    monkeypatch.setattr(parquet_file, "LARGE", 8 * 1200 * 7 - 1)
+    assert read_recording(file).stored
+    assert not read_recording(file, stored=False).stored
+    assert read_recording(file, periods=4).period_layout == (0, 200, 4)
+    monkeypatch.setattr(parquet_file, "LARGE", 8 * 1200 * 7)
+    assert not read_recording(file).stored
+    turned = read_recording(file, stored=True, units={"position": "deg"}, effort_scale=[2.0, 3.0])
+    assert turned.stored
+    np.testing.assert_array_equal(turned.position, log.position * (np.pi / 180.0))
+    np.testing.assert_array_equal(turned.effort, log.effort * [2.0, 3.0])
+    np.savez(tmp_path / "log.npz", t=log.time, q=log.position, tau=log.effort)
+    with pytest.raises(DataError, match="stored=True keeps the values of Parquet files"):
+        read_recording(tmp_path / "log.npz", stored=True)
+
+
+def test_it_can_be_written_matched_and_sent(tmp_path: Path):
+    file, copy = tmp_path / "log.parquet", tmp_path / "copy.parquet"
+    names = ARM.joint_names[::-1]
+    log = make(joint_names=names, **PERIODIC)
+    log.to_parquet(file)
+    again = pickle.loads(pickle.dumps(read_recording(file, stored=True)))
+    again.to_parquet(copy)
+    assert copy.read_bytes() == file.read_bytes()
+    matched = match_joints(ARM, again)
+    assert matched.stored
+    assert matched.joint_names == ARM.joint_names
+    for name in ("position", "velocity", "effort"):
+        np.testing.assert_array_equal(
+            np.asarray(getattr(matched, name)), getattr(log, name)[:, ::-1]
+        )
+    assert repr(matched) == repr(log)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    steps=st.lists(st.sampled_from([0.5, 1.0, 2.0, 3.0]), min_size=1, max_size=30),
+    block=st.integers(1, 9),
+)
+@example(steps=[1.0] * 9, block=3)
+def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
+    time = np.cumsum([10.0, *steps])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stamps, "_BLOCK", block)
+        found = Stamps.of(time)
+        assert (found.first, found.last, found.count) == (10.0, time[-1], time.size)
+        assert (found.least, found.most) == (min(steps), max(steps))
+        assert found.row == 1 + steps.index(max(steps))
+        for row in range(1, time.size):
+            wrong = time.copy()
+            wrong[row:] -= steps[row - 1]
+            refuses(
+                DataError, rf"time repeats at row {row + 1}: .*\(1 such rows\)", Stamps.of, wrong
+            )
+
+
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_moments_are_those_of_all_periods(count: int):
+    rng = np.random.default_rng(0)
+    # A large mean: sums of squares would lose what is asked for.
+    values = 1e3 + rng.standard_normal((count, 3, 20))
+    moments = Moments(20, 3, covariance=True)
+    for each in values:
+        moments.add(each)
+    np.testing.assert_allclose(moments.mean, values.mean(axis=0).T, rtol=1e-14)
+    for k in range(20):
+        np.testing.assert_allclose(moments.covariance[k], np.cov(values[:, :, k].T), rtol=1e-11)
+
+
+def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPatch):
+    for cores in (1, 3):
+        monkeypatch.setattr(efforts, "_cores", lambda cores=cores: cores)
+        assert in_threads(lambda i: i * i, range(7)) == [i * i for i in range(7)]
+        with pytest.raises(ZeroDivisionError):
+            in_threads(lambda i: 1 // (i - 3), range(7))
+
+
+def test_averaging_first_changes_nothing_but_rounding(tmp_path: Path):
+    """Against every period filtered by SciPy on its own, differentiated, and then averaged."""
+    rate, length, periods, lead = 1000.0, 3000, 5, 1000
+    rng = np.random.default_rng(0)
+    time = np.arange(2 * lead + periods * length) / rate
+    angle = 2 * np.pi * time[:, None] / 3.0 + [0.0, 1.0]
+    log = Recording(
+        time=time,
+        position=np.sin(angle) + 1e-4 * rng.standard_normal(angle.shape),
+        effort=30.0 * np.cos(angle) + rng.standard_normal(angle.shape),
+        period=length / rate,
+        start=lead / rate,
+        periods=periods,
+    )
+    file = tmp_path / "log.parquet"
+    log.to_parquet(file)
+    sections = signal.butter(2, 15.0, fs=rate, output="sos")
+    whole = slice(lead, -lead)
+
+    def folded(values: np.ndarray) -> np.ndarray:
+        return values[whole].reshape(periods, length, JOINTS)[:, ::10]
+
+    smooth = [signal.sosfiltfilt(sections, each, axis=0) for each in (log.position, log.effort)]
+    velocity, acceleration = np.zeros_like(smooth[0]), np.zeros_like(smooth[0])
+    velocity[1:-1] = (smooth[0][2:] - smooth[0][:-2]) * rate / 2
+    acceleration[1:-1] = (smooth[0][2:] - 2 * smooth[0][1:-1] + smooth[0][:-2]) * rate**2
+    torque = folded(smooth[1])
+    change = torque - torque.mean(axis=0)
+    covariance = np.einsum("pki,pkj->kij", change, change) / (periods - 1)
+    # A filter of this cut-off rounds to about 1e-14 of the signal; a difference over a step of
+    # h divides that by h, the second by h². Products of deviations lose what the signal is larger.
+    expected = {
+        "position": (folded(smooth[0]).mean(axis=0), 1e-12),
+        "velocity": (folded(velocity).mean(axis=0), 1e-14 * rate),
+        "acceleration": (folded(acceleration).mean(axis=0), 1e-14 * rate**2),
+        "effort": (torque.mean(axis=0), 1e-12),
+        "covariance": (covariance, 1e-11),
+        "effort_periods": (torque, 1e-12),
+    }
+    for stored_ in (False, True):
+        samples = process(read_recording(file, stored=stored_), Processing(reversal_time=None))
+        for name, (values, tolerance) in expected.items():
+            error = np.abs(getattr(samples, name) - values).max() / np.abs(values).max()
+            assert error < tolerance, name
+
+
+@pytest.mark.parametrize(("noise", "repeats"), [(0.03, True), (0.3, False)])
+def test_noise_that_the_filter_removes_is_no_wrong_period(noise: float, repeats: bool):
+    log = make(40.0, period=2.0)
+    angle = 2 * np.pi * log.time[:, None] / 2.0 + [0.0, 1.0]
+    draw = np.random.default_rng(0).standard_normal(angle.shape)
+    # Two periods of noise, apart by far more than the limit of a hundredth before the filter.
+    position = 0.01 * np.sin(angle) + noise * draw
+    slow = Processing(cutoff_hz=0.8, decimation=2, reversal_time=None, covariance=None)
+    if repeats:
+        process(replace(log, position=position), slow)
+        return
+    with pytest.raises(DataError, match=r"do not repeat: their positions spread by 0\.0"):
+        process(replace(log, position=position), slow)
+
+
+@given(st.integers(1, 300), st.integers(1, 8), st.integers(0, 2**32 - 1))
+def test_extremes_are_those_of_each_column(count: int, n: int, seed: int):
+    # Lengths below, at and beyond multiples of the rows that are folded, in both layouts.
+    table = np.random.default_rng(seed).standard_normal((count, n))
+    for layout in (table, np.asfortranarray(table)):
+        low, high = stored.extremes(layout)
+        np.testing.assert_array_equal(low, table.min(axis=0))
+        np.testing.assert_array_equal(high, table.max(axis=0))
+
+
+# Records with gaps, wrapped angles and late stamps.
+
+
+GAP_RATE = 100.0
+SETTING = sdpid.Processing(
+    cutoff_hz=8.0, order=2, decimation=2, reversal_time=None, derivative="central4"
+)
+FIELDS = ("position", "velocity", "acceleration", "effort", "time")
+
+
+def record(seconds: float = 20.0, seed: int = 0, joints: int = 2) -> sdpid.Recording:
+    rng = np.random.default_rng(seed)
+    time = 5.0 + np.arange(round(GAP_RATE * seconds)) / GAP_RATE
+    omega = rng.uniform(1.0, 6.0, joints)
+    position = np.sin(omega * time[:, None])
+    noise = rng.standard_normal((2, *position.shape))
+    return sdpid.Recording(
+        time=time,
+        position=position + 1e-4 * noise[0],
+        effort=position + noise[1],
+        velocity=omega * np.cos(omega * time[:, None]),
+    )
+
+
+def rows(log: sdpid.Recording, keep: np.ndarray | slice) -> sdpid.Recording:
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort", "velocity")}
+    return replace(log, **fields)
+
+
+def without(log: sdpid.Recording, *cuts: tuple[int, int]) -> sdpid.Recording:
+    keep = np.ones(log.n_samples, dtype=bool)
+    for first, stop in cuts:
+        keep[first:stop] = False
+    return rows(log, keep)
+
+
+cuts = st.lists(st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=1, max_size=4).map(
+    lambda found: [(first, first + count) for first, count in found]
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(cuts=cuts, seed=st.integers(0, 9), velocity=st.sampled_from(["differentiated", "measured"]))
+def test_gaps_part_a_record_into_records(
+    cuts: list[tuple[int, int]], seed: int, velocity: str
+) -> None:
+    log = without(record(seed=seed), *cuts)
+    setting = replace(SETTING, velocity=velocity)
+    ends = np.flatnonzero(np.diff(log.time) > 5.5 / GAP_RATE) + 1
+    bounds = [0, *ends.tolist(), log.n_samples]
+    apart = []
+    for first, stop in pairwise(bounds):
+        if stop - first < 2:
+            continue
+        try:
+            apart.append(sdpid.process(rows(log, slice(first, stop)), setting))
+        except DataError as cause:
+            assert "cut off at either end" in str(cause)  # noqa: PT017 (not every piece is short)
+    together = sdpid.process(log, setting)
+    joined = sdpid.Samples.join(apart)
+    assert together.starts == joined.starts
+    assert len(together.starts) == len(apart)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(together, name), getattr(joined, name))
+    if len(bounds) > 2:
+        assert "split at" in together.notes[0]
+
+
+@settings(max_examples=15, deadline=None)
+@given(end=st.integers(200, 1700), seed=st.integers(0, 99))
+def test_what_comes_after_a_gap_does_not_reach_back(end: int, seed: int) -> None:
+    log = without(record(), (end, end + 40))
+    rng = np.random.default_rng(seed)
+    position, effort = np.array(log.position), np.array(log.effort)
+    position[end:] += rng.standard_normal(position[end:].shape)
+    effort[end:] += rng.standard_normal(position[end:].shape)
+    changed = replace(log, position=position, effort=effort)
+    one, other = sdpid.process(log, SETTING), sdpid.process(changed, SETTING)
+    count = one.starts[1]
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(one, name)[:count], getattr(other, name)[:count])
+    assert np.abs(one.effort[count:] - other.effort[count:]).max() > 0.1
+
+
+def test_the_notes_say_what_was_lost() -> None:
+    # Pieces of 600, 3, 1 and 1246 samples.
+    log = without(record(), (600, 650), (653, 700), (701, 754))
+    pieces, notes = continuous(log)
+    assert [piece.n_samples for piece in pieces] == [600, 3, 1246]
+    assert notes == [
+        "split at 3 gaps of more than 5 steps of 0.01 s, the largest 0.54 s before row 605: "
+        "1.53 s of 19.99 s were not measured, 1 of the samples alone between gaps left out"
+    ]
+    samples = sdpid.process(log, SETTING)
+    assert samples.notes[0] == notes[0]
+    assert samples.notes[1] == (
+        "1 of 3 pieces dropped, too short to be filtered: 3 samples, 0.02 s"
+    )
+    assert len(samples.starts) == 2
+    assert any("2 pieces joined" in note for note in samples.notes)
+
+
+def test_nothing_between_gaps() -> None:
+    log = record()
+    keep = np.arange(log.n_samples) % 30 < 4
+    with pytest.raises(DataError, match=r"split the record into 67 pieces, each too short; .* 4 s"):
+        sdpid.process(rows(log, keep), SETTING)
+
+
+def test_few_lost_samples_are_bridged() -> None:
+    log = record()
+    for lost, pieces in ((4, 1), (5, 2)):
+        parts = split_at_gaps(without(log, (700, 700 + lost)))
+        assert len(parts) == pieces
+    bridged = sdpid.process(without(log, (700, 704)), SETTING)
+    assert bridged.starts == (0,)
+    assert "resampled" in bridged.notes[0]
+
+
+def test_a_record_without_gaps_is_not_touched() -> None:
+    log = record()
+    assert split_at_gaps(log)[0] is log
+    assert continuous(log) == ((log,), [])
+
+
+def test_periods_with_a_gap_are_refused() -> None:
+    log = without(record(), (600, 650))
+    whole = replace(log, period=5.0, start=5.0, periods=3)
+    assert split_at_gaps(whole) == (whole,)
+    with pytest.raises(DataError, match=r"gap of 0.51 s before row 601 .* without its period"):
+        sdpid.process(whole, replace(SETTING, covariance=None))
+
+
+def late(log: sdpid.Recording, row: int, count: int, spacing: float = 1e-4) -> np.ndarray:
+    """Return stamps of a logger that stalls, then writes what it held back in a burst."""
+    time = np.array(log.time)
+    stop = row + count
+    time[row:stop] = time[stop] - spacing * np.arange(count, 0, -1)
+    return time
+
+
+@pytest.mark.parametrize("period", [None, 5.0])
+@pytest.mark.parametrize("count", [6, 20])
+def test_late_samples_are_taken_as_regular(period: float | None, count: int) -> None:
+    """No sample is missing, and one hiccup of the clock does not cost the record."""
+    log = record()
+    position = np.sin(0.4 * np.pi * np.array([2.0, 3.0]) * log.time[:, None])
+    log = replace(log, position=position, period=period)
+    setting = replace(SETTING, covariance=None)
+    stalled = replace(log, time=late(log, 500, count))
+    samples, expected = sdpid.process(stalled, setting), sdpid.process(log, setting)
+    assert f"stamps of {count} samples after a gap of 0." in samples.notes[0]
+    assert samples.n_samples == expected.n_samples
+    np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-6)
+    inspection = sdpid.inspect_recording(stalled)
+    assert any("came late; taken as regular" in each.message for each in inspection.findings)
+
+
+def test_late_samples_of_which_some_were_lost_are_left_out() -> None:
+    log = record()
+    stalled = replace(log, time=late(log, 500, 40))
+    stalled = without(stalled, (501, 517))
+    pieces, notes = continuous(stalled)
+    assert notes[0].startswith("24 samples after a gap of")
+    assert "16 of them were lost" in notes[0]
+    assert [piece.n_samples for piece in pieces] == [500, 1460]
+
+
+def test_a_hiccup_of_5_ms_at_1_khz_is_bridged() -> None:
+    """Five samples are missing: less than any motion of an arm needs to be seen."""
+    time = np.arange(8000) / 1000.0
+    position = np.sin(np.pi * time)[:, None]
+    log = sdpid.Recording(time=time, position=position, effort=position, period=2.0)
+    keep = np.r_[0:3000, 3005:8000]
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
+    lost = replace(log, **fields)
+    setting = replace(SETTING, covariance=None)
+    samples, expected = sdpid.process(lost, setting), sdpid.process(log, setting)
+    np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-3)
+    assert sdpid.process(replace(lost, period=None), setting).starts == (0,)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 99), slower=st.sampled_from([1.0, 1.4, 2.0]), end=st.integers(60, 700))
+def test_lost_samples_are_not_taken_for_late_ones(seed: int, slower: float, end: int) -> None:
+    """Stamps jitter, and the rate changes half-way."""
+    rng = np.random.default_rng(seed)
+    steps = np.where(np.arange(800) < 400, 1.0, slower) / GAP_RATE
+    steps += rng.choice([-0.2, 0.2], 800) / GAP_RATE
+    time = np.cumsum(steps)
+    time[end:] += 0.2
+    log = sdpid.Recording(time=time, position=time[:, None], effort=time[:, None])
+    assert [piece.n_samples for piece in split_at_gaps(log)] == [end, 800 - end]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 99),
+    speed=st.floats(0.1, 15.0),
+    low=st.floats(-4.0, 0.0),
+    noise=st.sampled_from([0.0, 1e-4, 0.02]),
+)
+def test_wrapped_angles_are_continued(seed: int, speed: float, low: float, noise: float) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.arange(600) / 50.0
+    angle = np.cumsum(rng.standard_normal(600)) * 0.01 + speed * time
+    angle = angle + noise * rng.standard_normal(600)
+    wrapped = (angle - low) % (2.0 * np.pi) + low
+    still = 0.1 * np.sin(time)
+    log = sdpid.Recording(
+        time=time, position=np.column_stack([wrapped, still]), effort=np.zeros((600, 2))
+    )
+    found, jumps = unwrapped(log)
+    assert jumps[1] == 0
+    assert jumps[0] == np.count_nonzero(np.abs(np.diff(wrapped)) > np.pi)
+    np.testing.assert_allclose(np.diff(found.position[:, 0]), np.diff(angle), atol=1e-9)
+    np.testing.assert_array_equal(found.position[:, 1], still)
+    if not jumps.any():
+        assert found is log
+
+
+def test_wrapped_angles_are_processed_as_the_others() -> None:
+    log = record()
+    turning = np.array(log.position)
+    turning[:, 1] = 2.0 * (log.time - 5.0) + 0.2 * turning[:, 1]
+    log = replace(log, position=turning)
+    wrapped = np.array(turning)
+    wrapped[:, 1] = np.mod(wrapped[:, 1], 2.0 * np.pi)
+    samples, expected = (
+        sdpid.process(replace(log, position=position), SETTING) for position in (wrapped, turning)
+    )
+    jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi)
+    assert jumps > 3
+    assert samples.notes[0] == (
+        f"angles that wrap continued by whole turns; jumps of joint 2 {jumps}"
+    )
+    for name in FIELDS[1:]:
+        np.testing.assert_allclose(getattr(samples, name), getattr(expected, name), atol=1e-9)
+    # It begins where it was recorded, which may be a turn away.
+    away = samples.position - expected.position - [0.0, wrapped[0, 1] - turning[0, 1]]
+    np.testing.assert_allclose(away, 0.0, atol=1e-9)
+    # The cut-off follows the motion, not the jumps.
+    chosen = default_processing(replace(log, position=wrapped))
+    assert chosen.cutoff_hz == pytest.approx(default_processing(log).cutoff_hz, rel=1e-9)
+
+
+def test_degrees_are_no_turns() -> None:
+    log = record()
+    degrees = replace(log, position=np.degrees(2.5 * log.position))
+    assert np.abs(np.diff(degrees.position, axis=0)).max() > 2.0 * np.pi - 1.0
+    assert unwrapped(degrees)[0] is degrees
+    spike = np.array(log.position)
+    spike[300, 0] += 4.0
+    spike[700, 0] += 2.0 * np.pi
+    assert unwrapped(replace(log, position=spike))[1].tolist() == [0, 0]
+
+
+def test_the_longest_piece_chooses() -> None:
+    log = record()
+    # The joints are elsewhere after the gap: a jump is no fast motion.
+    position = np.array(log.position)
+    position[1200:] += 1.5
+    gapped = without(replace(log, position=position), (1200, 1260))
+    chosen = default_processing(gapped)
+    assert replace(chosen, reasons=()) == default_processing(rows(log, slice(0, 1200)))
+
+
+def test_a_stored_record_is_split_and_continued_as_well(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    log = without(record(), (900, 960))
+    position = np.array(log.position)
+    position[:, 1] = np.mod(2.0 * log.time + position[:, 1], 2.0 * np.pi)
+    log = replace(log, position=position)
+    log.to_parquet(tmp_path / "log.parquet")
+    stored = sdpid.read_recording(tmp_path / "log.parquet", stored=True)
+    assert stored.stored
+    samples, expected = (sdpid.process(each, default_processing(each)) for each in (stored, log))
+    assert samples.notes == expected.notes
+    assert len(samples.starts) == 2
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(samples, name), getattr(expected, name))
