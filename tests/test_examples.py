@@ -23,7 +23,8 @@ EXAMPLES = sorted(FOLDER.glob("*.py"))
 STUDIES = sorted(
     p
     for p in FOLDER.glob("*/**/*.py")
-    if "__main__" in p.read_text(encoding="utf-8") and not {"adapters", "speed"} & {*p.parts}
+    if "__main__" in p.read_text(encoding="utf-8")
+    and not {"adapters", "speed"} & {*p.relative_to(FOLDER).parts}
 )
 
 
