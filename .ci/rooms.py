@@ -10,6 +10,8 @@ ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / ".coverage.rooms"
 # The tests that belong to no room, such as those of the documentation.
 REST = "rest"
+# Which tests judge: the slow ones, too, whatever counts as slow.
+MARKED = "not examples and not studies"
 
 
 def rooms() -> list[str]:
