@@ -143,8 +143,8 @@ import os, signal, time
 import sdpid.excitation.design.design as design
 from sdpid import cli
 from tests.helpers.plans import small_plan
+plan = small_plan()
 def stopped(*arguments, **options):
-    plan = small_plan()
     try:
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(60.0)
