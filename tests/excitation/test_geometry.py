@@ -35,7 +35,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.shapes import BALL, ROD, distances_and_gradients, shaped_arm
 from tests.helpers.strategies import SEEDS
-from tests.robot.model.test_geometry import TETRAHEDRON
+from tests.robot.test_model import TETRAHEDRON
 
 # Coal's distances between convex shapes, m.
 ACCURACY = 1e-5

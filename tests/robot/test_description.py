@@ -1,7 +1,9 @@
-"""Kinematic tables against the product of their transforms, and tables that are refused."""
+"""Kinematic tables, closed loops of descriptions, and what parsers print."""
 
 import importlib.util
 import math
+import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sdpid
+from sdpid import load_robot
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.description.loops import pointing
 from sdpid.robot.description.origin import matrix_rpy, rpy_matrix
+from sdpid.robot.description.quiet import caught_stderr
+from sdpid.robot.model.contacts.jacobians import frame_axes, frame_gaps
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.linkages import mjcf, urdf
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
 from tests.helpers.tolerances import KINEMATICS
@@ -232,3 +240,109 @@ def test_a_missing_or_broken_file(tmp_path: Path) -> None:
     broken = tmp_path / "broken.toml"
     broken.write_text("joint = [[")
     refuses((ModelError, DataError), "not a TOML file", sdpid.RobotModel.from_mdh, broken)
+
+
+# Loops as descriptions tell them.
+
+
+URDF = urdf("four_bar", kind="continuous")
+
+
+def test_a_urdf_tells_loops_and_joints_without_motors() -> None:
+    robot = load_robot(URDF)
+    (pin,) = robot.loops
+    assert (pin.name, pin.frame, pin.against, pin.kind) == (
+        "pin", "pin/coupler", "pin/rocker", "line",
+    )  # fmt: skip
+    assert robot.passive == ("coupler_joint", "rocker_joint")
+    assert repr(robot) == "RobotModel('four_bar', 3 coordinates, 3 links, 1 loop)"
+    axes = frame_axes(robot, np.zeros((1, 3)), [pin.frame, pin.against])
+    np.testing.assert_allclose(axes[0, :, :, 1], [[0.0, -1.0, 0.0]] * 2, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["connect", "weld"])
+def test_equalities_of_an_mjcf_close_loops(kind: str) -> None:
+    pytest.importorskip("mujoco")
+    bodies = mjcf("four_bar")
+    sites = bodies[bodies.index("<connect") : bodies.index("</equality>")]
+    of_sites = load_robot(bodies)
+    assert [loop.kind for loop in of_sites.loops] == ["point"]
+    assert of_sites.passive == ("coupler_joint", "rocker_joint")
+    robot = load_robot(
+        bodies.replace(sites, f'<{kind} body1="coupler" body2="rocker" anchor="0.3 0.1 0"/>')
+    )
+    (loop,) = robot.loops
+    # MuJoCo joins what is at one place when joints are at zero.
+    assert frame_gaps(robot, np.zeros((1, 3)), [loop.frame], [loop.against]) < 1e-15
+    assert loop.kind == ("point" if kind == "connect" else "plane")
+
+
+def test_an_axis_makes_a_frame() -> None:
+    for axis in ([0.0, -2.0, 0.0], [1.0, 0.2, -3.0]):
+        R = pointing(np.array(axis))
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+        np.testing.assert_allclose(R[:, 1], axis / np.linalg.norm(axis), atol=1e-15)
+        assert np.linalg.det(R) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('type="continuous"><link1', 'type="planar"><link1', "of kind 'planar'; supported are"),
+        ('link="coupler" xyz', 'link="nobody" xyz', "there is no link 'nobody'"),
+        ('<link2 link="rocker"', '<link2 link="coupler"', "do not move against each other"),
+        ("<link2 ", "<link_2 ", "has no <link2 link=...>"),
+        ('xyz="0.3 0 0"/><link2', 'xyz="0.3 0"/><link2', "expected 3 finite numbers"),
+        ('"0 -1 0"/></loop', '"0 0 0"/></loop', "the axis is zero"),
+        ('position="1.9"', 'position="left"', "position='left'>: expected the name"),
+        ('passive_joint name="coupler_joint"', 'passive_joint name="x"', "x is said to have no"),
+        ("<passive", '<passive_joint name="crank_joint"/><passive', "no joint has a motor"),
+    ],
+)
+def test_refuses_what_is_no_loop(old: str, new: str, says: str) -> None:
+    refuses(ModelError, says, load_robot, URDF.replace(old, new, 1))
+
+
+# What a parser prints on file descriptor 2 is part of the error, and nowhere else.
+
+
+def test_the_parser_of_urdf_is_quoted(capfd: pytest.CaptureFixture[str]) -> None:
+    bad = ARM_URDF.replace('effort="100"', 'effort="many"')
+    with pytest.raises(ModelError, match=r"joint \[a\]: effort value \(many\)") as caught:
+        sdpid.load_robot(bad)
+    assert "at line" not in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_text_is_caught_on_failure_and_passed_on_else(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="no"), caught_stderr() as said:  # noqa: PT012
+        os.write(2, b"two\nlines \xff")
+        raise ValueError("no")
+    assert said.text == "two lines \ufffd"
+    assert capfd.readouterr().err == ""
+    with caught_stderr() as said:
+        os.write(2, b"a warning\n")
+    assert said.text == ""
+    assert capfd.readouterr().err == "a warning\n"
+
+
+def test_threads_take_turns(capfd: pytest.CaptureFixture[str]) -> None:
+    found: dict[int, str] = {}
+
+    def fail(number: int) -> None:
+        try:
+            with caught_stderr() as said:
+                os.write(2, f"{number} ".encode() * 50)
+                raise ValueError
+        except ValueError:
+            found[number] = said.text
+
+    threads = [threading.Thread(target=fail, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {number: set(text.split()) for number, text in found.items()} == {
+        number: {str(number)} for number in range(8)
+    }
+    assert capfd.readouterr().err == ""

@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,15 @@ from sdpid.assurance.intervals.links import link_properties
 from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
 from sdpid.output.report.headline import headline
-from sdpid.output.report.page import number
+from sdpid.output.report.page import number, policy
 from sdpid.output.report.report import report_html, write_report
 from sdpid.output.report.sections import mass_matrix, parameters
+from sdpid.output.report.sections.recording import units
 from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
 from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE
 from tests.helpers.runs import arm as recorded_arm
 from tests.helpers.runs import recorded
 
@@ -527,3 +530,58 @@ def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
     subprocess.run([*command, size, f"--screenshot={picture}", address], **run)
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 50_000
+
+
+# What all pages share: a policy that lets named scripts run, and colors that can be read.
+
+
+# Of text that is not large, by the accessibility guidelines (WCAG 2.2, 1.4.3).
+CONTRAST = 4.5
+
+# Every color of letters with what it stands on.
+PAIRS = [
+    *((ink, ground) for ink in ("ink", "soft", "link") for ground in ("bg", "card", "faint")),
+    *((level, ground) for level in ("good", "caution", "bad") for ground in ("bg", "card")),
+    *((ink, f"{level}-bg") for level in ("good", "caution", "bad") for ink in ("ink", level)),
+]
+
+
+def schemes() -> dict[str, dict[str, str]]:
+    """Return the variables of the light scheme and of the dark one."""
+    style = files("sdpid.output.report").joinpath("page.css").read_text(encoding="utf-8")
+    blocks = re.findall(r":root \{(.*?)\}", style, flags=re.DOTALL)
+    light, dark = (dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block)) for block in blocks)
+    return {"light": light, "dark": {**light, **dark}}
+
+
+def luminance(color: str) -> float:
+    shares = [int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
+    return sum(w * s for w, s in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_letters_can_be_read(scheme: str) -> None:
+    colors = schemes()[scheme]
+    assert {"bg", "ink", "soft", "good", "bad", "caution", "link"} <= set(colors)
+    for ink, ground in PAIRS:
+        high, low = sorted((luminance(colors[ink]), luminance(colors[ground])), reverse=True)
+        assert (high + 0.05) / (low + 0.05) >= CONTRAST, (ink, ground)
+
+
+def test_only_given_scripts_run() -> None:
+    assert "script-src" not in policy()
+    assert "default-src 'none'" in policy().split("; ")
+    script = "'use strict'; // <é>"
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in policy([script]).split("; ")
+
+
+# What the report says of a recording.
+
+
+@pytest.mark.parametrize(("description", "effort"), [(TREE, "N, N·m"), ("denso_vp6242", "N·m")])
+def test_units_are_those_of_the_joints(description: str, effort: str) -> None:
+    found = units(sdpid.load_robot(description))
+    assert set(found["effort"].split(", ")) == set(effort.split(", "))
+    assert ("m/s" in found["velocity"].split(", ")) == ("N" in effort.split(", "))

@@ -1,0 +1,995 @@
+"""Robots: loading, regressors, base parameters, coordinates and geometry."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, ModelError
+from sdpid.output.robots.urdf_tree import UrdfTree
+from sdpid.robot.description.catalog import (
+    bundled_folder,
+    bundled_robots,
+    example_robots,
+    find_robot,
+)
+from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.description.urdf import check_urdf, inertial_element
+from sdpid.robot.description.xml import encode_xml, is_mjcf, parse_xml, read_description
+from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.inertia import theta_from_physical
+from sdpid.robot.model.base_parameters import BaseParameters, generic_states, structural_base
+from sdpid.robot.model.coordinates import sliding
+from sdpid.robot.model.geometry import collision_points, link_placements
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.data import friction_model, full_regressor, random_links
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import (
+    MIMIC,
+    TREE,
+    TREE_MIMIC,
+    TREE_MIMIC_NO_OFFSET,
+    pendulum,
+    planar_arm,
+    small_arm,
+)
+from tests.helpers.small_robots import SMALL
+from tests.helpers.strategies import SEEDS, dh_tables, random_states
+from tests.helpers.tolerances import DYNAMICS, KINEMATICS, REGROUPING
+
+
+@pytest.fixture(scope="module")
+def tree() -> RobotModel:
+    return load_robot(TREE)
+
+
+@pytest.fixture(scope="module")
+def mimicking() -> RobotModel:
+    return load_robot(TREE_MIMIC)
+
+
+def assert_same(actual: Array, expected: Array, tolerance: float = DYNAMICS) -> None:
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
+
+
+def pin_states(
+    robot: RobotModel, states: tuple[Array, Array, Array]
+) -> list[tuple[Array, Array, Array]]:
+    """Return (q, v, a) for Pinocchio, configurations made by its own integrate."""
+    model, (positions, v, a) = robot.pin_model, states
+    return [
+        (pin.integrate(model, pin.neutral(model), q), dq, ddq)
+        for q, dq, ddq in zip(positions, v, a, strict=True)
+    ]
+
+
+def check_against_pinocchio(robot: RobotModel, rng: np.random.Generator, count: int = 4) -> None:
+    theta = random_links(rng, robot.n_links)
+    states = random_states(rng, robot.n, count)
+    Y = robot.regressor(*states)
+    assert Y.shape == (count, robot.n, 10 * robot.n_links)
+    efforts = robot.inverse_dynamics(theta, *states)
+    masses = robot.mass_matrix(theta, states[0])
+    model = robot.with_inertias(theta)
+    data = model.createData()
+    for k, (q, v, a) in enumerate(pin_states(robot, states)):
+        # With a single joint the binding returns one axis less.
+        expected = pin.computeJointTorqueRegressor(model, data, q, v, a).reshape(Y[k].shape)
+        assert_same(Y[k], expected)
+        assert_same(efforts[k], pin.rnea(model, data, q, v, a))
+        upper = np.triu(pin.crba(model, data, q))
+        assert_same(masses[k], upper + np.triu(upper, 1).T)
+
+
+@given(dh_tables(), SEEDS)
+def test_serial_arms(table: object, seed: int) -> None:
+    check_against_pinocchio(RobotModel.from_mdh(table), np.random.default_rng(seed))  # type: ignore[arg-type]
+
+
+@given(SEEDS)
+def test_a_tree_with_prismatic_and_continuous_joints(tree: RobotModel, seed: int) -> None:
+    assert tree.pin_model.nq > tree.pin_model.nv
+    check_against_pinocchio(tree, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", ["xarm7", "kinova", "talos_reduced", "icub", "allegro_left_hand"])
+def test_robots_of_example_robot_data(name: str) -> None:
+    robot = load_robot(name)
+    np.testing.assert_array_equal(robot.expansion, np.eye(robot.n))
+    check_against_pinocchio(robot, np.random.default_rng(1), count=2)
+
+
+@pytest.mark.parametrize("source", [TREE, "solo12", "talos_reduced"])
+def test_a_floating_base(source: str) -> None:
+    robot = load_robot(source, root="free_flyer")
+    rng = np.random.default_rng(2)
+    model = robot.pin_model
+    assert (robot.n, robot.n_base, robot.n_links) == (model.nv, 6, model.njoints - 1)
+    assert robot.joint_names[:6] == tuple(
+        f"root_joint/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz")
+    )
+    theta = random_links(rng, robot.n_links)
+    tangent, v, a = random_states(rng, robot.n, 4)
+    q = np.stack([pin.integrate(model, pin.neutral(model), x) for x in tangent])
+    Y, efforts = robot.regressor(q, v, a), robot.inverse_dynamics(theta, q, v, a)
+    full = robot.with_inertias(theta)
+    data = full.createData()
+    for k in range(4):
+        assert_same(Y[k], pin.computeJointTorqueRegressor(full, data, q[k], v[k], a[k]))
+        assert_same(efforts[k], pin.rnea(full, data, q[k], v[k], a[k]))
+        upper = np.triu(pin.crba(full, data, q[k]))
+        assert_same(robot.mass_matrix(theta, q)[k], upper + np.triu(upper, 1).T)
+
+
+@given(SEEDS)
+def test_mimic_joints_are_the_whole_robots_projection(
+    tree: RobotModel, mimicking: RobotModel, seed: int
+) -> None:
+    """Virtual work: the efforts of the coordinates are E^T times those of all joints."""
+    rng = np.random.default_rng(seed)
+    assert mimicking.joint_names == tuple(n for n in tree.joint_names if n != MIMIC["joint"])
+    theta = random_links(rng, tree.n_links)
+    q, v, a = random_states(rng, mimicking.n, 3)
+    E = np.zeros((tree.n, mimicking.n))
+    for row, name in enumerate(tree.joint_names):
+        source = name if name in mimicking.joint_names else MIMIC["source"]
+        E[row, mimicking.joint_names.index(str(source))] = (
+            1.0 if source == name else MIMIC["multiplier"]
+        )
+    np.testing.assert_allclose(mimicking.expansion, E)
+    offset = np.array([MIMIC["offset"] if n == MIMIC["joint"] else 0.0 for n in tree.joint_names])
+    whole = tree.inverse_dynamics(theta, q @ E.T + offset, v @ E.T, a @ E.T)
+    assert_same(mimicking.inverse_dynamics(theta, q, v, a), whole @ E)
+    masses = tree.mass_matrix(theta, q @ E.T + offset)
+    assert_same(mimicking.mass_matrix(theta, q), E.T @ masses @ E)
+
+
+def test_a_mimic_of_a_mimic_is_followed_to_its_source() -> None:
+    chain = TREE_MIMIC.replace(
+        '<limit lower="-2" upper="1.5" effort="30" velocity="3"/>',
+        '<limit lower="-2" upper="1.5" effort="30" velocity="3"/>'
+        '<mimic joint="thumb" multiplier="3" offset="-1"/>',
+    )
+    robot = load_robot(chain)
+    assert robot.joint_names == ("lift", "left", "slide", "finger")
+    # right = 3·thumb − 1 = 3·(−0.7·finger + 0.2) − 1
+    row = list(robot.pin_model.names).index("right") - 1
+    np.testing.assert_allclose(robot.expansion[row], [0, 0, 0, -2.1])
+    assert robot.offset[row] == pytest.approx(-0.4)
+
+
+def test_a_floating_base_takes_a_mimic_joint_without_offset() -> None:
+    robot = load_robot(TREE_MIMIC_NO_OFFSET, root="free_flyer")
+    assert robot.n == robot.pin_model.nv - 1
+
+
+@given(dh_tables(prismatic=False), SEEDS)
+@settings(max_examples=10)
+def test_consistent_links_have_a_positive_definite_mass_matrix(table: object, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)  # type: ignore[arg-type]
+    rng = np.random.default_rng(seed)
+    theta = random_links(rng, robot.n_links)
+    q = rng.uniform(-np.pi, np.pi, (10, robot.n))
+    assert np.linalg.eigvalsh(robot.mass_matrix(theta, q)).min() > 0.0
+
+
+def test_one_configuration_gives_one_mass_matrix(denso: RobotModel) -> None:
+    rng = np.random.default_rng(3)
+    theta, q = random_links(rng, 6), rng.uniform(-1, 1, (2, 6))
+    both = denso.mass_matrix(theta, q)
+    assert both.shape == (2, 6, 6)
+    np.testing.assert_array_equal(denso.mass_matrix(theta, q[1]), both[1])
+    # Friction behind the links' parameters is ignored.
+    np.testing.assert_array_equal(denso.mass_matrix(np.append(theta.ravel(), np.ones(12)), q), both)
+
+
+def test_a_pinocchio_model_is_copied_and_keeps_its_gravity(tree: RobotModel) -> None:
+    model = tree.pin_model.copy()
+    model.gravity.linear = np.array([1.0, 2.0, 3.0])
+    robot = load_robot(model)
+    model.gravity.linear = np.zeros(3)
+    np.testing.assert_array_equal(robot.gravity, [1.0, 2.0, 3.0])
+    assert robot.urdf is None
+    np.testing.assert_array_equal(robot.prior, tree.prior)
+    turned = load_robot(model, gravity=(0.0, 9.81, 0.0))
+    np.testing.assert_array_equal(turned.gravity, [0.0, 9.81, 0.0])
+
+
+def test_the_description_is_the_prior(tree: RobotModel) -> None:
+    assert tree.name == "tree"
+    assert tree.urdf == TREE
+    assert tree.link_names == ("column", "left_arm", "left_slide", "right_arm", "finger", "thumb")
+    # The welded bracket belongs to the link that carries it.
+    assert tree.prior[3, 0] == pytest.approx(1.5)
+    assert tree.parameter_names[10] == "m_2"
+    assert len(tree.parameter_names) == len(tree.parameter_units) == 60
+    with pytest.raises(ValueError, match="read-only"):
+        tree.prior[0, 0] = 1.0
+
+
+def test_limits_of_a_tree(tree: RobotModel) -> None:
+    limits = dict(zip(tree.joint_names, tree.position_limits.tolist(), strict=True))
+    assert limits["right"] == [-2.0, 1.5]
+    assert limits["left"] == [-np.inf, np.inf]
+    speeds = dict(zip(tree.joint_names, tree.velocity_limits, strict=True))
+    assert speeds["lift"] == 2.0
+    efforts = dict(zip(tree.joint_names, tree.effort_limits, strict=True))
+    assert efforts["slide"] == 50.0
+
+
+def test_limits_of_zero_are_none() -> None:
+    limits = '<limit effort="80" velocity="3"/>'
+    text = SMALL["without_limits"].urdf
+    assert limits in text
+    robot = load_robot(text.replace(limits, '<limit effort="0" velocity="0"/>'))
+    np.testing.assert_array_equal(robot.position_limits, [[-np.inf, np.inf]] * 2)
+    assert np.isinf([*robot.velocity_limits, *robot.effort_limits]).all()
+
+
+def test_continuous_joints_take_angles(tree: RobotModel) -> None:
+    q = np.linspace(-1.0, 1.0, tree.n)[None]
+    configuration = tree.configuration(q)
+    assert configuration.shape == (1, tree.pin_model.nq)
+    turned = q.copy()
+    turned[0, tree.joint_names.index("left")] += 2 * np.pi
+    np.testing.assert_allclose(tree.configuration(turned), configuration, atol=KINEMATICS)
+
+
+def test_efforts_are_linear_in_the_parameters(denso: RobotModel) -> None:
+    rng = np.random.default_rng(4)
+    one, two = random_links(rng, 6), random_links(rng, 6)
+    states = random_states(rng, 6, 5)
+    summed = denso.inverse_dynamics(one, *states) - 2.5 * denso.inverse_dynamics(two, *states)
+    assert_same(denso.inverse_dynamics(one - 2.5 * two, *states), summed)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"q": np.zeros((3, 5))}, "position: 5 columns"),
+        ({"q": np.zeros(6)}, "position: has 1 axes"),
+        ({"v": np.zeros((2, 6))}, r"velocity: shape \(2, 6\), expected \(3, 6\)"),
+        ({"a": np.zeros((3, 7))}, "acceleration: shape"),
+        ({"a": np.full((3, 6), np.nan)}, "acceleration: 18 of 18 values are not finite"),
+        ({"q": [[1.0, 2.0], [3.0]]}, "position: not a rectangular array"),
+        ({"v": np.full((3, 6), 1j)}, "velocity: .*complex"),
+    ],
+)
+def test_bad_states_are_data_errors(denso: RobotModel, change: dict[str, Array], says: str) -> None:
+    states = {"q": np.zeros((3, 6)), "v": np.zeros((3, 6)), "a": np.zeros((3, 6))} | change
+    refuses(DataError, says, denso.regressor, **states)
+
+
+@given(st.integers(0, 3))
+@settings(max_examples=4)
+def test_no_samples_give_no_rows(denso: RobotModel, count: int) -> None:
+    empty = np.zeros((count, 6))
+    assert denso.regressor(empty, empty, empty).shape == (count, 6, 60)
+
+
+def test_friction_of_the_description() -> None:
+    text = TREE.replace("</joint>", '<dynamics damping="0.5" friction="2"/></joint>', 1)
+    viscous, coulomb = load_robot(text).described_friction()
+    assert sorted(viscous) == [0.0] * 5 + [0.5]
+    assert sorted(coulomb) == [0.0] * 5 + [2.0]
+    for key in ("friction", "damping"):
+        with pytest.raises(ModelError, match=rf"{key} is -\d.*, the least is 0"):
+            load_robot(text.replace(f'{key}="', f'{key}="-'))
+    with pytest.raises(ModelError, match="damping of <dynamics> is 'much'"):
+        load_robot(text.replace('damping="0.5"', 'damping="much"'))
+
+
+# Where robots come from, and what is refused.
+
+
+JOINT = """<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>{inside}</joint>"""
+
+
+def urdf(joint: str = JOINT.format(kind="revolute", inside=""), *, before: str = "") -> str:
+    return f'{before}<robot name="r"><link name="a"/><link name="b"/>{joint}</robot>'
+
+
+def test_bundled_robots() -> None:
+    assert "denso_vp6242" in bundled_robots()
+    robot = load_robot("denso_vp6242")
+    assert robot.name == "denso_vp6242"
+    assert (robot.n, robot.n_links) == (6, 6)
+    np.testing.assert_array_equal(robot.gravity, [0.0, 0.0, -9.81])
+    assert not robot.prior.any()
+    refuses(ModelError, "denso_vp6242", bundled_folder, "denso")
+
+
+def test_text_path_and_string_path_are_the_same_robot(tmp_path: Path) -> None:
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE, encoding="utf-8")
+    for source in (TREE, "\n " + TREE, path, str(path)):
+        robot = load_robot(source)
+        assert robot.joint_names == load_robot(TREE).joint_names
+    declared = '<?xml version="1.0" encoding="UTF-8"?>\n' + TREE
+    assert load_robot(declared).name == "tree"
+
+
+def test_example_robots_by_stem_and_by_folder() -> None:
+    assert load_robot("ur5_robot").n == 6
+    assert load_robot("panda_description/panda").name == load_robot("panda").name
+    refuses(ModelError, "no robot 'no_such_robot'", find_robot, "no_such_robot")
+
+
+def test_an_ambiguous_stem_names_the_folders() -> None:
+    with pytest.raises(ModelError, match=r"anymal_b_simple_description/anymal, anymal_c") as info:
+        load_robot("anymal")
+    assert "ambiguous" in str(info.value)
+    assert load_robot("anymal_b_simple_description/anymal").n == 12
+
+
+@pytest.mark.parametrize("name", sorted(example_robots()))
+def test_every_example_robot_loads_or_says_why(name: str) -> None:
+    try:
+        robot = load_robot(name)
+    except ModelError as error:
+        # Some stand on a base that floats and have no joint of their own; one has a hand whose
+        # joints mimic one that is not there.
+        assert "no moving joint" in str(error)  # noqa: PT017
+        return
+    assert robot.n >= 1
+    assert robot.prior.shape == (robot.n_links, 10)
+    assert len(set(robot.joint_names)) == robot.n
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("ur5", "ur5_robot"),
+        ("Panda_hand", "panda"),
+        ("denso", "denso_vp6242"),
+        ("ur5_robt", "ur5_robot"),
+        ("ur_5", "ur5_robot"),
+        ("ur5.urdf", "ur5_robot"),
+        ("UR5.urdf.xacro", "ur5_robot"),
+    ],
+)
+def test_an_unknown_name_is_answered_with_near_ones(name: str, near: str) -> None:
+    with pytest.raises(ModelError, match=rf"no robot '{name}'.*near it are .*{near}") as info:
+        load_robot(name)
+    # Of 70 names, those that help.
+    assert len(str(info.value)) < 200
+
+
+def test_a_name_like_no_other_shows_some_that_there_are() -> None:
+    for name in ("xqz", "franka"):
+        words = rf"no robot '{name}': .* are known, such as denso_vp.*; .*robot_names\(\) lists"
+        refuses(ModelError, words, load_robot, name)
+
+
+NEGATIVE = urdf().replace(
+    '<link name="b"/>',
+    '<link name="b"><inertial><mass value="-1.5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" '
+    'iyz="0" izz="1"/></inertial></link>',
+)
+
+
+def test_negative_masses_are_refused() -> None:
+    refuses(ModelError, r"link 'b': the mass is -1\.5 kg, the least is 0", load_robot, NEGATIVE)
+    model = load_robot(TREE).pin_model.copy()
+    model.inertias[1] = pin.Inertia(-1.0, np.zeros(3), np.eye(3))
+    refuses(ModelError, r"the mass is -1 kg, the least is 0", load_robot, model)
+
+
+def test_a_robot_shows_itself_in_a_line() -> None:
+    assert repr(load_robot(TREE)) == "RobotModel('tree', 6 coordinates, 6 links)"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-be"])
+def test_descriptions_are_read_in_the_encoding_that_they_declare(
+    tmp_path: Path, encoding: str
+) -> None:
+    declared = {"latin-1": "ISO-8859-1", "utf-16-be": "UTF-16"}.get(encoding, encoding[:6])
+    text = f'<?xml version="1.0" encoding="{declared}"?>\n' + urdf().replace('"b"', '"größe"')
+    path = tmp_path / "robot.urdf"
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    path.write_bytes((mark + text).encode(encoding))
+    assert load_robot(path).link_names == ("größe",)
+    assert load_robot(text).link_names == ("größe",)
+    if encoding != "utf-16-be":
+        assert encode_xml(read_description(path).text) == path.read_bytes()
+
+
+@pytest.mark.parametrize("declared", ["no-such-code", "hex"])
+def test_unknown_encodings_are_refused(tmp_path: Path, declared: str) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<?xml version="1.0" encoding="{declared}"?>' + urdf())
+    refuses(ModelError, f"encoding '{declared}' is not known", load_robot, path)
+    path.write_bytes(urdf().replace('"b"', '"größe"').encode("latin-1"))
+    refuses(ModelError, "declare its encoding in the first line", load_robot, path)
+
+
+def test_long_chains_of_fixed_links_are_read_and_endless_ones_refused() -> None:
+    def chain(count: int) -> str:
+        links = "".join(f'<link name="l{i}"/>' for i in range(count))
+        fixed = "".join(
+            f'<joint name="f{i}" type="fixed"><origin xyz="1 0 0"/><parent link="l{i}"/>'
+            f'<child link="l{i + 1}"/></joint>'
+            for i in range(count - 1)
+        )
+        joint = JOINT.format(kind="revolute", inside="").replace('"b"', '"l0"')
+        return f'<robot name="r"><link name="a"/>{links}{joint}{fixed}</robot>'
+
+    # Deeper than Python's own recursion goes.
+    assert load_robot(chain(1500)).n == 1
+    assert UrdfTree(chain(1500)).fixed_children("l0")[-1].placement[0, 3] == 1499
+    refuses(ModelError, "30001 links, at most 2000", load_robot, chain(30_000))
+
+
+def test_a_comment_makes_no_mjcf() -> None:
+    assert not is_mjcf("<!-- <mujoco> --><robot/>", "it")
+    assert is_mjcf("<?xml version='1.0'?><!-- <robot> --><mujoco model='x'/>", "it")
+    assert not is_mjcf("<!-- a > b --><!-- <mujoco --><robot/>", "it")
+
+
+def spherical() -> Any:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    return model
+
+
+BAD: list[tuple[Any, str]] = [
+    (urdf(JOINT.format(kind="fixed", inside="")), "no moving joint"),
+    (urdf(""), "no moving joint"),
+    (urdf(JOINT.format(kind="planar", inside="")), "'j' is of kind 'planar'"),
+    (urdf(JOINT.format(kind="floating", inside="")), "floating base: root='free_flyer'"),
+    (urdf('<joint name="j"><parent link="a"/><child link="b"/></joint>'), "kind '?'"),
+    ("<robot", "not well-formed"),
+    ("<robot></robots>", "not well-formed"),
+    ("<sdf/>", "root element is <sdf>"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="j"/>')), "circle at 'j'"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x"/>')), "mimics 'x'"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="a"/>')), "not a number"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="nan"/>')), "not a n"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="1e300"/>')), "at most"),
+    (urdf(JOINT.format(kind="revolute", inside="").replace('"b"', '"c"')), "cannot read it"),
+    (TREE_MIMIC.replace('joint="finger"', 'joint="weld"'), "mimics 'weld'"),
+    ("", "no robot ''"),
+    ("x" * 5000, "no robot 'xxx"),
+    ("a\0b", "no robot"),
+    (Path("/nowhere/robot.urdf"), "cannot read /nowhere"),
+    (Path(__file__).parent, "cannot read"),
+    (3, "got int"),
+    (None, "got NoneType"),
+    (pin.Model(), "no moving joint"),
+    (spherical(), "'ball' is a JointModelSpherical, which is not supported"),
+]
+
+
+@pytest.mark.parametrize(("source", "says"), BAD)
+def test_bad_sources_are_model_errors(source: Any, says: str) -> None:
+    with pytest.raises(ModelError) as info:
+        load_robot(source)
+    assert says in str(info.value)
+
+
+def test_bad_options_are_model_errors() -> None:
+    with pytest.raises(ModelError, match="root is 'fixed'"):
+        load_robot(TREE, root="fixed")  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="already has its root"):
+        load_robot(load_robot(TREE).pin_model, root="free_flyer")
+    refuses(ModelError, "gravity", load_robot, TREE, gravity=(0.0, 0.0))
+    refuses(ModelError, "offset", load_robot, TREE_MIMIC, root="free_flyer")
+
+
+def test_a_floating_base_needs_no_other_joint() -> None:
+    ball = urdf(JOINT.format(kind="fixed", inside=""))
+    assert load_robot(ball, root="free_flyer").n == 6
+
+
+def test_binary_is_not_a_urdf(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(b"\xff\xfe\x00binary")
+    refuses(ModelError, "cannot read", load_robot, path)
+
+
+LAUGHS = "".join(
+    f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' if i else '<!ENTITY l0 "ha">' for i in range(12)
+)
+
+
+@pytest.mark.parametrize(
+    "doctype",
+    [
+        f"<!DOCTYPE robot [{LAUGHS}]>",
+        '<!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/hostname">]>',
+        '<!DOCTYPE robot SYSTEM "http://example.invalid/robot.dtd">',
+        "<!DOCTYPE robot>",
+    ],
+    ids=["billion laughs", "external entity", "external dtd", "plain"],
+)
+def test_document_types_are_refused_and_never_expanded(doctype: str) -> None:
+    entity = "&l11;" if "l11" in doctype else "&x;" if "ENTITY x" in doctype else ""
+    text = urdf(f"<note>{entity}</note>" + JOINT.format(kind="revolute", inside=""), before=doctype)
+    # Expanded it would be terabytes.
+    refuses(ModelError, r"document type|well-formed", load_robot, text)
+
+
+def test_xml_of_any_size_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sdpid.robot.description.xml.MAX_BYTES", 100)
+    refuses(ModelError, "bytes of XML, more than the 100 allowed", parse_xml, TREE, "it")
+
+
+def test_joints_of_transmissions_do_not_count() -> None:
+    text = urdf(
+        '<transmission name="t"><joint name="k"/></transmission>'
+        + JOINT.format(kind="prismatic", inside="")
+    )
+    assert check_urdf(text, "it") == ("r", ())
+    assert load_robot(text).n == 1
+
+
+def test_inertial_element() -> None:
+    body = theta_from_physical(2.0, [0.1, -0.2, 0.3], np.diag([0.1, 0.2, 0.25]))
+    element = inertial_element(body)
+    assert float(element.find("mass").get("value")) == 2.0
+    inertia = element.find("inertia")
+    assert float(inertia.get("iyy")) == pytest.approx(0.2, abs=1e-15)
+    refuses(ModelError, r"mass is -2\.0 kg", inertial_element, -body)
+
+
+# The shape of links against Pinocchio's own reading, and shapes that the hull must contain.
+
+
+WELD = """<joint name="weld" type="fixed"><parent link="arm"/><child link="hand"/>
+<origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/></joint><link name="hand"><collision>
+<origin xyz="0 0 0.5"/><geometry><box size="0.2 0.4 0.6"/></geometry></collision></link>"""
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+
+
+def arm(geometry: str, *, origin: str = "", more: str = "") -> sdpid.RobotModel:
+    shape = f"<collision>{origin}<geometry>{geometry}</geometry></collision>" if geometry else ""
+    return sdpid.load_robot(
+        f"""<robot name="r"><link name="base"><collision><geometry><sphere radius="9"/></geometry>
+        </collision></link><link name="arm">{shape}</link><joint name="j" type="revolute">
+        <parent link="base"/><child link="arm"/><origin xyz="3 2 1" rpy="1 2 3"/>
+        <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+        {more}</robot>"""
+    )
+
+
+def contains(corners: Array, points: Array) -> bool:
+    equations = ConvexHull(corners).equations
+    return bool((points @ equations[:, :3].T + equations[:, 3]).max() <= 1e-12)
+
+
+def directions(count: int = 2000) -> Array:
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def test_box_in_its_origin() -> None:
+    turned = '<origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>'
+    points = collision_points(arm('<box size="0.2 0.4 0.6"/>', origin=turned), "arm")
+    assert points.shape == (8, 3)
+    np.testing.assert_allclose(points.min(axis=0), [0.8, -0.1, -0.3], atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), [1.2, 0.1, 0.3], atol=1e-15)
+
+
+def test_what_is_fixed_to_a_link_belongs_to_it() -> None:
+    points = collision_points(arm("", more=WELD), "arm")
+    np.testing.assert_allclose(points.min(axis=0), [-0.2, -0.1, 1.2], atol=1e-15)
+    np.testing.assert_allclose(points.max(axis=0), [0.2, 0.1, 1.8], atol=1e-15)
+    assert len(collision_points(arm('<box size="1 1 1"/>', more=WELD), "arm")) == 16
+
+
+def test_round_shapes_are_inside_and_not_by_much() -> None:
+    ball = directions()
+    points = collision_points(arm('<sphere radius="0.5"/>'), "arm")
+    assert contains(points, 0.5 * ball)
+    assert np.linalg.norm(points, axis=1).max() < 0.5 * 1.08
+
+    flat = ball[:, :2] / np.linalg.norm(ball[:, :2], axis=1, keepdims=True)
+    rims = np.concatenate([np.column_stack([0.5 * flat, z * np.ones(len(flat))]) for z in (-1, 1)])
+    points = collision_points(arm('<cylinder radius="0.5" length="2"/>'), "arm")
+    assert contains(points, rims)
+    assert np.abs(points[:, 2]).max() == 1.0
+    assert np.linalg.norm(points[:, :2], axis=1).max() < 0.5 * 1.02
+
+    points = collision_points(arm('<capsule radius="0.5" length="2"/>'), "arm")
+    assert contains(points, np.concatenate([0.5 * ball + [0, 0, z] for z in (-1, 1)]))
+    assert points[:, 2].max() < 1.0 + 0.5 * 1.08
+
+
+@pytest.mark.parametrize("link", ["panda_link3", "panda_link7"])
+def test_meshes_as_pinocchio_places_them(link: str) -> None:
+    path = find_robot("panda")
+    robot = sdpid.load_robot("panda")
+    share = next(p.parent for p in path.parents if p.name == "example-robot-data")
+    geometry = pin.buildGeomFromUrdf(
+        robot.pin_model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(share)]
+    )
+    expected = [
+        np.array(o.geometry.vertices()) @ o.placement.rotation.T + o.placement.translation
+        for o in geometry.geometryObjects
+        if o.parentJoint == robot.link_names.index(link) + 1
+    ]
+    assert expected
+    points = collision_points(robot, link)
+    np.testing.assert_allclose(points, np.concatenate(expected), atol=1e-12)
+
+
+def test_a_mesh_is_found_by_package_by_folder_and_by_path(tmp_path: Path) -> None:
+    mesh = tmp_path / "my_robot" / "meshes" / "arm.obj"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text(TETRAHEDRON, encoding="utf-8")
+    urdf_folder = tmp_path / "my_robot" / "urdf"
+    urdf_folder.mkdir()
+    tried = {
+        "package://my_robot/meshes/arm.obj": [tmp_path, tmp_path / "my_robot", urdf_folder],
+        "meshes/arm.obj": [tmp_path / "my_robot"],
+        "../meshes/arm.obj": [urdf_folder],
+        str(mesh): [],
+        f"file://{mesh}": [],
+    }
+    for name, folders in tried.items():
+        robot = arm(f'<mesh filename="{name}" scale="1 2 -3"/>')
+        for folder in folders or [None]:
+            dirs = () if folder is None else (str(folder),)
+            points = collision_points(robot, "arm", package_dirs=dirs)
+            np.testing.assert_array_equal(points.min(axis=0), [0, 0, -3])
+            np.testing.assert_array_equal(points.max(axis=0), [1, 2, 0])
+
+
+@pytest.mark.parametrize(
+    ("geometry", "message"),
+    [
+        ('<mesh filename="package://nowhere/a.stl"/>', "nowhere/a.stl' is not found.*package_dirs"),
+        ('<mesh filename="http://x/a.stl"/>', "package://"),
+        ('<box size="1 2"/>', "size is '1 2', expected 3"),
+        ('<sphere radius="wide"/>', "radius='wide'"),
+        ('<sphere radius="-1"/>', r"-1\.0 m"),
+        ("<cylinder/>", "radius=None"),
+        ("<cone/>", "<cone> is not understood"),
+        ("<box/><box/>", "2 shapes"),
+    ],
+)
+def test_what_is_refused(geometry: str, message: str) -> None:
+    # Pinocchio is not asked for the geometry, so that a model loads whatever its shapes are.
+    robot = arm('<box size="1 1 1"/>')
+    text = robot.urdf.replace('<box size="1 1 1"/>', geometry)
+    changed = sdpid.RobotModel(**{**vars(robot), "urdf": text})
+    refuses(ModelError, message, collision_points, changed, "arm")
+
+
+def test_a_broken_mesh_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.stl").write_text("nothing", encoding="utf-8")
+    with pytest.raises(ModelError, match=r"cannot be read|no vertices"):
+        collision_points(arm('<mesh filename="a.stl"/>'), "arm", package_dirs=[tmp_path])
+
+
+def test_links_without_a_shape() -> None:
+    refuses(ModelError, "no moving link 'base'; it has arm", collision_points, arm(""), "base")
+    with pytest.raises(ModelError, match="'arm' and what is fixed to it have no collision"):
+        collision_points(arm(""), "arm")
+    with pytest.raises(ModelError, match="not loaded from a URDF"):
+        collision_points(sdpid.load_robot(pin.buildModelFromXML(TREE)), "column")
+    bare = pendulum()
+    refuses(ModelError, "no collision geometry", collision_points, bare, bare.link_names[0])
+
+
+def test_placements() -> None:
+    robot = arm("")
+    at_zero = link_placements(robot)
+    np.testing.assert_allclose(at_zero[0, :3, 3], [3, 2, 1], atol=KINEMATICS)
+    turned = link_placements(robot, [0.3])[0]
+    np.testing.assert_allclose(
+        np.linalg.solve(at_zero[0], turned)[:2, :2],
+        [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]],
+        atol=KINEMATICS,
+    )
+    floating = sdpid.load_robot(TREE, root="free_flyer")
+    fixed = sdpid.load_robot(TREE)
+    np.testing.assert_allclose(
+        link_placements(floating)[1:], link_placements(fixed), atol=KINEMATICS
+    )
+    refuses(DataError, "position", link_placements, robot, [0.1, 0.2])
+
+
+# Which coordinates are lengths.
+
+
+@pytest.mark.parametrize("root", [None, "free_flyer"])
+def test_lengths_are_those_of_sliding_joints_and_of_a_base(
+    root: Literal["free_flyer"] | None,
+) -> None:
+    robot = load_robot(TREE, root=root)
+    found = sliding(robot.pin_model, robot.joint_names)
+    lengths = {name for name, slides in zip(robot.joint_names, found, strict=True) if slides}
+    base = {name for name in robot.joint_names if name.endswith(("/vx", "/vy", "/vz"))}
+    assert lengths == {"lift", "slide"} | base
+    assert len(base) == (3 if root == "free_flyer" else 0)
+
+
+# Base parameters: the rule, the names, and the regrouping at states it was not found at.
+
+
+FIELD_ORDER = ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
+
+
+def base_of(robot: RobotModel, *terms: str | Coupling) -> BaseParameters:
+    return structural_base(robot, friction_model(robot, terms))
+
+
+@pytest.fixture(scope="module")
+def table_iv(denso: RobotModel) -> BaseParameters:
+    return base_of(denso, "coulomb", "viscous")
+
+
+def test_denso_has_table_ivs_names_in_its_order(table_iv: BaseParameters) -> None:
+    with (bundled_folder("denso_vp6242") / "table_iv.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert table_iv.names == tuple(row["parameter"] for row in rows)
+    assert table_iv.units == tuple(row["unit"] for row in rows)
+    assert table_iv.count == 48
+
+
+def test_denso_eliminates_what_the_paper_eliminates(table_iv: BaseParameters) -> None:
+    """Gone are yy, mz, m of links 2 to 6 and all of link 1 but zz."""
+    leading = {table_iv.theta_names[k] for k in table_iv.kept}
+    gone = {n for n in table_iv.theta_names if "_" in n and n not in leading}
+    expected = {f"{p}_{i}" for i in range(2, 7) for p in ("yy", "mz", "m")}
+    expected |= {f"{p}_1" for p in FIELD_ORDER if p != "zz"}
+    assert gone == expected
+    # Of these, what no motion shows at all:
+    assert set(table_iv.eliminated) == {f"{p}_1" for p in FIELD_ORDER if p != "zz"} | {
+        "m_2",
+        "mz_2",
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "expression"),
+    [
+        (
+            "zzr1",
+            "zz_1 + yy_2 + 0.0441*m_3 + yy_3 + 0.049725*m_4 + 0.049725*m_5 + 0.049725*m_6",
+        ),
+        ("xxr2", "xx_2 - yy_2 - 0.0441*m_3 - 0.0441*m_4 - 0.0441*m_5 - 0.0441*m_6"),
+        ("mxr3", "mx_3 - 0.075*m_4 - 0.075*m_5 - 0.075*m_6"),
+        ("zzr5", "zz_5 + 0.0049*m_6 + 0.14*mz_6 + yy_6"),
+        ("xxr6", "xx_6 - yy_6"),
+        ("zz6", "zz_6"),
+        ("Fs3", "Fs3"),
+    ],
+)
+def test_denso_regroupings_are_khalils(
+    table_iv: BaseParameters, name: str, expression: str
+) -> None:
+    assert table_iv.expression(name) == expression
+
+
+def test_an_unknown_base_parameter(table_iv: BaseParameters) -> None:
+    refuses(KeyError, "no base parameter 'zz1'", table_iv.expression, "zz1")
+
+
+def test_the_rank_decision_is_explained(table_iv: BaseParameters) -> None:
+    text = table_iv.explain()
+    assert text.startswith("48 base parameters of 72 standard ones.")
+    singular = table_iv.singular_values
+    assert len(singular) == 72
+    assert singular[47] > 1e-2
+    assert singular[48] < 1e-12
+    assert table_iv.largest_dropped < table_iv.tolerance < table_iv.smallest_kept
+
+
+def test_a_rotor_inertia_folds_into_zzr1(denso: RobotModel) -> None:
+    base = base_of(denso, "coulomb", "viscous", "rotor_inertia")
+    assert "Ia1" not in base.names
+    assert "Ia2" not in base.names
+    assert base.names[-3:] == ("Fs6", "Fv6", "Ia6")
+    assert base.expression("zzr1").endswith("+ Ia1")
+    assert base.expression("zzr2").endswith("+ Ia2")
+    assert base.count == 52
+
+
+def test_a_coupling_is_listed_with_its_later_joint(denso: RobotModel) -> None:
+    base = base_of(denso, "coulomb", Coupling("joint_5", "joint_6"))
+    assert base.names[-4:] == ("Fs6", "Ia5_6", "Fv5_6", "Fs5_6")
+
+
+def test_dependent_friction_terms_are_regrouped(denso: RobotModel) -> None:
+    """An offset and two one-sided Coulomb frictions are two parameters, not three."""
+    base = base_of(denso, "offset", "asymmetric_coulomb")
+    listed = [n for n in base.names if n.startswith("F") and n.endswith("4")]
+    assert listed == ["For4", "Fspr4"]
+    assert base.expression("For4") == "Fo4 - Fsn4"
+    assert base.expression("Fspr4") == "Fsp4 + Fsn4"
+
+
+def fresh_rows(robot: RobotModel, terms: tuple[str, ...], seed: int) -> Array:
+    """Return full regressor rows at states that the scan has not seen."""
+    rows = full_regressor(robot, generic_states(robot, 12, seed), terms)
+    return rows.reshape(-1, rows.shape[2])
+
+
+def check_rule(robot: RobotModel, base: BaseParameters, terms: tuple[str, ...], seed: int) -> None:
+    W = fresh_rows(robot, terms, seed)
+    theta = np.random.default_rng(seed).standard_normal(W.shape[1])
+    full, reduced = W @ theta, W[:, base.kept] @ (base.matrix @ theta)
+    scale = np.abs(W).max() * np.abs(theta).max()
+    # What the scan drops below its tolerance (axes off by milliradians) is missing from the
+    # effort in that proportion, and reported: `largest_dropped` is rounding for most robots.
+    share = REGROUPING + 10.0 * base.largest_dropped
+    np.testing.assert_allclose(reduced, full, rtol=0, atol=share * max(scale, 1.0))
+    # The kept columns of B are the identity, exactly, and columns fold only into earlier ones.
+    np.testing.assert_array_equal(base.matrix[:, base.kept], np.eye(base.count))
+    order = {name: i for i, name in enumerate(scan_order(base))}
+    for i, j in np.argwhere(base.matrix != 0.0):
+        assert order[base.theta_names[base.kept[i]]] <= order[base.theta_names[j]]
+    for name, row in zip(base.names, base.matrix, strict=True):
+        assert ("r" in name.rstrip("0123456789_")[1:]) == (np.count_nonzero(row) > 1)
+
+
+def scan_order(base: BaseParameters) -> list[str]:
+    inertial = [n for n in base.theta_names if n.split("_")[0] in FIELD_ORDER]
+    count = len(inertial) // 10
+    listed = [f"{p}_{i + 1}" for i in range(count) for p in FIELD_ORDER]
+    return listed + [n for n in base.theta_names if n not in set(inertial)]
+
+
+@given(dh_tables(most=5, clear=True), SEEDS)
+@settings(max_examples=20)
+def test_regrouping_holds_at_fresh_states(table: DhTable, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)
+    terms = ("coulomb", "viscous", "rotor_inertia")
+    check_rule(robot, base_of(robot, *terms), terms, seed)
+
+
+@pytest.mark.parametrize(
+    ("source", "root"),
+    [
+        (TREE, None),
+        (TREE_MIMIC, None),
+        (TREE, "free_flyer"),
+        (TREE_MIMIC_NO_OFFSET, "free_flyer"),
+        ("solo12", None),
+        ("solo12", "free_flyer"),
+        ("panda", None),
+        ("romeo_small", None),
+    ],
+)
+def test_trees_floating_bases_and_humanoids(source: str, root: str | None) -> None:
+    robot = load_robot(source, root=root)  # type: ignore[arg-type]
+    terms = ("coulomb", "rotor_inertia")
+    base = base_of(robot, *terms)
+    if root is None:
+        check_rule(robot, base, terms, 7)
+    else:
+        q, v, a = generic_states(robot, 12, 7)
+        W = np.concatenate(
+            [robot.regressor(q, v, a), friction_model(robot, terms).columns(v, a)], axis=2
+        ).reshape(12 * robot.n, -1)
+        error = np.abs(W[:, base.kept] @ base.matrix - W).max()
+        assert error <= REGROUPING * np.abs(W).max()
+    # The rank is the numerical one: the singular values fall off a cliff there.
+    singular = base.singular_values
+    assert singular[base.count - 1] > 1e-4 * singular[0]
+    if len(singular) > base.count:
+        assert singular[base.count] < 1e-9 * singular[0]
+
+
+def test_a_floating_base_shows_all_of_its_first_link() -> None:
+    robot = load_robot(TREE, root="free_flyer")
+    base = base_of(robot, "coulomb")
+    leading = [base.theta_names[k] for k in base.kept]
+    assert {f"{p}_1" for p in FIELD_ORDER} <= set(leading)
+    # Friction stands with the link that its joint moves; the base has none.
+    assert base.names.index("Fs1") > max(i for i, n in enumerate(leading) if n.endswith("_2"))
+    assert base.names.index("Fs1") < min(i for i, n in enumerate(leading) if n.endswith("_3"))
+
+
+@given(dh_tables(most=4, clear=True), SEEDS)
+@settings(max_examples=15)
+def test_rank_is_that_of_the_singular_values(table: DhTable, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)
+    base = base_of(robot, "viscous")
+    rows = full_regressor(robot, generic_states(robot, 100, seed), ("viscous",))
+    W = rows.reshape(-1, rows.shape[2])
+    norms = np.linalg.norm(W, axis=0)
+    visible = norms > 1e-9 * norms.max()
+    singular = np.linalg.svd(W / np.where(visible, norms, 1.0), compute_uv=False)
+    assert base.count == np.sum(singular > 1e-6 * singular[0])
+
+
+def test_right_angles_written_with_five_digits_change_no_choice(denso: RobotModel) -> None:
+    rounded = denso.urdf.replace("1.5707963267948966", "1.5708")
+    assert rounded != denso.urdf
+    base, exact = (base_of(r, "viscous") for r in (load_robot(rounded), denso))
+    np.testing.assert_array_equal(base.kept, exact.kept)
+    np.testing.assert_allclose(base.matrix, exact.matrix, rtol=0, atol=1e-5)
+
+
+def test_axes_that_are_meant_to_be_parallel_are() -> None:
+    """As 1.5708 − pi/2 leaves them: the rank is that of parallel axes, and the gap is shown."""
+    off = 1.5708 - np.pi / 2
+    rows = (DhJoint(alpha=np.pi / 2), DhJoint(d=0.4, alpha=off))
+    base = base_of(RobotModel.from_mdh(rows))
+    assert base.count == base_of(planar_arm()).count
+    assert 1e-7 < base.largest_dropped < base.tolerance
+
+
+def test_one_joint() -> None:
+    base = base_of(pendulum(), "coulomb", "viscous")
+    assert base.names == ("zz1", "mx1", "my1", "Fs1", "Fv1")
+
+
+def test_parallel_axes() -> None:
+    """Each link of a planar arm shows zz, mx, my; masses fold into the link before."""
+    base = base_of(planar_arm())
+    assert base.names == ("zzr1", "mxr1", "my1", "zz2", "mx2", "my2")
+    assert base.expression("zzr1") == "zz_1 + 0.16*m_2"
+    assert base.expression("mxr1") == "mx_1 + 0.4*m_2"
+
+
+def test_a_vertical_first_axis_shows_its_moment_alone() -> None:
+    arm = small_arm(3)
+    base = base_of(arm)
+    first = [base.theta_names[k] for k in base.kept if base.theta_names[k].endswith("_1")]
+    assert first == ["zz_1"]
+
+
+def test_tilted_gravity_shows_the_first_links_center_of_mass(denso: RobotModel) -> None:
+    tilted = load_robot("denso_vp6242", gravity=(3.0, 0.0, -9.0))
+    assert base_of(tilted).count == base_of(denso).count + 2
+
+
+def test_the_same_robot_gives_the_same_matrix_bit_for_bit(table_iv: BaseParameters) -> None:
+    again = base_of(load_robot("denso_vp6242"), "coulomb", "viscous")
+    np.testing.assert_array_equal(again.matrix, table_iv.matrix)
+    np.testing.assert_array_equal(again.kept, table_iv.kept)
+    with pytest.raises(ValueError, match="read-only"):
+        again.matrix[0, 0] = 2.0
+
+
+def test_the_random_state_of_the_process_has_no_say(table_iv: BaseParameters) -> None:
+    code = (
+        "import numpy as np, random; np.random.seed(5); random.seed(5);"
+        "from sdpid.robot.model.load import load_robot;"
+        "from sdpid.robot.model.base_parameters import structural_base;"
+        "from sdpid.robot.friction.model import FrictionModel;"
+        "r = load_robot('denso_vp6242');"
+        "f = FrictionModel.from_terms(('coulomb', 'viscous'), r.joint_names);"
+        "b = structural_base(r, f);"
+        "print(*b.names)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert tuple(done.stdout.split()) == table_iv.names
+
+
+def test_zeros_are_exact(table_iv: BaseParameters) -> None:
+    nonzero = table_iv.matrix[table_iv.matrix != 0.0]
+    # The smallest regrouping coefficient of this arm is a squared length.
+    assert np.abs(nonzero).min() >= 0.0049 - 1e-9
+    assert np.count_nonzero(table_iv.matrix) < 0.05 * table_iv.matrix.size
+
+
+def test_invisible_changes_leave_the_effort_alone(
+    denso: RobotModel, table_iv: BaseParameters
+) -> None:
+    rng = np.random.default_rng(8)
+    theta = np.concatenate([random_links(rng, 6).ravel(), np.ones(12)])
+    _, _, rows = np.linalg.svd(table_iv.matrix)
+    change = rows[48:].T @ rng.standard_normal(24)
+    W = fresh_rows(denso, ("coulomb", "viscous"), 9)
+    np.testing.assert_allclose(W @ (theta + change), W @ theta, rtol=0, atol=1e-9)
