@@ -20,7 +20,6 @@ from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
     from sdpid.output.robots.export_report import ExportReport
-    from sdpid.workflow.result import Identification
 
 
 def identify(
@@ -108,6 +107,9 @@ def identify(
     exports: list[ExportReport] = []
     if config is not None:
         result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))
+    if not printing.json:
+        # Before the files: what it says is known already.
+        printing.show(None, "\n".join(printable(line) for line in result.headline.lines))
     saved = result.save(
         out,
         figures=draw,
@@ -119,12 +121,11 @@ def identify(
     files = [str(path) for path in saved]
     if figures is None and not draw:
         notes.append(f"no figures: matplotlib is not installed ({installation('plot')})")
-    details = []
     if verbose:
         fits = {"constrained": result.training, "unconstrained": result.training_wls}
         if result.held_out is not None:
             fits["held out"] = result.held_out.fit
-        details = [result.summary(), *_findings(result, "note"), listed("notes", notes)]
+        details = [result.summary(), findings_listed(result.findings), listed("notes", notes)]
         details.append(errors_table(fits))
         if result.cross_validation is not None:
             details.append(result.cross_validation.table())
@@ -132,45 +133,16 @@ def identify(
             details.append(result.held_out.table())
         details += [each.table() for each in result.rollouts]
         details += [listed("verdict", result.verdict), listed("files", files)]
+        details.append(f"certificate: {result.certificate.summary()}")
     else:
-        details = [_short(result, out, files, notes, exports), *_findings(result)]
-    bias = () if result.bias is None else (f"motion:      {result.bias.verdict}",)
-    lines = (*result.headline.lines, *bias, f"certificate: {result.certificate.summary()}")
-    parts = [*details, "\n".join(printable(line) for line in lines)]
+        details = [
+            f"written to {out}: {', '.join(path.name for path in saved)}\n"
+            f"{len(notes)} notes on choices: with -v, in report.html and result.json"
+        ]
     content = {**result.to_dict(), "notes": notes, "files": files}
     content["exports"] = [export.to_dict() for export in exports]
-    printing.show(content, "\n\n".join(parts))
+    printing.show(content, "\n" + "\n\n".join(details))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
         typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
         raise typer.Exit(OURS)
-
-
-def _short(
-    result: Identification,
-    out: Path,
-    files: list[str],
-    notes: list[str],
-    exports: list[ExportReport],
-) -> str:
-    """Return what was read and written, and what the written robots lose."""
-    problem = result.problem
-    names = ", ".join(Path(file).name for file in files)
-    lost: dict[str, list[str]] = {}
-    for export in exports:
-        if said := export.headline():
-            lost.setdefault(said, []).append(export.path.name)
-    lines = (
-        f"{problem.robot.name}: {problem.base.count} base parameters from {problem.n_rows} rows",
-        f"written to {out}: {names}",
-        *(f"{', '.join(robots)}: {said}" for said, robots in lost.items()),
-        f"{len(notes)} notes on choices and findings: with -v, in report.html and result.json",
-    )
-    return "\n".join(printable(line) for line in lines)
-
-
-def _findings(result: Identification, *more: str) -> list[str]:
-    """Return what is wrong with the recordings: warnings and worse, and more severities."""
-    shown = ("refuse", "warning", *more)
-    told = [f for f in result.findings if f.severity in shown and f.kind != "continued"]
-    return [findings_listed(told)] if told else []

@@ -90,10 +90,14 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     out = results / "again"
     done = ran("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
     assert done.stderr == ""
-    # What the verdict stands beside, its three lines, the test of bias, and the certificate last.
-    last = [line.split(":")[0] for line in done.stdout.splitlines()[-6:]]
-    assert last == ["beside", "error", "worst joint", "next step", "motion", "certificate"]
-    assert "on recordings that were not fitted" in done.stdout
+    # The verdict in lines with their labels; those with nothing to say are absent.
+    first = done.stdout.splitlines()[0]
+    assert first.startswith(f"{ROBOT}: 6 joints, ")
+    assert first.endswith(" s fitted, another recording predicted")
+    labels = [line[:14].strip() for line in done.stdout.splitlines()[1:]]
+    order = ["missed effort", "worst joint", "proven", "next"]
+    assert [label for label in labels if label in order] == order
+    assert "no physically possible robot fits this better (gap " in done.stdout
     assert str(out) in done.stdout
     assert "NRMSE" not in done.stdout
     assert len(done.stdout.splitlines()) < 16
@@ -687,7 +691,7 @@ def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: st
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "identified.urdf").read_text().endswith("</robot>\n")
-    assert ("worst joint:" in done.stdout) == ("1>&-" not in closed)
+    assert ("\nworst joint " in done.stdout) == ("1>&-" not in closed)
     refused = subprocess.run(
         ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
     )

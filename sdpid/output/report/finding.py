@@ -21,10 +21,13 @@ class Finding:
         What it means for the model.
     text : str
         A sentence or two.
+    warning : str
+        What not to do with the result, in words that follow "do not"; every bad finding has some.
     """
 
     level: Level
     text: str
+    warning: str = ""
 
 
 def listed(names: Iterable[str], most: int = _LISTED) -> str:

@@ -1,7 +1,4 @@
-"""The verdict in three lines: the error on what was not trained on, the worst joint, the next step.
-
-One more line sets the error beside what costs less than an identification.
-"""
+"""The verdict in nine lines: what is missed, found, not to be done, proven, and what comes next."""
 
 from __future__ import annotations
 
@@ -11,6 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid.assurance.diagnostics.causes import SHARE, Cause
+from sdpid.assurance.diagnostics.held_out import (
+    DESCRIPTION,
+    FRICTION_FITTED,
+    LEAST_SQUARES,
+    OURS,
+)
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
@@ -27,11 +30,16 @@ from sdpid.output.report.judged import (
     terms_of,
 )
 from sdpid.output.report.prediction_verdict import resting_share
+from sdpid.output.report.verdict import findings
 from sdpid.verifier.results.friction_terms import KINDS
 
 # Beside the two that have all terms in one.
 _CODE = ", or the links of identified.urdf with identified_friction.py (.hpp) for its friction"
 _OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
+
+
+# Postures of the motion at which the mass matrix of least squares is looked at.
+_POSTURES = 500
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,18 @@ class Headline:
     baseline : str or None
         The error beside those of the description and of least squares, on the same rows.
     file : str or None
-        What to use in place of identified.urdf, where that misses clearly more than the estimate.
+        What identified.urdf misses, and what to use in its place where that is clearly more than
+        the estimate misses.
+    title : str
+        The robot, how much was fitted, and what was predicted.
+    found : str or None
+        What the data showed the model to lack, and how to leave it out.
+    warnings : tuple of str
+        What not to do with the result, in words that follow "do not".
+    proven : str
+        What the certificate proves.
+    log : tuple of str
+        What is wrong with the recordings.
     """
 
     error: str
@@ -57,19 +76,32 @@ class Headline:
     step: str
     baseline: str | None
     file: str | None = None
+    title: str = ""
+    found: str | None = None
+    warnings: tuple[str, ...] = ()
+    proven: str = ""
+    log: tuple[str, ...] = ()
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The lines as they are printed, the baseline first."""
-        beside = () if self.baseline is None else (f"beside:      {self.baseline}",)
-        file = () if self.file is None else (f"robot file:  {self.file}",)
-        return (
-            *beside,
-            f"error:       {self.error}",
-            f"worst joint: {self.worst}",
-            *file,
-            f"next step:   {self.step}",
+        """The lines as they are printed; one with nothing to say is absent."""
+        rows = (
+            ("missed effort", (self.baseline or self.error,)),
+            ("found", (self.found,)),
+            ("worst joint", (self.worst,)),
+            ("do not", self.warnings),
+            ("robot file", (self.file,)),
+            ("proven", (self.proven,)),
+            ("next", (self.step,)),
+            ("log", self.log),
         )
+        shown = [
+            f"{label if not place else '':<14} {text}"
+            for label, texts in rows
+            for place, text in enumerate(texts)
+            if text
+        ]
+        return (self.title, *shown)
 
 
 def headline(result: Judged) -> Headline:
@@ -83,7 +115,60 @@ def headline(result: Judged) -> Headline:
         step=_step(result, worst, causes),
         baseline=_beside(result),
         file=_file(result),
+        title=_title(result),
+        found=_found(result),
+        warnings=tuple(each.warning for each in findings(result) if each.warning),
+        proven=_proven(result),
+        log=tuple(
+            each.line()
+            for each in result.findings
+            if each.severity == "warning" and each.kind != "continued"
+        ),
     )
+
+
+def _title(result: Judged) -> str:
+    """Return the robot, how long the recordings are, and what was predicted."""
+    robot, samples, held_out = result.problem.robot, result.problem.samples, result.held_out
+    size = f"{len(samples.position)} samples"
+    if samples.time is not None:
+        pieces = np.split(samples.time, samples.starts[1:])
+        size = f"{sum(float(piece[-1] - piece[0]) for piece in pieces):.3g} s"
+    if held_out is None:
+        predicted = "nothing else predicted"
+    elif held_out.by == "blocks":
+        predicted = f"{held_out.blocks} blocks of them predicted in turn"
+    else:
+        predicted = "another recording predicted"
+    return f"{robot.name}: {robot.n - robot.n_base} joints, {size} fitted, {predicted}"
+
+
+def _found(result: Judged) -> str | None:
+    """Return the effects that were chosen by the data."""
+    chosen = [each.words for each in result.problem.effects if each.chosen and each.fall]
+    return f"{'; '.join(chosen)} (--effects none leaves it out)" if chosen else None
+
+
+def _proven(result: Judged) -> str:
+    """Return what the certificate proves."""
+    certificate = result.certificate
+    if result.problem.consistency == "none":
+        return "nothing: links that no body can have were allowed (consistency none)"
+    if not certificate.passed:
+        return f"no: {certificate.summary()}"
+    return f"no physically possible robot fits this better (gap {certificate.gap:.1g})"
+
+
+def _no_robot(result: Judged) -> str:
+    """Return where on the motion the mass matrix of least squares is that of no robot."""
+    q = result.problem.samples.position
+    q = q[:: max(1, len(q) // _POSTURES)]
+    least = np.linalg.eigvalsh(result.wls.model().mass_matrix(q))[:, 0]
+    share = float(np.mean(least <= 0.0))
+    if not share:
+        return ""
+    where = "all along" if share == 1.0 else f"on {percent(share)} of the motion"
+    return f", no robot (M < 0 {where})"
 
 
 def _error(result: Judged) -> str:
@@ -190,7 +275,7 @@ def _weight(fit: Validation, cause: Cause) -> float:
 
 
 def _file(result: Judged) -> str | None:
-    """Return what identified.urdf misses and what to use instead; None where it is as good.
+    """Return what identified.urdf misses, and what to use instead where that is clearly more.
 
     As good is an error that differs by no more than another motion makes, or does not matter.
     """
@@ -212,11 +297,19 @@ def _whole(result: Judged) -> str:
 
 def _beside(result: Judged) -> str | None:
     """Return the errors of the baselines and of the estimate, on the same rows in motion."""
-    if result.held_out is None or not result.held_out.fit.moving.rows.any():
+    held_out = result.held_out
+    if held_out is None or not held_out.fit.moving.rows.any():
         return None
-    errors = (
-        f"{name} {percent(fit.moving.relative)}" for name, fit in result.held_out.every.items()
-    )
-    better = result.held_out.beaten_by
+    words = {
+        DESCRIPTION: "your description",
+        FRICTION_FITTED: "with friction fitted",
+        OURS: "this estimate",
+    }
+    errors = [
+        f"{words.get(name, name)} {percent(fit.moving.relative)}"
+        + (_no_robot(result) if name == LEAST_SQUARES else "")
+        for name, fit in held_out.every.items()
+    ]
+    better = held_out.beaten_by
     worse = "" if better is None else f": worse than {better} on what was held out, do not use it"
-    return f"in motion: {'; '.join(errors)}{worse}"
+    return f"{' | '.join(errors)} in motion{worse}"

@@ -41,6 +41,7 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             "bad",
             "Nothing moves on what was held out: how well it predicts motion is not known. Give a "
             "recording of motion with --validation.",
+            "judge it by what was held out: nothing moves there",
         )
         return
     held, own = held_out.fit.moving.relative, result.training.moving.relative
@@ -53,6 +54,7 @@ def _held_out(result: Judged) -> Iterator[Finding]:
                 f"It does not predict what it has not seen: on blocks held out in turn {numbers}, "
                 f"{ratio:.1f} times as much. Parts of the recording show what the others do not: "
                 "record more of it.",
+                f"trust it on other motion: {ratio:.1f} times the error on blocks not fitted",
             )
         else:
             yield Finding(
@@ -70,6 +72,7 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             f"It does not carry over to other motion: {numbers}, {ratio:.1f} times as much. The "
             "motion was too poor for the model, or the robot changed in between (load, "
             "temperature).",
+            f"trust it on other motion: {ratio:.1f} times the error on recordings not fitted",
         )
 
 
@@ -126,6 +129,7 @@ def _crossed(result: Judged) -> Iterator[Finding]:
             "bad",
             f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
             "Parts of the recording show what the others do not: record more of it.",
+            f"trust it on other motion: {ratio:.1f} times the error on {what} not fitted",
         )
     elif blocks:
         yield Finding("caution", f"It predicts blocks of the same motion: {numbers}.")

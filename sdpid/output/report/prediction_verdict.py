@@ -102,12 +102,14 @@ def effort_findings(
             "bad",
             f"Do not trust it for the effort of {listed(named['bad'], 99)}: too little of the "
             "variance is explained. Contact cannot be told from model error there.",
+            f"trust the effort of {listed(named['bad'], 99)}; in brackets: variance explained",
         )
     if named["still"]:
         yield Finding(
             "bad",
             f"Joints that did not move on {where}: {listed(named['still'], 99)}. How well "
             "their effort is predicted in motion is not known. Record them moving.",
+            f"trust the effort of {listed(named['still'], 99)} in motion",
         )
     yield from _rest(fit)
 

@@ -127,7 +127,11 @@ def _recordings(identification: Judged) -> Iterator[Finding]:
     """Yield what the inspection of the recordings found."""
     for each in identification.findings:
         if each.severity == "refuse":
-            yield Finding("bad", f"The recording is not what it says: {each}.")
+            yield Finding(
+                "bad",
+                f"The recording is not what it says: {each}.",
+                f"trust this recording: {each.message}",
+            )
 
 
 def _friction(result: Judged) -> Iterator[Finding]:
@@ -145,14 +149,17 @@ def _friction(result: Judged) -> Iterator[Finding]:
 def _bias(result: Judged) -> Iterator[Finding]:
     """Report that noise in the measured motion biases the fit."""
     if result.bias is not None and result.bias.biased:
-        yield Finding("bad", result.bias.verdict)
+        yield Finding(
+            "bad", result.bias.verdict, f"trust the standard errors: {result.bias.verdict}"
+        )
 
 
 def _rollouts(result: Judged) -> Iterator[Finding]:
     """Say how the simulated robot moves, where that was looked at."""
     for each in result.rollouts:
         how = "One joint free at a time: " if each.free == "each" else ""
-        yield Finding(each.level, f"{how}{each.verdict}")
+        warning = f"simulate it without feedback: {each.verdict}" if each.level == "bad" else ""
+        yield Finding(each.level, f"{how}{each.verdict}", warning)
 
 
 def _light(result: Judged) -> Iterator[Finding]:
@@ -167,6 +174,7 @@ def _light(result: Judged) -> Iterator[Finding]:
         "caution",
         f"Do not simulate {names} under efforts with it. {worst.words[:1].upper()}"
         f"{worst.words[1:]}. {worst.remedy[:1].upper()}{worst.remedy[1:]}.",
+        f"simulate {names} under efforts: too light for the error of their efforts",
     )
 
 
@@ -323,12 +331,14 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             "bad",
             f"A numerical limit contradicts the data: {listed(held)}. The robot may well have "
             "more: widen theta_max (of links) or friction_max of the constraints.",
+            f"keep the numerical limit of {listed(held)}: it contradicts the data",
         )
     if open_ends := [s.name for s in ends if s.name not in held]:
         yield Finding(
             "bad",
             f"Nothing but a numerical limit holds {listed(open_ends)}: the data do not determine "
             "these parameters. Use a prior, or a richer motion.",
+            f"read {listed(open_ends)}: nothing but a numerical limit holds them",
         )
     heavy = [s.name for s in states if s.kind == "mass" and s.side == "most"]
     if heavy:
@@ -391,4 +401,8 @@ def _proof(result: Judged) -> Iterator[Finding]:
                 "in exact arithmetic. That says nothing about what the model leaves out.",
             )
     elif result.problem.consistency != "none":
-        yield Finding("bad", f"It is not proven to be the best fit: {result.certificate.summary()}")
+        yield Finding(
+            "bad",
+            f"It is not proven to be the best fit: {result.certificate.summary()}",
+            "call it the best fit: that is not proven",
+        )

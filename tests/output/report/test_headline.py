@@ -1,16 +1,20 @@
-"""The verdict in three lines: the error, the worst joint, the next step."""
+"""The verdict in lines: what is missed, the worst joint, what not to do, the next step."""
 
+import ast
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.assurance.diagnostics.held_out import DESCRIPTION, hold_out
 from sdpid.estimation.effects.tried import Tried
 from sdpid.experiment.inspection.finding import Finding
+from sdpid.output.report import verdict
 from sdpid.output.report.headline import headline
+from sdpid.output.report.verdict import findings
 from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, arm_theta, identified, moved
@@ -28,7 +32,7 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     found = headline(good)
     assert "on recordings that were not fitted; the 95 % bands hold 9" in found.error
     assert found.step.startswith("none: use ")
-    for words in ("description as it is", "friction fitted", "least squares", "this estimate"):
+    for words in ("your description", "friction fitted", "least squares", "this estimate"):
         assert words in found.baseline
     blocks = replace(good, validation=None, held_out=hold_out(good.estimate, good.wls, None))
     found = headline(blocks)
@@ -37,7 +41,8 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     nothing = headline(replace(blocks, held_out=None))
     assert "nothing could be held out" in nothing.error
     assert nothing.baseline is None
-    assert not any(line.startswith("beside") for line in nothing.lines)
+    assert nothing.lines[0].endswith("fitted, nothing else predicted")
+    assert nothing.lines[1] == f"missed effort  {nothing.error}"
 
 
 def test_an_estimate_that_costs_more_and_is_worse_is_not_to_be_used(good: Identification) -> None:
@@ -46,7 +51,7 @@ def test_an_estimate_that_costs_more_and_is_worse_is_not_to_be_used(good: Identi
     swapped = {**held_out.baselines, "least squares": held_out.fit}
     worse = replace(held_out, fit=held_out.baselines["description as it is"], baselines=swapped)
     assert worse.beaten_by == "least squares"
-    said = headline(replace(good, held_out=worse)).lines[0]
+    said = headline(replace(good, held_out=worse)).lines[1]
     assert said.endswith(": worse than least squares on what was held out, do not use it")
 
 
@@ -166,3 +171,49 @@ def test_a_validation_at_rest_says_nothing_of_motion(good: Identification) -> No
     words = " ".join(result.verdict)
     assert "Nothing moves on what was held out" in words
     assert "carries over" not in words
+
+
+def test_every_red_box_of_the_report_is_a_line(good: Identification) -> None:
+    wrong = Finding(severity="refuse", kind="units", message="it is in degrees", remedy="say so")
+    flat = Finding(severity="warning", kind="frozen", message="it never changes", joint=LAST)
+    resting = moved(arm_theta(), 2)
+    held_out = replace(good.held_out, samples=resting, fit=good.held_out.baselines[DESCRIPTION])
+    result = replace(good, held_out=held_out, findings=(wrong, flat))
+    bad = [finding for finding in findings(result) if finding.level == "bad"]
+    assert len(bad) >= 3
+    said = headline(result)
+    assert all(each.warning in said.warnings for each in bad)
+    lines = [line for line in said.lines if line[15:] in said.warnings]
+    assert len(lines) == len(said.warnings)
+    assert [line.startswith("do not  ") for line in lines] == [True] + [False] * (len(lines) - 1)
+    assert said.log == (flat.line(),)
+    assert not any(line.startswith("log") for line in headline(good).lines)
+
+
+def test_bad_findings_say_what_not_to_do() -> None:
+    """Every call that makes a bad finding gives a warning, read from the code."""
+    made = 0
+    for path in Path(verdict.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            call = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding"
+            if call and isinstance(node.args[0], ast.Constant) and node.args[0].value == "bad":
+                made += 1
+                assert len(node.args) == 3, f"{path.name}, line {node.lineno}: no warning"
+    assert made >= 10
+
+
+def test_least_squares_that_is_no_robot_is_told(good: Identification) -> None:
+    assert "no robot" not in headline(good).baseline
+    theta = good.wls.some_theta.copy()
+    theta[:20] *= -1.0
+    turned = replace(good, wls=replace(good.wls, base=good.problem.base_of(theta)))
+    assert "no robot (M < 0 all along)" in headline(turned).baseline
+
+
+def test_what_the_data_showed_is_told_with_how_to_leave_it_out(good: Identification) -> None:
+    assert headline(good).found is None
+    tilt = Tried(name="tilt", chosen=True, words="a tilted base lowers the cost by 17 %", fall=0.17)
+    asked = Tried(name="load", chosen=True, words="friction of the load: asked for")
+    problem = replace(good.problem, effects=(tilt, asked))
+    found = headline(replace(good, problem=problem)).found
+    assert found == "a tilted base lowers the cost by 17 % (--effects none leaves it out)"
