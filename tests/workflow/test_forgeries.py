@@ -9,21 +9,36 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import sdpid
+from sdpid import cli
+from sdpid._common.arrays import Array
 from sdpid.constraints import TotalMass
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.equalities import Fixed
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.recording.recording import Recording
+from sdpid.output.tables.parameter_tables import base_table, theta_table
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.verifier.results.friction_code import WRITERS
 from sdpid.verifier.results.friction_terms import Language
+from sdpid.workflow.certify_parameters import certify_parameters
+from sdpid.workflow.given_parameters import GivenParameters, read_given
 from sdpid.workflow.verify import Verification
-from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.data import make_samples, random_theta
 from tests.helpers.forged import edit, edit_json, reseal
-from tests.helpers.runs import recorded
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import LIFTED, small_arm
+from tests.helpers.runs import arm, recorded
 
 URDF, MJCF = "identified.urdf", "identified.xml"
 FRICTION = ("identified_friction.py", "identified_friction.hpp")
@@ -261,3 +276,328 @@ def test_arguments_of_macros_are_said(run: Path, tmp_path: Path) -> None:
     found = sdpid.verify(tmp_path / "results", data=run / "run.csv", robot=macro)
     assert found.passed, found.problems
     assert any("reach" in each and "0.4" in each for each in found.statements)
+
+
+# An effort that ruins the parameters of other joints is found by the fit without it.
+
+
+ROBOT = sdpid.load_robot(LIFTED)
+T = np.arange(0.0, 15.0, 0.02)
+# Without an offset nothing but masses can make the effort of a lift small.
+OPTIONS = {"friction": ("coulomb", "viscous"), "effects": "none", "intervals": False}
+
+
+def recorded_with_gain(seed: int, gain: float) -> Recording:
+    """Return a recording whose lift has an effort in another unit, with a drive's own noise."""
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(1.0, 4.0, (2, 3, ROBOT.n))
+    size = np.array([0.02, 0.6, 0.6, 0.6])
+    angle = rate * T[:, None, None] + phase
+    q, v, a = ((size * rate**k * np.sin(angle + k * np.pi / 2.0)).sum(axis=1) for k in range(3))
+    bodies = ROBOT.prior * rng.uniform(0.85, 1.15, (ROBOT.n_links, 1))
+    effort = ROBOT.inverse_dynamics(bodies, q, v, a) + np.sign(v) * [5.0, 1.0, 0.5, 0.2] + 0.3 * v
+    effort += rng.standard_normal(effort.shape) * [1.0, 0.1, 0.05, 0.02]
+    effort[:, 0] = gain * effort[:, 0] + 0.2 * np.sin(0.7 * T)
+    return Recording(time=T, position=q, velocity=v, effort=effort, joint_names=ROBOT.joint_names)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_effort_that_spoils_the_others_is_left_out(seed: int) -> None:
+    wrong, right = recorded_with_gain(seed, 0.02), recorded_with_gain(seed, 1.0)
+    accepted = ("effort_scale", "effort_small")
+    result = sdpid.identify(ROBOT, wrong, accept=accepted, **OPTIONS)
+    finding = result.findings[0]
+    assert (finding.kind, finding.joint) == ("effort_spoils", "lift")
+    assert str(finding) in result.notes
+    assert result.problem.samples.used.any(axis=0).tolist() == [False, True, True, True]
+    used = sdpid.identify(ROBOT, wrong, accept=(*accepted, finding.kind), **OPTIONS)
+    # The arm is predicted as it is where the lift is left out by hand, and many times better.
+    byhand = sdpid.identify(ROBOT, right, without_effort=("lift",), **OPTIONS)
+    assert np.allclose(result.training.rmse[1:], byhand.training.rmse[1:], rtol=1e-3)
+    assert np.all(used.training.rmse[1:3] > 1.2 * result.training.rmse[1:3])
+    assert "worse than least squares on what was held out, do not use it" in used.headline.baseline
+
+
+def test_a_sound_recording_loses_nothing() -> None:
+    result = sdpid.identify(ROBOT, recorded_with_gain(0, 1.0), **OPTIONS)
+    assert not [each for each in result.findings if each.kind == "effort_spoils"]
+    assert result.problem.samples.used.any(axis=0).all()
+
+
+# The default estimate finds the friction that a clean log was simulated with.
+
+
+COULOMB, VISCOUS = np.array([3.0, 2.0]), np.array([2.5, 2.0])
+
+
+def simulated(width: float) -> sdpid.Recording:
+    """Return a log whose friction has a sign of this width (rad/s)."""
+    rng = np.random.default_rng(1)
+    robot = arm()
+    time = np.arange(3000) / 100.0
+    omega = 2.0 * np.pi * rng.uniform(0.04, 0.5, (6, robot.n))
+    waves = np.exp(1j * (time[:, None, None] * omega + rng.uniform(0.0, 6.0, omega.shape)))
+    q, v, a = (np.real(0.25 * waves * (1j * omega) ** k).sum(axis=1) for k in range(3))
+    sign = np.tanh(v / width) if width else np.sign(v)
+    effort = robot.inverse_dynamics(robot.prior, q, v, a) + COULOMB * sign + VISCOUS * v
+    noise = 0.02 * rng.standard_normal(q.shape)
+    return sdpid.Recording(time=time, position=q, effort=effort + noise)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.01, 0.05])
+def test_friction_curves_are_right_whatever_the_width_of_the_sign(width: float) -> None:
+    estimate = sdpid.identify(arm(), simulated(width), intervals=False).estimate
+    friction = estimate.problem.friction
+    for speed in (0.1, 0.3, 1.0):
+        v = np.full((1, 2), speed)
+        curve = [friction.columns(s * v, 0.0 * v)[0] for s in (1.0, -1.0)]
+        tail = estimate.theta[-len(friction.parameters) :]
+        found = 0.5 * (curve[0] - curve[1]) @ tail
+        sign = np.tanh(speed / width) if width else 1.0
+        np.testing.assert_allclose(found, COULOMB * sign + VISCOUS * speed, rtol=0.005)
+
+
+# Parameters that were found elsewhere, judged against the proven optimum.
+
+
+# Costs of two programs with the same optimum agree to this.
+SAME = 1e-6
+
+
+@cache
+def solved_arm() -> tuple[Problem, Array, Estimate]:
+    """Return a problem, the parameters that made its data, and its optimum."""
+    rng = np.random.default_rng(7)
+    robot = small_arm(2)
+    theta = random_theta(robot, rng)
+    samples = make_samples(robot, theta, rng, noise=0.1)
+    constraints = sdpid.Constraints(margin=1e-4)
+    problem = sdpid.build_problem(robot, samples, constraints=constraints)
+    return problem, theta, sdpid.solve_sdp(problem)
+
+
+def named(problem: Problem, theta: Array) -> dict[str, float]:
+    return dict(zip(problem.base.theta_names, theta.tolist(), strict=True))
+
+
+def given(values: dict[str, float], **more: Any) -> GivenParameters:
+    return GivenParameters(source="other.csv", values=values, **more)
+
+
+def test_the_optimum_itself_is_certified(tmp_path: Path) -> None:
+    problem, _, best = solved_arm()
+    assert best.theta is not None
+    found = certify_parameters(problem, given(named(problem, best.theta)))
+    assert found.feasible is True
+    assert found.violations == ()
+    assert found.certificate.passed
+    assert 0.0 <= found.gap <= 1e-6
+    assert "feasible: every constraint holds" in found.summary()
+    found.certificate.to_json(tmp_path / "proof.json")
+    assert sdpid.verify(tmp_path / "proof.json").passed
+
+
+def test_worse_parameters_state_their_own_gap(tmp_path: Path) -> None:
+    problem, theta, best = solved_arm()
+    found = certify_parameters(problem, given(named(problem, 1.2 * theta)))
+    assert found.feasible is True
+    assert found.cost == pytest.approx(problem.cost_of(1.2 * theta), rel=1e-9)
+    assert found.gap == pytest.approx(1.0 - best.cost / found.cost, rel=SAME)
+    assert found.residuals["given"] > found.residuals["optimum"]
+    found.certificate.to_json(tmp_path / "proof.json")
+    checked = sdpid.verify(tmp_path / "proof.json")
+    assert checked.passed
+    assert checked.gap == found.gap
+
+
+def test_broken_constraints_are_named_with_number_and_limit(tmp_path: Path) -> None:
+    problem, theta, _ = solved_arm()
+    broken = named(problem, theta)
+    broken["m_1"] = -2.0
+    broken["zz_2"] = -3.0
+    broken["Fs1"] = -0.5
+    found = certify_parameters(problem, given(broken))
+    assert found.feasible is False
+    words = " ".join(found.violations)
+    first, second = problem.robot.link_names
+    assert f"mass of {first} at least" in words
+    assert "is -2 kg" in words
+    assert f"consistency of {second}: margin" in words
+    assert "at least 0.0001" in words
+    assert "Fs1 at least 0: is -0.5" in words
+    assert found.summary().splitlines()[1].startswith("not feasible: ")
+    # The bound is proven all the same, and the file says what is not.
+    found.certificate.to_json(tmp_path / "proof.json")
+    checked = sdpid.verify(tmp_path / "proof.json")
+    assert not checked.passed
+    assert any(f"cost less than {found.certificate.lower_bound!r}" in s for s in checked.statements)
+
+
+def test_parameters_below_the_bound_are_infeasible_and_said_to_be() -> None:
+    problem = solved_arm()[0]
+    wide = problem.constraints.replace(margin=0.5)
+    problem = sdpid.build_problem(problem.robot, problem.samples, constraints=wide)
+    wls = sdpid.solve_wls(problem)
+    found = certify_parameters(problem, given(named(problem, wls.some_theta)))
+    assert found.feasible is False
+    assert found.gap < 0.0
+    assert "below the bound" in found.summary()
+
+
+def test_friction_that_is_not_given_is_the_best_beside_the_links() -> None:
+    problem, theta, _ = solved_arm()
+    links = 10 * problem.robot.n_links
+    rigid = dict(list(named(problem, 1.3 * theta).items())[:links])
+    found = certify_parameters(problem, given({**rigid, "Fv2": 0.7}))
+    assert found.refitted == ("Fs1", "Fs2", "Fv1")
+    assert found.estimate.theta is not None
+    values = named(problem, found.estimate.theta)
+    assert values["Fv2"] == 0.7
+    assert {name: values[name] for name in rigid} == rigid
+    fixed = problem.constraints.replace(others=(Fixed({**rigid, "Fv2": 0.7}),))
+    same = sdpid.build_problem(problem.robot, problem.samples, constraints=fixed)
+    assert found.cost == pytest.approx(sdpid.solve_sdp(same).cost, rel=SAME)
+    assert "friction refitted with the links held: Fs1, Fs2, Fv1" in found.summary()
+
+
+def test_refitted_friction_obeys_its_signs() -> None:
+    problem, theta, _ = solved_arm()
+    reversed_ = replace(problem.samples, effort=-problem.samples.effort)
+    against = sdpid.build_problem(problem.robot, reversed_, constraints=problem.constraints)
+    rigid = dict(list(named(problem, theta).items())[: 10 * problem.robot.n_links])
+    found = certify_parameters(against, given(rigid))
+    assert found.feasible is True
+    friction = found.estimate.theta[10 * problem.robot.n_links :]
+    assert (friction >= 0.0).all()
+    assert friction.max() < 1e-9
+
+
+@pytest.mark.parametrize("lacks", [(), ("Fs1", "Fv2")])
+def test_base_parameters_are_compared_and_audited(lacks: tuple[str, ...]) -> None:
+    problem, _, best = solved_arm()
+    own = {name: x for name, x in best.named().items() if name not in lacks}
+    found = certify_parameters(problem, given(own))
+    assert found.refitted == lacks
+    assert found.feasible is not False
+    assert abs(found.gap) <= SAME
+    assert found.audit is not None
+    assert found.certificate.theta is None
+    impossible = {**own, "zz2": -1.0} if "zz2" in own else {**own, "zzr2": -1.0}
+    found = certify_parameters(problem, given(impossible))
+    assert found.feasible is False
+    assert "bodies that have these base parameters: not realisable: " in found.summary()
+
+
+def test_base_parameters_are_compared_without_a_prior() -> None:
+    rng = np.random.default_rng(3)
+    robot = replace(small_arm(2), prior=random_theta(small_arm(2), rng)[:20].reshape(2, 10))
+    samples = make_samples(robot, random_theta(robot, rng), rng, noise=0.1)
+    problem = sdpid.build_problem(robot, samples, prior=sdpid.Prior())
+    best = sdpid.solve_sdp(problem)
+    found = certify_parameters(problem, given(best.named()))
+    assert found.estimate.problem.prior is None
+    assert found.cost == pytest.approx(problem.cost(best.base), rel=1e-9)
+    whole = certify_parameters(problem, given(named(problem, np.array(best.theta))))
+    assert whole.estimate.problem.prior is not None
+    assert "of it for the prior" in whole.summary()
+    assert {"given", "optimum", "unconstrained", "description"} == set(whole.residuals)
+
+
+def test_names_must_be_the_problems_and_complete() -> None:
+    problem, theta, _ = solved_arm()
+    values = named(problem, theta)
+    with pytest.raises(DataError, match=r"no parameters Ia1; .*--friction"):
+        certify_parameters(problem, given({**values, "Ia1": 0.1}))
+    del values["xy_2"]
+    with pytest.raises(DataError, match=r"without xy_2\) nor all \d+ base parameters \(without"):
+        certify_parameters(problem, given(values))
+
+
+@pytest.mark.parametrize("wrong", [1e13, -1e300, 5e-324, float("inf"), float("nan")])
+def test_numbers_that_no_robot_has_are_refused(wrong: float) -> None:
+    problem, theta, _ = solved_arm()
+    with pytest.raises(DataError, match=r"other.csv: zz_2 is .*no robot has"):
+        certify_parameters(problem, given({**named(problem, theta), "zz_2": wrong}))
+
+
+# -------------------------------------------------------------------- files
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(tmp_path / "arm.urdf")
+    np.savez(tmp_path / "log.npz", t=t, q=q, tau=tau)
+    return tmp_path
+
+
+def run_command(*arguments: Any) -> Any:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def test_every_format_is_read_alike(folder: Path) -> None:
+    problem, _, best = solved_arm()
+    sdpid.write_parameters(best, folder / "p.json")
+    sdpid.write_parameters(best, folder / "p.yaml")
+    theta_table(best).write(folder / "p.csv")
+    expected = best.named_theta()
+    assert expected is not None
+    for name in ("p.json", "p.yaml", "p.csv"):
+        read = read_given(folder / name, problem.robot)
+        assert read.values == pytest.approx(expected, rel=1e-12)
+        assert read.standard(problem)
+    base_table(best).write(folder / "base.csv")
+    read = read_given(folder / "base.csv", problem.robot)
+    assert read.values == pytest.approx(best.named(), rel=1e-12)
+    assert not read.standard(problem)
+
+
+def test_descriptions_must_have_the_same_joints(folder: Path) -> None:
+    robot = sdpid.load_robot(folder / "arm.urdf")
+    read = read_given(folder / "arm.urdf", robot)
+    links = [read.values[name] for name in robot.parameter_names]
+    assert np.array_equal(links, robot.prior.ravel())
+    (folder / "moved.urdf").write_text(ARM_URDF.replace('xyz="0.4 0 0"', 'xyz="0.5 0 0"'))
+    refuses(ModelError, "joint b is elsewhere", read_given, folder / "moved.urdf", robot)
+    refuses(ModelError, "same robot", read_given, folder / "arm.urdf", small_arm(3))
+
+
+def test_command(folder: Path) -> None:
+    log, robot, out = folder / "log.npz", folder / "arm.urdf", folder / "results"
+    assert (
+        run_command("identify", log, "--robot", robot, "--out", out, "--no-figures").exit_code == 0
+    )
+    proof = folder / "proof.json"
+    config = ("--config", out / "run.toml")
+    done = run_command("certify", out / "parameters.json", *config, "--certificate", proof)
+    assert done.exit_code == 0, done.output
+    assert "feasible: every constraint holds (proven)" in done.stdout
+    assert run_command("verify", proof).exit_code == 0
+    done = run_command("certify", robot, "--log", log, "--robot", robot, "--json")
+    assert done.exit_code == 0, done.output
+    assert '"feasible": true' in done.stdout
+    broken = (out / "parameters.csv").read_text().splitlines()
+    broken = [
+        ",".join([*line.split(",")[:2], "-1"]) if line.startswith("m_2,") else line
+        for line in broken
+    ]
+    (folder / "broken.csv").write_text(
+        "\n".join(",".join(line.split(",")[:3]) for line in broken) + "\n"
+    )
+    done = run_command("certify", folder / "broken.csv", *config)
+    assert done.exit_code == 3, done.output
+    assert "not feasible: " in done.stdout
+    for wrong in (
+        ("certify", out / "run.toml", *config),
+        ("certify", folder / "missing.json", *config),
+        ("certify", out / "parameters.json", *config, "--certificate", out / "parameters.json"),
+        ("certify", out / "parameters.json", *config, "--certificate", folder / "no" / "p.json"),
+    ):
+        done = run_command(*wrong)
+        assert done.exit_code == 2, done.output
+        assert done.stderr.startswith("sdpid: ")
+        assert "Traceback" not in done.output
+    (folder / "odd.toml").write_text("colour = 3\n")
+    done = run_command("certify", out / "parameters.json", "--config", folder / "odd.toml")
+    assert done.exit_code == 2
+    assert "no option of 'sdpid certify'" in done.stderr

@@ -19,7 +19,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
 from tests.helpers.verified import differences
-from tests.output.robots.test_urdf import (
+from tests.output.test_urdf import (
     ARM,
     CLOSE,
     MIMIC,

@@ -18,7 +18,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from tests.helpers.data import friction_model, random_links
 from tests.helpers.robots import TREE
 from tests.helpers.verified import differences
-from tests.output.robots.test_urdf import CLOSE, efforts_of, problem_of
+from tests.output.test_urdf import CLOSE, efforts_of, problem_of
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -1,0 +1,414 @@
+"""What is done with runs and their results: refitted friction, draws, effects, and a comparison."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import sdpid
+from sdpid.assurance.intervals.friction_curve import joint_curve
+from sdpid.cli import app
+from sdpid.errors import DataError
+from sdpid.estimation.effects.kinds import names_of_effects
+from sdpid.output.report.report import report_html
+from sdpid.workflow.formulate import formulate
+from sdpid.workflow.result import Identification
+from sdpid.workflow.runs.compare import RunComparison, compare_runs
+from sdpid.workflow.sample import ParameterSamples
+from tests.helpers.identified import ARM, arm_theta, identified, moved
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
+from tests.helpers.runs import arm, recorded
+
+LINKS = 20
+
+
+def test_only_friction_moves_and_the_result_is_proven() -> None:
+    first = sdpid.identify(arm(), recorded(1), intervals=False).estimate
+    warm = recorded(2, damping=0.8)
+    adapted = sdpid.adapt(first, warm)
+    np.testing.assert_array_equal(adapted.theta[:LINKS], first.theta[:LINKS])
+    found, old = adapted.named_theta(), first.named_theta()
+    for joint in ("1", "2"):
+        assert old[f"Fv{joint}"] == pytest.approx(0.4, abs=0.05)
+        assert found[f"Fv{joint}"] == pytest.approx(0.8, abs=0.05)
+    assert sdpid.certify(adapted).passed
+    samples = adapted.problem.samples
+    before, after = (sdpid.validate(each, samples).relative for each in (first, adapted))
+    assert after < 0.5 * before
+
+
+def test_rotors_and_gravity_stay_too() -> None:
+    log = recorded(3)
+    first = sdpid.identify(arm(), log, effects=("rotor_inertia", "tilt"), intervals=False).estimate
+    adapted = sdpid.adapt(first, recorded(4))
+    old, new = first.named_theta(), adapted.named_theta()
+    for name in ("Gx", "Gy", "Ia1", "Ia2"):
+        assert new[name] == old[name]
+
+
+def test_an_estimate_without_links_is_refused() -> None:
+    result = sdpid.identify(arm(), recorded(1), intervals=False)
+    refuses(DataError, "no standard parameters", sdpid.adapt, result.wls, recorded(2))
+
+
+# Draws of an estimate as a user has them.
+
+
+COUNT = 20
+
+
+@pytest.fixture(scope="module")
+def result() -> Identification:
+    return identified(moved(arm_theta(), 1))
+
+
+@pytest.fixture(scope="module")
+def samples(result: Identification) -> ParameterSamples:
+    return sdpid.sample_parameters(result, COUNT, 0)
+
+
+def test_every_draw_is_feasible(result: Identification, samples: ParameterSamples) -> None:
+    problem = result.problem
+    assert len(samples) == COUNT
+    assert samples.theta.shape == (COUNT, problem.n_theta)
+    assert all(problem.feasible.violation(theta) == 0.0 for theta in samples.theta)
+    assert np.allclose(samples.base, samples.theta @ problem.base.matrix.T)
+    assert not samples.theta.flags.writeable
+
+
+def test_seeds(result: Identification, samples: ParameterSamples) -> None:
+    again = sdpid.sample_parameters(result.estimate, COUNT, seed=0)
+    assert np.array_equal(again.theta, samples.theta)
+    other = sdpid.sample_parameters(result.estimate, COUNT, 1)
+    assert not np.array_equal(other.theta, samples.theta)
+
+
+def test_models_compute_with_the_draws(result: Identification, samples: ParameterSamples) -> None:
+    q, v, a = np.full((3, 2), 0.3)
+    models = list(samples.models())
+    assert len(models) == COUNT
+    for model, theta in zip(models, samples.theta, strict=True):
+        own = result.estimate.of_theta(result.problem, theta, method="given", status="given")
+        assert np.allclose(model.inverse_dynamics(q, v, a), own.model().inverse_dynamics(q, v, a))
+
+
+def test_what_is_shown(samples: ParameterSamples) -> None:
+    assert repr(samples).startswith("ParameterSamples(robot='arm2', draws=20, seed=0, ")
+    shown = samples._repr_html_()
+    assert "split R-hat" in shown
+    assert "zzr1" in shown
+    frame = samples.to_frame()
+    assert frame.shape == (COUNT, 26)
+    assert list(frame.columns) == list(samples.estimate.problem.base.theta_names)
+
+
+def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_path: Path) -> None:
+    ranges = samples.ranges(0.5)
+    assert ranges.probability == 0.5
+    made = ranges.to_dict()["made"]
+    assert made["robot"] == "arm2"
+    assert made["seed"] == 0
+    assert len(made["certificate"]) == len(made["parameters_sha256"]) == 64
+    files = samples.save(tmp_path, ("mjcf",))
+    assert len(files) == COUNT + 4
+    assert all(path.is_file() for path in files)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0, 0), "n: is 0; give a whole number from 1 to 1000000"),
+        ((10**9, 0), "give a whole number from 1 to 1000000"),
+        ((True, 0), "n: is True"),
+        ((2.5, 0), "n: is 2.5"),
+        (("ten", 0), "n: is 'ten'"),
+        ((5, -1), "seed: is -1; give a whole number from 0 on"),
+        ((5, None), "seed: is None"),
+    ],
+)
+def test_numbers_that_are_none(result: Identification, arguments: Any, words: str) -> None:
+    refuses(DataError, words, sdpid.sample_parameters, result, *arguments)
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.0, -1, 2, float("nan"), True, "half", None])
+def test_shares_that_are_none(samples: ParameterSamples, probability: Any, tmp_path: Path) -> None:
+    refuses(DataError, "give a probability between 0 and 1", samples.ranges, probability)
+    with pytest.raises(DataError, match="give a probability between 0 and 1"):
+        samples.save(tmp_path, probability=probability)
+
+
+def test_a_robot_without_friction(tmp_path: Path) -> None:
+    samples = moved(arm_theta(), 1, seconds=4.0)
+    estimate = sdpid.solve_sdp(sdpid.build_problem(ARM, samples, friction=(), weighting="residual"))
+    sdpid.sample_parameters(estimate, 2).save(tmp_path)
+    assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
+    curve = joint_curve(estimate, 0)
+    assert not np.any([curve.effort, curve.lower, curve.upper])
+
+
+def test_what_is_no_estimate() -> None:
+    with pytest.raises(DataError, match="estimate: is str; give what solve_sdp or identify"):
+        sdpid.sample_parameters("arm", 3, 0)
+
+
+# The option of effects, and where the choice is told.
+
+
+def test_the_option() -> None:
+    assert names_of_effects("auto") is None
+    assert names_of_effects("none") == ()
+    assert names_of_effects("tilt") == ("tilt",)
+    assert names_of_effects(["load", "falling"]) == ("load", "falling")
+    assert names_of_effects("tilt, load") == ("tilt", "load")
+    for effects in (["tilt", "wind"], "tilt,wind"):
+        refuses(DataError, r"'wind'.*tilt, load, rotor_inertia", names_of_effects, effects)
+
+
+@pytest.mark.parametrize("effects", [True, None, 3])
+def test_what_holds_no_names_is_refused(effects: Any) -> None:
+    with pytest.raises(DataError, match=r"effects: is .*'auto', 'none' or some of tilt"):
+        sdpid.identify(arm(), recorded(1), effects=effects)
+
+
+def test_an_arm_without_effects_gets_none() -> None:
+    problem = formulate(arm(), recorded(1))
+    assert not any(each.chosen for each in problem.effects)
+    assert problem.effects
+    plain = formulate(arm(), recorded(1), effects="none")
+    assert plain.effects == ()
+    assert plain.base.names == problem.base.names
+
+
+def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
+    result = sdpid.identify(arm(), recorded(1), effects=("rotor_inertia",), intervals=False)
+    (told,) = result.effects
+    assert told.chosen
+    assert told.words in result.notes
+    assert result.to_dict()["problem"]["effects"][0]["name"] == "rotor_inertia"
+    assert any(name.startswith("Ia") for name in result.problem.base.names)
+
+
+def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
+    result = sdpid.identify(arm(), recorded(1), effects="tilt,load", intervals=False)
+    page = report_html(result, figures=False)
+    assert "Tilt (Gx, Gy)" in page
+    assert "LoadFriction (Fl1, Fl2; width 0.005" in page
+    assert "bodies (" not in page
+    file = sdpid.write_parameters(result.estimate, tmp_path / "parameters.json")
+    told = {each["name"]: each for each in json.loads(file.read_text())["effects"]}
+    assert told["tilt"]["chosen"]
+    found = result.estimate.named_theta()
+    assert f"{np.degrees(found['Gx']):.2f}° about x" in told["tilt"]["words"]
+    # Effects that the data do not show stand in the notes, with their numbers.
+    free = sdpid.identify(arm(), recorded(1), intervals=False)
+    for each in free.effects:
+        assert each.words in free.notes
+        assert "would lower the cost by" in each.words
+
+
+def test_costs_that_are_no_likelihood_choose_nothing() -> None:
+    problem = formulate(arm(), recorded(1), weighting="eq9")
+    assert problem.effects == ()
+
+
+def test_without_consistency_and_without_a_prior() -> None:
+    for options in ({"consistency": "none"}, {"prior": False}):
+        problem = formulate(arm(), recorded(1), **options)
+        assert problem.effects
+        assert not any(each.chosen for each in problem.effects)
+
+
+# Two results folders against each other, from their files alone.
+
+
+BELIEF = sdpid.Prior(bodies=1.2 * arm_theta()[:20].reshape(2, 10))
+PROCESSING = {"cutoff_hz": 10.0, "order": 2}
+SEALED = ("result.json", "parameters.json", "manifest.json")
+
+
+def saved(folder: Path, seed: int, *, log: str, heavier: float = 1.0, **options: Any) -> Path:
+    """Save a run whose manifest names a log by a letter; one link may be heavier."""
+    theta = arm_theta()
+    theta[10:20] *= heavier
+    result: Identification = identified(moved(theta, seed), **options)
+    intervals = sdpid.confidence_intervals(result.estimate, method="gauss_markov")
+    entry = {"role": "log", "name": f"{log}.csv", "bytes": 1, "sha256": log * 64}
+    replace(result, intervals=intervals, inputs=(entry,)).save(folder, figures=False)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["recipe"] = {"processing": PROCESSING}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    base = tmp_path_factory.mktemp("runs")
+    return {
+        "first": saved(base / "first", 1, log="a"),
+        "again": saved(base / "again", 1, log="a", prior=BELIEF),
+        "other": saved(base / "other", 2, log="b"),
+        "heavier": saved(base / "heavier", 2, log="b", heavier=1.2),
+    }
+
+
+def changed(run: Path, target: Path, name: str, change: Any) -> Path:
+    """Copy a run and change one of its files."""
+    shutil.copytree(run, target, dirs_exist_ok=True)
+    content = json.loads((target / name).read_text())
+    change(content)
+    (target / name).write_text(json.dumps(content))
+    return target
+
+
+def test_a_robot_against_itself_and_against_a_heavier_one(runs: dict[str, Path]) -> None:
+    found = compare_runs(runs["first"], runs["other"])
+    assert found.same_log is False
+    assert len(found.parameters.rows) > 10
+    # Of 14 parameters 0.7 are expected outside.
+    assert len(found.outside) <= 3
+    apart = compare_runs(runs["first"], runs["heavier"])
+    assert {"mx2", "my2"} <= set(apart.outside)
+    assert "Fv1" not in apart.outside
+    last = apart.links.rows[-1]
+    assert len(last) == len(apart.links.header)
+    assert apart.better is None
+    assert "(log) are not the same" in apart.notes[0]
+    assert "by chance" in apart.text()
+
+
+def test_runs_of_one_log_are_judged_by_what_they_held_out(runs: dict[str, Path]) -> None:
+    found = compare_runs(runs["first"], runs["again"])
+    assert found.same_log is True
+    assert found.same_held_out
+    held = [
+        json.loads((runs[name] / "result.json").read_text())["held_out"]["this estimate"]["moving"]
+        for name in ("first", "again")
+    ]
+    errors = [each["relative_residual"] for each in held]
+    assert found.better == str(runs[("first", "again")[errors[1] < errors[0]]])
+    assert found.outside == ()
+    assert "not independent" in found.text()
+    assert ("chosen", "prior", "False", "True") in found.choices.rows
+    same = compare_runs(runs["first"], runs["first"])
+    assert same.better is None
+    assert "predict alike" in same.notes[0]
+    assert not same.choices.rows
+
+
+def one_less(content: dict[str, Any]) -> None:
+    content["held_out"]["this estimate"]["moving"]["joints"]["joint_1"]["rows"] -= 1
+
+
+def test_other_rows_held_out_are_not_compared(runs: dict[str, Path], tmp_path: Path) -> None:
+    first, again = runs["first"], runs["again"]
+
+    def said(name: str, change: Any) -> RunComparison:
+        found = compare_runs(first, changed(again, tmp_path / "x", name, change))
+        assert found.better is None
+        assert not found.same_held_out
+        return found
+
+    slower = said("manifest.json", lambda c: c["recipe"]["processing"].update(cutoff_hz=5.0))
+    assert "processed differently" in slower.notes[0]
+    assert ("processing", "cutoff_hz", 10.0, 5.0) in slower.choices.rows
+    assert "other rows" in said("result.json", one_less).notes[0]
+    assert (
+        "different things" in said("result.json", lambda c: c["held_out"].update(blocks=9)).notes[0]
+    )
+    assert "held nothing" in said("result.json", lambda c: c.update(held_out=None)).notes[0]
+    bare = shutil.copytree(first, tmp_path / "bare")
+    (bare / "manifest.json").unlink()
+    unknown = compare_runs(bare, runs["other"])
+    assert unknown.same_log is None
+    assert "no manifest" in unknown.text()
+    assert unknown.outside == ()
+
+
+def test_what_is_called_the_same_must_be_the_same(runs: dict[str, Path], tmp_path: Path) -> None:
+    def other(content: dict[str, Any]) -> None:
+        content["base"]["my2"]["expression"] = "my_2 + 3*mx_2"
+        del content["base"]["mx2"]
+
+    found = compare_runs(
+        runs["first"], changed(runs["other"], tmp_path / "x", "parameters.json", other)
+    )
+    names = [row[0] for row in found.parameters.rows]
+    assert not {"my2", "mx2"} & set(names)
+    assert "Regrouped differently, and not compared: my2." in found.notes
+    assert "In the first alone: mx2." in found.notes
+    level = changed(
+        runs["other"], tmp_path / "x", "parameters.json", lambda c: c.update(interval_level=0.5)
+    )
+    assert "intervals are of two kinds" in compare_runs(runs["first"], level).text()
+    without = changed(
+        runs["other"],
+        tmp_path / "x",
+        "parameters.json",
+        lambda c: c.update(interval_method=None, interval_level=None),
+    )
+    told = "The other has no intervals, and differences of parameters are not tested."
+    assert told in compare_runs(runs["first"], without).notes
+
+
+@pytest.mark.parametrize("name", SEALED)
+def test_damaged_files_are_refused_in_words(
+    name: str, runs: dict[str, Path], tmp_path: Path
+) -> None:
+    first = runs["first"]
+    broken = shutil.copytree(first, tmp_path / "x")
+    intact = (first / name).read_text()
+    content = json.loads(intact)
+    texts = ["", "[]", "{}", intact[: len(intact) // 2], intact.replace('"', '"\\u202e', 1)]
+    for key in content:
+        texts += [json.dumps({**content, key: value}) for value in (None, [1], "x", {"y": {}})]
+    refused = []
+    for text in texts:
+        (broken / name).write_text(text)
+        try:
+            compare_runs(first, broken).text()
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) >= 5
+    assert all(str(broken) in each for each in refused)
+
+
+def test_folders_that_are_none(runs: dict[str, Path], tmp_path: Path) -> None:
+    refuses(DataError, "is no folder", compare_runs, tmp_path / "no", runs["first"])
+    with pytest.raises(DataError, match=r"has no result\.json and no parameters\.json"):
+        compare_runs(runs["first"], tmp_path)
+
+    def three(content: dict[str, Any]) -> None:
+        content["problem"]["joints"] = list(small_arm(3).joint_names)
+
+    alien = changed(runs["first"], tmp_path / "x", "result.json", three)
+    refuses(DataError, "compare runs of one robot", compare_runs, runs["first"], alien)
+
+
+def test_the_command(runs: dict[str, Path], tmp_path: Path) -> None:
+    pair = [str(runs["first"]), str(runs["heavier"])]
+    done = CliRunner().invoke(app, ["compare-runs", *pair])
+    assert done.exit_code == 0
+    assert "base parameters that differ" in done.stdout
+    assert " mx2 " in done.stdout
+    assert " Fv1 " not in done.stdout
+    assert "by chance" in done.stdout
+    alike = CliRunner().invoke(app, ["compare-runs", pair[0], str(runs["again"])]).stdout
+    assert "that differ" not in alike
+    assert "are not tested" in alike
+    full = CliRunner().invoke(app, ["compare-runs", *pair, "-v"]).stdout
+    for told in ("verdict of the first", " Fv1 ", "least squares", "principal inertias"):
+        assert told in full
+        assert told not in done.stdout
+    data = json.loads(CliRunner().invoke(app, ["compare-runs", *pair, "--json"]).stdout)
+    assert data["same_log"] is False
+    assert {row["parameter"] for row in data["parameters"]} >= {"mx2", "Fs1"}
+    assert CliRunner().invoke(app, ["compare-runs", pair[0], str(tmp_path)]).exit_code == 2
+    found = compare_runs(*pair)
+    assert repr(found).startswith("RunComparison(same log=False, ")
+    assert "<table>" in found._repr_html_()
