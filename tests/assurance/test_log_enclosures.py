@@ -563,7 +563,9 @@ def check_rows(problem: Problem, seed: int = 0) -> None:
     with mp.workdps(DIGITS):
         for theta in (rng.standard_normal(p), box, -box * rng.uniform(0.0, 1.0, p)):
             assert distance(problem, theta) <= mp.mpf(result.at(theta))
-    assert result.at(np.ones(p)) < SHARP_ROWS * 100.0 * (1.0 + effort)
+    # Rows of next to no variance have large weights.
+    least = min(1.0, float(np.sqrt(np.linalg.eigvalsh(problem.sigma).min())))
+    assert result.at(np.ones(p)) < SHARP_ROWS * 100.0 * (1.0 + effort) / least
     assert result.at(random_theta(problem.robot, rng, problem.friction.terms)) < result.total
 
 
@@ -592,6 +594,7 @@ def test_the_bound_holds_for_stribeck(exponent: float) -> None:
 
 
 @settings(max_examples=5)
+@example(40312209, "residual", True)
 @given(SEEDS, st.sampled_from(["gls", "gls_per_sample", "residual"]), st.booleans())
 def test_the_bound_holds_for_weights(seed: int, weighting: Any, masked: bool) -> None:
     rng = np.random.default_rng(seed)
