@@ -23,6 +23,7 @@ from sdpid.cli.judge.compare_runs import compare_runs
 from sdpid.cli.judge.verify import verify
 from sdpid.cli.loads.gains import gains
 from sdpid.cli.loads.payload import payload
+from sdpid.cli.robots import robots
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
@@ -62,6 +63,7 @@ for command in (
     identify,
     excite,
     info,
+    robots,
     validate,
     compare,
     compare_runs,

@@ -844,3 +844,19 @@ def test_names_of_a_description_forge_no_line(folder_of_arm: Path, tmp_path: Pat
     done = ran("validate", log, "--robot", urdf)
     assert "a\ufffdb" in done.stdout
     assert "\u202e" not in done.output
+
+
+def test_names_of_robots_are_listed() -> None:
+    done = ran("robots")
+    for name in (
+        "bundled:\n  denso_vp6242\n",
+        "example-robot-data:\n",
+        "  solo_description/solo12\n",
+    ):
+        assert name in done.stdout
+    some = ran("robots", "UR10_")
+    assert "ur_description/ur10_robot" in some.stdout
+    assert "denso" not in some.stdout
+    held = json.loads(ran("robots", "denso", "--json").stdout)
+    assert held["bundled"] == ["denso_vp6242"]
+    assert ran("robots", "no such word").stdout == "no name holds 'no such word'\n"

@@ -370,7 +370,7 @@ def test_an_unknown_name_is_answered_with_near_ones(name: str, near: str) -> Non
 
 def test_a_name_like_no_other_shows_some_that_there_are() -> None:
     for name in ("xqz", "franka"):
-        words = rf"no robot '{name}': .* are known, such as denso_vp.*; .*robot_names\(\) lists"
+        words = rf"no robot '{name}': .* are known, such as denso_vp.*; .*sdpid robots lists"
         refuses(ModelError, words, load_robot, name)
 
 

@@ -149,10 +149,7 @@ def _near(name: str) -> str:
     if found:
         return "near it are " + ", ".join(found)
     some = ", ".join([*bundled_robots(), *list(example_robots())[-_SHOWN:]])
-    return (
-        f"{len(robot_names())} robots are known, such as {some}; "
-        "sdpid.robot.description.catalog.robot_names() lists them all"
-    )
+    return f"{len(robot_names())} robots are known, such as {some}; sdpid robots lists them all"
 
 
 def _letters(name: str) -> str:
