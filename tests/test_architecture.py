@@ -91,7 +91,7 @@ ROOMS = {
         "rollouts",
         "sampling",
     ],
-    "output": ["tables", "robots", "samples", "scene", "report", "plans"],
+    "output": ["tables", "robots", "samples", "charts", "scene", "report", "plans"],
     "workflow": [],
     "cli": [],
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sdpid.cli.options as opt
-from sdpid._common.extras import installation, require
+from sdpid._common.extras import require
 from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
@@ -62,8 +61,8 @@ def identify(
         ),
     ] = opt.IntervalMethod.gauss_markov,
     figures: Annotated[
-        bool | None, typer.Option(help="Draw plots. Default: where matplotlib is installed.")
-    ] = None,
+        bool, typer.Option(help="Write training.png and validation.png too; needs matplotlib.")
+    ] = False,
     verbose: Annotated[
         bool,
         typer.Option("--verbose", "-v", help="Print notes, tables and the whole verdict too."),
@@ -76,8 +75,7 @@ def identify(
     config = printing.config
     inputs = reading.files((*logs, *(validation or ())), robot)
     require_writable(out, inputs, config=config, writes_config=True)
-    draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
-    if draw:
+    if figures:
         require("matplotlib", extra="plot")
     from sdpid.experiment.preparation.several import columns_without
     from sdpid.workflow.identify import identify as run
@@ -112,15 +110,13 @@ def identify(
         printing.show(None, "\n".join(printable(line) for line in result.headline.lines))
     saved = result.save(
         out,
-        figures=draw,
+        figures=figures,
         report=notes.append,
         command=command_line(ctx),
         config=config_text(ctx, out),
         exported=exports.append,
     )
     files = [str(path) for path in saved]
-    if figures is None and not draw:
-        notes.append(f"no figures: matplotlib is not installed ({installation('plot')})")
     if verbose:
         fits = {"constrained": result.training, "unconstrained": result.training_wls}
         if result.held_out is not None:

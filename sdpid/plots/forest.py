@@ -85,7 +85,7 @@ def plot_forest(
     ends = [
         _column(np.full(count, np.nan) if e is None else e, "ends", count) for e in (lower, upper)
     ]
-    scale = _scale(own, dict(beside), ends)
+    scale = row_scales(own, [each for _, each in beside][:-1], ends)
     axis = _axis(count) if axes is None else axes
     # The names of the sets are wider than the frame.
     over = axis.figure.transFigure if axes is None else axis.transAxes
@@ -101,8 +101,8 @@ def plot_forest(
     _marks(axis, own / scale, at, BLUE, "o", ours)
     for k in range(count):
         halves = (float(own[k] - ends[0][k]), float(ends[1][k] - own[k])) if known[k] else None
-        told = {"transform": axis.get_yaxis_transform(), "va": "center", "fontsize": SMALL}
-        axis.text(1.03, k, _told(float(own[k]), halves), color=INK, clip_on=False, **told, **PLAIN)
+        style = {"transform": axis.get_yaxis_transform(), "va": "center", "fontsize": SMALL}
+        axis.text(1.03, k, told(float(own[k]), halves), color=INK, clip_on=False, **style, **PLAIN)
     place = {"loc": "upper center" if axes is None else "lower center", "bbox_transform": over}
     legend(axis, bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, borderpad=0.1, **place)
     return axis
@@ -115,9 +115,8 @@ def _column(values: ArrayLike, name: str, count: int) -> Array:
     return found
 
 
-def _scale(own: Array, beside: Mapping[str, Array], ends: Sequence[Array]) -> Array:
-    """Return the scale (k,) of each row."""
-    described = list(beside.values())[:-1]
+def row_scales(own: Array, described: Sequence[Array], ends: Sequence[Array]) -> Array:
+    """Return the scale (k,) of each row: the largest size of what it shows beside least squares."""
     sizes = np.abs(np.stack([own, *described, *ends]))
     largest = np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=0)
     return np.where(largest > 0.0, largest, 1.0)
@@ -156,7 +155,7 @@ def _frame(axis: Any, names: Sequence[str]) -> None:
     axis.axvline(0.0, color=GRAY, linewidth=0.8, zorder=0.6)
 
 
-def _told(value: float, halves: tuple[float, float] | None) -> str:
+def told(value: float, halves: tuple[float, float] | None) -> str:
     """Return a value with its interval, in as many digits as that allows.
 
     The interval is what is below and what is above: its half width, or its ends where a limit
@@ -173,7 +172,7 @@ def _told(value: float, halves: tuple[float, float] | None) -> str:
         return f"{round(number, decimals) + 0.0:.{decimals}f}" if fixed else f"{number:.2g}"
 
     if min(halves) < _EVEN * half:
-        told = f"{text(value - halves[0])} … {text(value + halves[1])}"
+        words = f"{text(value - halves[0])} … {text(value + halves[1])}"
     else:
-        told = f"{text(value)} ± {text(half)}"
-    return told.replace("-", "−")
+        words = f"{text(value)} ± {text(half)}"
+    return words.replace("-", "−")

@@ -95,7 +95,7 @@ def plot_friction_curve(
     axis.plot(curve.velocity, curve.effort, color=RED, linewidth=1.2, label="friction")
     axis.axhline(0.0, color=GRAY, linewidth=0.6)
     axis.set_xlim(*ends)
-    axis.set_ylim(*_heights(curve, cloud))
+    axis.set_ylim(*heights(curve, cloud))
     keys(axis)
     return axis
 
@@ -122,7 +122,7 @@ def _dots(axis: Any, x: Array, y: Array, *, width: float) -> None:
     axis.plot([], [], linestyle="none", label="measured", **style)
 
 
-def _heights(curve: FrictionCurve, cloud: tuple[Array, Array] | None) -> tuple[float, float]:
+def heights(curve: FrictionCurve, cloud: tuple[Array, Array] | None) -> tuple[float, float]:
     """Return the ends of the vertical axis: about the curve and nearly all of the cloud."""
     shown = [curve.effort]
     if cloud is not None and len(cloud[1]):

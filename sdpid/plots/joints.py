@@ -27,10 +27,10 @@ _EFFORT, _ERROR, _SHARED, _THIRD = 116.0, 86.0, 57.0, 50.0
 
 # Densities below this share of the highest are not shown: what a filter left above its cut-off is
 # nothing to look at.
-_FLOOR, _TOP = 1e-5, 3.0
+FLOOR, _TOP = 1e-5, 3.0
 
 # What the autocorrelation of independent errors stays within, nineteen times of twenty.
-_WITHIN = 1.96
+WITHIN = 1.96
 
 
 class JointErrors(Protocol):
@@ -217,7 +217,7 @@ def plot_joint_errors(
     drawn = stacked(panels, axes)
     spectrum, correlation, friction = drawn
     _spectrum(spectrum, errors)
-    level = _WITHIN / float(np.sqrt(errors.independent))
+    level = WITHIN / float(np.sqrt(errors.independent))
     correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
     _line(correlation, errors.lag, errors.autocorrelation, color=RED, linewidth=0.8)
     correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
@@ -237,7 +237,7 @@ def _spectrum(axis: Any, errors: JointErrors) -> None:
     ends = (0.1, 1.0)
     if np.count_nonzero(positive) > 1:
         ends = float(f[positive][0]), float(f[-1])
-    logarithmic(axis, ends, (_FLOOR * top, _TOP * top))
+    logarithmic(axis, ends, (FLOOR * top, _TOP * top))
     for density, color, label in (
         (errors.effort_density, BLUE, "measured effort"),
         (errors.error_density, RED, "error"),

@@ -89,7 +89,7 @@ class Identification(Judged, Shown):
     >>> result.verdict[-1].split(":")[0]
     'Every link is physically possible, and no possible parameters fit better'
     >>> model = result.model()
-    >>> sorted(path.name for path in result.save("results", figures=False))[:3]
+    >>> sorted(path.name for path in result.save("results"))[:3]
     ['base_parameters.csv', 'certificate.json', 'identified.urdf']
     """
 
@@ -265,14 +265,14 @@ class Identification(Judged, Shown):
         self,
         folder: str | os.PathLike[str],
         *,
-        figures: bool = True,
+        figures: bool = False,
         report: Callable[[str], None] | None = None,
         command: str | None = None,
         config: str | None = None,
         intervals: Intervals | None = None,
         exported: Callable[[ExportReport], None] | None = None,
     ) -> tuple[Path, ...]:
-        """Write tables, robots, certificate, plots and a report into a folder: all, or none.
+        """Write tables, robots, certificate and a report into a folder: all, or none.
 
         The robot is written as identified.urdf where it came from one, and as identified.xml
         (MJCF) where MuJoCo is installed and can hold it.
@@ -282,7 +282,7 @@ class Identification(Judged, Shown):
         folder : path
             Created when it is not there.
         figures : bool, optional
-            Draw plots too (extra ``plot``).
+            Write training.png and validation.png too (extra ``plot``).
         report : callable, optional
             Called with a sentence for all that the files leave out of the estimate (see
             `ExportReport`), and for every file that is not written.

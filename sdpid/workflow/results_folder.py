@@ -62,7 +62,7 @@ def save(
     result: Judged,
     folder: str | os.PathLike[str],
     *,
-    figures: bool = True,
+    figures: bool = False,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
@@ -110,7 +110,7 @@ class _Writer:
             self._robots,
             self._friction,
             lambda: self._figures() if figures else None,
-            lambda: self._report(command, figures),
+            lambda: self._report(command),
             lambda: self._config(config),
             self._result,
         ]
@@ -205,7 +205,7 @@ class _Writer:
         for name, fit in fits:
             save_figure(fit.plot(), self.folder / f"{name}.png", dpi=_DPI)
 
-    def _report(self, command: str | None, figures: bool) -> None:
+    def _report(self, command: str | None) -> None:
         if importlib.util.find_spec("jinja2") is None:
             self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
@@ -216,7 +216,6 @@ class _Writer:
             self.folder / "report.html",
             command=command,
             intervals=self.intervals,
-            figures=figures,
             exports=self.exports,
             sha256=self.result.certificate.to_dict()["sha256"],
         )

@@ -216,7 +216,7 @@ def test_identify_shows_it(tmp_path: Any) -> None:
     )
     assert [each.free for each in result.rollouts] == ["all", "each"]
     assert any("It moves as the robot does" in text for text in result.verdict)
-    page = sdpid.write_report(result, tmp_path / "report.html", figures=False).read_text("utf-8")
+    page = sdpid.write_report(result, tmp_path / "report.html").read_text("utf-8")
     assert "Motion in open loop" in page
     assert result.to_dict()["rollouts"][0]["verdict"] in page
     # What both have in common is said once.

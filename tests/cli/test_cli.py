@@ -88,7 +88,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     assert f"sdpid identify {log} --robot {ROBOT} --out {results} --no-figures" in page
     assert sdpid.load_robot(results / "identified.urdf").n == 6
     out = results / "again"
-    done = ran("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
+    done = ran(*("identify", log, "--robot", ROBOT, "--out", out, "--validation", log, "--figures"))
     assert done.stderr == ""
     # The verdict in lines with their labels; those with nothing to say are absent.
     first = done.stdout.splitlines()[0]

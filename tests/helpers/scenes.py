@@ -9,7 +9,8 @@ from sdpid._common.arrays import Array
 
 
 def unpacked(found: dict[str, Any]) -> Array:
-    """Return the array that `sdpid.output.scene.packed.packed` made text of."""
+    """Return the array that `sdpid.output.charts.packed.packed` made text of, NaN if missing."""
     steps = np.frombuffer(base64.b64decode(found["data"]), dtype="<u2")
     low, high = np.array(found["low"]), np.array(found["high"])
-    return low + (high - low) * steps.reshape(-1, len(low)) / 65535.0
+    known = np.where(steps == 65535, np.nan, steps).reshape(-1, len(low))
+    return low + (high - low) * known / 65534.0

@@ -91,7 +91,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_run_replaces_what_an_earlier_one_wrote(
     result: Identification, other: Identification, tmp_path: Path
 ) -> None:
-    first = {path.name for path in result.save(tmp_path)}
+    first = {path.name for path in result.save(tmp_path, figures=True)}
     assert {"identified.urdf", "identified.xml", "training.png"} <= first <= set(NAMES)
     (tmp_path / "notes.txt").write_text("mine")
     second = {path.name for path in other.save(tmp_path, figures=False)}
@@ -245,7 +245,8 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
 @pytest.mark.parametrize("name", ["report.html", "training.png", "result.json"])
 def test_a_folder_in_the_place_of_a_file(result: Identification, tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
-    refuses(ExportError, f"{name}: it is a folder", result.save, tmp_path)
+    why = f"{name}: it is a folder"
+    refuses(ExportError, why, result.save, tmp_path, figures=True)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 

@@ -196,7 +196,7 @@ def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
 
 def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
     result = sdpid.identify(arm(), recorded(1), effects="tilt,load", intervals=False)
-    page = report_html(result, figures=False)
+    page = report_html(result)
     assert "Tilt (Gx, Gy)" in page
     assert "LoadFriction (Fl1, Fl2; width 0.005" in page
     assert "bodies (" not in page

@@ -207,7 +207,7 @@ def test_no_line_is_drawn_across_a_join(logs: list[sdpid.Recording]) -> None:
             assert len(gaps) == 1
             assert np.all(np.diff(x) > 0.0)
             assert x[-1] - x[0] == pytest.approx(1.02 * seconds)
-    assert "pieces, recorded apart" in report_html(result, figures=False)
+    assert "pieces, recorded apart" in report_html(result)
 
 
 def test_time_lines() -> None:

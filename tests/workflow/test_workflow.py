@@ -81,7 +81,7 @@ def test_a_periodic_experiment_is_certified(result: Identification) -> None:
 
 def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -> None:
     notes: list[str] = []
-    files = result.save(tmp_path / "deep" / "out", report=notes.append)
+    files = result.save(tmp_path / "deep" / "out", figures=True, report=notes.append)
     assert {path.name for path in files} == {
         "base_parameters.csv",
         "parameters.csv",

@@ -138,6 +138,11 @@ class Rollout(Shown):
         return self.models[self.own].quantile(0.5)
 
     @property
+    def medians(self) -> dict[str, Array]:
+        """Of each model, the median over the starts at all times, (L,), rad."""
+        return {name: _quantile(errors.overall, 0.5) for name, errors in self.models.items()}
+
+    @property
     def diverged(self) -> Array:
         """Share of the estimate's simulations that ran away before each horizon, (H,)."""
         return self.models[self.own].diverged
@@ -257,8 +262,7 @@ class Rollout(Shown):
         from sdpid.plots.in_pages import in_notebook
         from sdpid.plots.motion import plot_rollout
 
-        curves = {name: _quantile(errors.overall, 0.5) for name, errors in self.models.items()}
-        drawn = plot_rollout(self.time, curves, own=self.own, title=title, axes=axes)
+        drawn = plot_rollout(self.time, self.medians, own=self.own, title=title, axes=axes)
         return in_notebook(drawn, axes)
 
 

@@ -102,8 +102,17 @@ class Rolled(Protocol):
     def joint_table(self) -> Table:
         """Return a row a joint."""
 
-    def plot(self, *, title: str | None = None, axes: Any = None) -> Any:
-        """Draw the errors over time."""
+    @property
+    def time(self) -> Array:
+        """Times after the start at which errors are known, s, (L,)."""
+
+    @property
+    def own(self) -> str:
+        """Name of the model that is judged."""
+
+    @property
+    def medians(self) -> dict[str, Array]:
+        """Of each model, the median over the starts at all times, rad, (L,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

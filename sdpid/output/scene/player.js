@@ -13,7 +13,7 @@
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
   function unpacked({ low, high, data }) {
     const steps = new Uint16Array(bytes(data)), n = low.length;
-    return Float32Array.from(steps, (s, k) => low[k % n] + ((high[k % n] - low[k % n]) * s) / 65535);
+    return Float32Array.from(steps, (s, k) => low[k % n] + ((high[k % n] - low[k % n]) * s) / 65534);
   }
   const { rate, count } = scene.frames, poses = unpacked(scene.frames.poses);
   const q = unpacked(scene.frames.q), links = poses.length / (7 * count);

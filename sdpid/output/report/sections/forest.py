@@ -1,4 +1,7 @@
-"""Base parameters as forest plots, a picture for each link and for the friction of its joint."""
+"""Base parameters as forest plots, a picture for each link and for the friction of its joint.
+
+The template draws the marks, each row on its own scale.
+"""
 
 from __future__ import annotations
 
@@ -11,30 +14,32 @@ from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import Ends
-from sdpid.plots.forest import plot_forest
-from sdpid.plots.in_pages import image_source
+from sdpid.plots.forest import row_scales, told
+
+# In the order of importance; NaN is not drawn.
+_MARKS = ("own", "free", "described", "low", "high")
 
 
 def pictures(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
     """Yield a picture of the base parameters of every link and of the terms of every joint."""
-    problem = result.problem
-    names = problem.base.names
-    described = _described(problem)
-    lower, upper = np.full((2, len(names)), np.nan)
-    for k, name in enumerate(names):
-        low, high, _ = ends.get(name, (None, None, ""))
-        if low is not None and high is not None:
-            lower[k], upper[k] = low, high
+    problem, names = result.problem, result.problem.base.names
+    own, described = result.estimate.base, _described(problem)
+    found = np.array([ends.get(name, (None, None))[:2] for name in names], dtype=np.float64)
+    low, high = np.where(np.isfinite(found).all(axis=1), found.T, np.nan)
+    scale = row_scales(own, [described], [low, high])
+    marks = np.stack([own, result.wls.base, described, low, high]) / scale
     for title, rows in _groups(problem).items():
-        values = {
-            "least squares": result.wls.base[rows],
-            "this estimate": result.estimate.base[rows],
+        yield {
+            "title": title,
+            "rows": [
+                {
+                    "name": names[k],
+                    "told": told(float(own[k]), (float(own[k] - low[k]), float(high[k] - own[k]))),
+                    "marks": dict(zip(_MARKS, marks[:, k].tolist(), strict=True)),
+                }
+                for k in rows
+            ],
         }
-        if np.isfinite(described[rows]).any():
-            values = {"description": described[rows], **values}
-        shown = [names[k] for k in rows]
-        axes = plot_forest(shown, values, lower=lower[rows], upper=upper[rows])
-        yield {"title": title, "source": image_source(axes), "names": shown}
 
 
 def _groups(problem: Problem) -> dict[str, list[int]]:

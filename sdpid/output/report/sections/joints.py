@@ -8,36 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.residuals import JointErrors
-from sdpid.assurance.diagnostics.validation import Errors, Validation
+from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.assurance.intervals.friction_curve import joint_curves
 from sdpid.errors import SdpidError
-from sdpid.experiment.processing.samples import Samples
+from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged, grades_of, judged
 from sdpid.output.report.sections.recording import driven
-from sdpid.plots.figures import stretch
-from sdpid.plots.friction_curve import plot_friction_curve
-from sdpid.plots.in_pages import image_source
-from sdpid.plots.joints import COLUMNS, plot_joint, plot_joint_errors
+from sdpid.plots.figures import TimeLine, decimate, spans, stretch
+from sdpid.plots.friction_curve import heights
+from sdpid.plots.joints import FLOOR, WITHIN, detail
 from sdpid.robot.friction.curve import JointCurve, default_velocities
-
-# What the pictures show.
-_EFFORTS = "measured against predicted effort, and the error"
-_FRICTION = (
-    "friction over velocity with its band, and the measured effort less the rest of the model"
-)
-_ERRORS = "spectrum, autocorrelation and velocity dependence of the error"
 
 # Friction is shown up to the speed limit, but no further than this beyond what was recorded.
 _BEYOND = 1.5
+
+# Places of a line over time at which it is held, about: the least and the greatest effort of each
+# stretch, and as many of the error.
+_POINTS = 1500
 
 # Samples that are shown as dots; more would hide the curve.
 _DOTS = 400
 
 
-def values(result: Judged, errors: tuple[JointErrors, ...], draw: bool) -> dict[str, Any]:
+def values(result: Judged, errors: tuple[JointErrors, ...], charts: Charts) -> dict[str, Any]:
     """Return the values of the template."""
     samples, _ = judged(result)
     return {
@@ -45,8 +41,10 @@ def values(result: Judged, errors: tuple[JointErrors, ...], draw: bool) -> dict[
         "floating": list(_floating(result)),
         "held_title": _held_title(result),
         "has_mask": samples.mask is not None,
-        "plots": list(_plots(result, errors)) if draw else [],
-        "stretch": stretch(samples.n_samples, points=2 * COLUMNS),
+        "timed": samples.time is not None,
+        "time_label": TimeLine.of(samples.time, samples.n_samples, samples.starts).label,
+        "plots": list(_plots(result, errors, charts)),
+        "stretch": stretch(samples.n_samples, points=_POINTS),
     }
 
 
@@ -101,97 +99,119 @@ def _held_title(result: Judged) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPictures:
-    """The pictures of one joint on what the estimate is judged by.
+class JointShown:
+    """What is shown of one joint on what the estimate is judged by.
 
     Attributes
     ----------
-    joint : int
-        Number of the joint, as of the efforts.
-    samples : Samples
-        What was measured.
-    fit : Validation
-        What was predicted.
-    band : ndarray, shape (K, n), or None
-        Half-width of the band about it.
+    name, unit : str
+        The joint, and the unit of its efforts.
+    measured, predicted : ndarray, shape (K,)
+        Efforts.
+    used : ndarray of bool, shape (K,)
+        Which rows count.
+    half : ndarray, shape (K,), or None
+        Half-width of the band about the prediction.
     curve : JointCurve or None
         Its friction.
+    cloud : (ndarray, ndarray) or None
+        Velocities, ascending, and the curve with the errors of some samples.
     speeds : (float, float)
         Least and greatest velocity of the data that were fitted.
     """
 
-    joint: int
-    samples: Samples
-    fit: Validation
-    band: Array | None
+    name: str
+    unit: str
+    measured: Array
+    predicted: Array
+    used: Mask
+    half: Array | None
     curve: JointCurve | None
+    cloud: tuple[Array, Array] | None
     speeds: tuple[float, float]
 
-    @property
-    def name(self) -> str:
-        """Name of the joint."""
-        return self.fit.joint_names[self.joint]
 
-    @property
-    def unit(self) -> str:
-        """Unit of its efforts."""
-        return "N·m" if self.curve is None else self.curve.unit
-
-    def efforts(self, axes: Any = None) -> Any:
-        """Draw measured against predicted effort, and the error, into two axes."""
-        samples, j = self.samples, self.joint
-        return plot_joint(
-            samples.time,
-            samples.effort[:, j],
-            self.fit.effort_predicted[:, j],
-            samples.used[:, j],
-            band=None if self.band is None else self.band[:, j],
-            starts=samples.starts,
-            unit=self.unit,
-            axes=axes,
+def joints_shown(result: Judged) -> Iterator[JointShown]:
+    """Yield what is shown of every joint."""
+    samples, fit = judged(result)
+    curves, band, error = _curves(result), _band(result), samples.effort - fit.effort_predicted
+    for j, (name, seen) in enumerate(zip(fit.joint_names, driven(result), strict=True)):
+        curve, used = curves.get(name), samples.used[:, j]
+        velocity = samples.velocity[used, j]
+        yield JointShown(
+            name=name,
+            unit="N·m" if curve is None else curve.unit,
+            measured=samples.effort[:, j],
+            predicted=fit.effort_predicted[:, j],
+            used=used,
+            half=None if band is None else band[:, j],
+            curve=curve,
+            cloud=None if curve is None else _cloud(curve, velocity, error[used, j]),
+            speeds=seen["speeds"],
         )
 
-    def friction(self, axes: Any = None) -> Any:
-        """Draw the friction over the velocity; None for a joint without friction."""
-        if self.curve is None:
-            return None
-        samples, j = self.samples, self.joint
-        used = samples.used[:, j]
-        error = (samples.effort - self.fit.effort_predicted)[used, j]
-        cloud = _cloud(self.curve, samples.velocity[used, j], error)
-        return plot_friction_curve(self.curve, cloud=cloud, driven=self.speeds, axes=axes)
 
-
-def joint_pictures(result: Judged) -> Iterator[JointPictures]:
-    """Yield the pictures of every joint."""
-    samples, fit = judged(result)
-    seen, curves = list(driven(result)), _curves(result)
-    band = _band(result)
-    for j, name in enumerate(fit.joint_names):
-        yield JointPictures(j, samples, fit, band, curves.get(name), seen[j]["speeds"])
-
-
-def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str, Any]]:
-    """Yield the figures of every joint."""
+def _plots(
+    result: Judged, errors: tuple[JointErrors, ...], charts: Charts
+) -> Iterator[dict[str, Any]]:
+    """Yield the charts of every joint."""
     samples, fit = judged(result)
     shown = {each.joint: each for each in errors}
-    seen = list(driven(result))
-    for own in joint_pictures(result):
-        j, name = own.joint, own.name
-        if name not in shown:
-            continue
-        pictures = [(image_source(own.efforts()), _EFFORTS)]
-        if (friction := own.friction()) is not None:
-            pictures.append((image_source(friction), _FRICTION))
-        found = plot_joint_errors(shown[name], timed=samples.time is not None, unit=own.unit)
-        pictures.append((image_source(found), _ERRORS))
-        yield {
-            "name": name,
-            "unit": own.unit,
-            **_errors(fit, j),
-            "driven": seen[j],
-            "pictures": pictures,
-        }
+    line = TimeLine.of(samples.time, samples.n_samples, samples.starts)
+    for j, (own, seen) in enumerate(zip(joints_shown(result), driven(result), strict=True)):
+        if own.name in shown:
+            yield {
+                "name": own.name,
+                "unit": own.unit,
+                **_errors(fit, j),
+                "driven": seen,
+                **_efforts(own, line, charts),
+                "friction": None if own.curve is None else _friction(own, own.curve, charts),
+                **_error_shapes(shown[own.name], charts),
+            }
+
+
+def _efforts(own: JointShown, line: TimeLine, charts: Charts) -> dict[str, Any]:
+    """Return efforts over time: of many samples the extremes, and all about the largest error."""
+    error = line.broken(np.where(own.used, own.measured - own.predicted, np.nan))
+    columns = {"x": line.time, "measured": line.broken(own.measured), "error": error}
+    columns["predicted"] = line.broken(own.predicted)
+    if own.half is not None:
+        columns["half"] = line.broken(own.half)
+    places = np.arange(len(error), dtype=np.float64)
+    extremes = [decimate(places, columns[y], points=_POINTS)[0] for y in ("measured", "error")]
+    kept = np.unique(np.concatenate(extremes)).astype(np.intp)
+    shaded = np.stack(spans(line.time, ~line.kept(own.used)), axis=1)
+    near = detail(error) if len(kept) < len(error) else None
+    return {
+        "efforts": charts.add(shaded=shaded, **{k: each[kept] for k, each in columns.items()}),
+        "near": near and charts.add(**{k: each[near] for k, each in columns.items()}),
+    }
+
+
+def _friction(own: JointShown, curve: JointCurve, charts: Charts) -> int:
+    """Return the friction over the velocity, shaded where it was not driven."""
+    ends = float(curve.velocity.min()), float(curve.velocity.max())
+    beyond = np.array([(ends[0], own.speeds[0]), (own.speeds[1], ends[1])])
+    at, measured = own.cloud or (None, None)
+    band = {"low": curve.lower, "high": curve.upper, "range": heights(curve, own.cloud)}
+    shown = {"x": curve.velocity, "friction": curve.effort, "at": at, "measured": measured}
+    return charts.add(shaded=beyond, **shown, **band)
+
+
+def _error_shapes(errors: JointErrors, charts: Charts) -> dict[str, int]:
+    """Return spectrum (exponents of ten), autocorrelation and velocity dependence of the error."""
+    densities = np.stack([errors.effort_density, errors.error_density])[:, errors.frequency > 0.0]
+    seen = densities > FLOOR * densities.max(initial=0.0)
+    powers = np.log10(densities, where=seen, out=np.full(densities.shape, np.nan))
+    frequency = np.log10(errors.frequency[errors.frequency > 0.0])
+    level = np.full(len(errors.lag), WITHIN / float(np.sqrt(errors.independent)))
+    ends = {"low": errors.low, "high": errors.high}
+    return {
+        "spectrum": charts.add(x=frequency, **{"measured effort": powers[0], "error": powers[1]}),
+        "memory": charts.add(x=errors.lag, autocorrelation=errors.autocorrelation, level=level),
+        "over_velocity": charts.add(x=errors.velocity, mean=errors.mean, **ends),
+    }
 
 
 def _band(result: Judged) -> Array | None:
@@ -224,5 +244,6 @@ def _curves(result: Judged) -> dict[str, JointCurve]:
 def _cloud(curve: JointCurve, velocity: Array, error: Array) -> tuple[Array, Array]:
     """Return velocities, and the curve with the errors of the samples; of many some, evenly."""
     some = np.unique(np.linspace(0, len(velocity) - 1, _DOTS).astype(np.intp))
+    some = some[np.argsort(velocity[some])]
     v = velocity[some]
     return v, np.interp(v, curve.velocity, curve.effort) + error[some]

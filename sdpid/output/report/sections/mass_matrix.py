@@ -14,12 +14,16 @@ from sdpid.assurance.diagnostics.mass_matrix import (
     SmallestMassEigenvalue,
     smallest_mass_eigenvalue,
 )
+from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged
-from sdpid.plots.in_pages import image_source
-from sdpid.plots.mass_matrix import plot_mass_matrix
+from sdpid.plots.figures import TimeLine
 
 # Instants along the motion: more than a picture shows.
 _INSTANTS = 300
+
+# Beyond this ratio between curves one axis shows the small ones as zero: it is linear up to the
+# smallest and logarithmic beyond.
+_RATIO = 30.0
 
 # Joints of a robot whose box of positions is searched: a third of a second at seven.
 _MOST = 12
@@ -28,18 +32,19 @@ _MOST = 12
 _ROUNDING = 1e-9
 
 
-def values(result: Judged, draw: bool) -> dict[str, Any]:
+def values(result: Judged, charts: Charts) -> dict[str, Any]:
     """Return the values of the template."""
     samples = result.problem.samples
     some = np.unique(np.linspace(0, samples.n_samples - 1, _INSTANTS).astype(np.intp))
     along = dict(_along(result, samples.position[some]))
     box = _over_the_box(result)
     bound = None if box is None or not box.positive_definite else box.lower_bound
-    source = None
-    if draw:
-        time = None if samples.time is None else samples.time[some]
-        starts = np.searchsorted(some, samples.starts).tolist()
-        source = image_source(plot_mass_matrix(time, along, bound=bound, starts=starts))
+    time = None if samples.time is None else samples.time[some]
+    line = TimeLine.of(time, len(some), np.searchsorted(some, samples.starts).tolist())
+    columns = {name: line.broken(each) for name, each in along.items()}
+    if bound is not None:
+        columns["proven bound"] = np.full(len(line.time), bound)
+    sizes = [float(np.nanmax(np.abs(each))) for each in columns.values()]
     return {
         "mass_matrix": {
             "rows": [
@@ -55,9 +60,16 @@ def values(result: Judged, draw: bool) -> dict[str, Any]:
             "instants": len(some),
             "box": box,
             "bound": bound,
-            "source": source,
+            "chart": charts.add(x=line.time, linear_to=_linear_to(sizes), **columns),
+            "time_label": line.label,
         }
     }
+
+
+def _linear_to(sizes: list[float]) -> float | None:
+    """Return the smallest size that is not nothing, where others are many times larger."""
+    small = min((size for size in sizes if size > 0.0), default=0.0)
+    return small if small and max(sizes) >= _RATIO * small else None
 
 
 def _along(result: Judged, position: Array) -> Iterator[tuple[str, Array]]:

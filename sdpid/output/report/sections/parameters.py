@@ -16,12 +16,12 @@ from sdpid.output.tables.parameter_tables import base_table
 _NOTHING = 1e-6
 
 
-def values(result: Judged, intervals: Intervals | None, draw: bool) -> dict[str, Any]:
+def values(result: Judged, intervals: Intervals | None) -> dict[str, Any]:
     """Return the values of the template."""
     ends = ends_of(intervals)
     base, theta = list(base_rows(result, ends)), list(_theta(result, ends))
     return {
-        "forest": list(pictures(result, ends)) if draw else [],
+        "forest": list(pictures(result, ends)),
         "base": base,
         "theta": theta,
         "has_errors": any(row["error"] is not None for row in base),

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged, Rolled
-from sdpid.plots.in_pages import image_source
 
 
-def values(result: Judged, draw: bool) -> dict[str, Any]:
+def values(result: Judged, charts: Charts) -> dict[str, Any]:
     """Return the values of the template: one entry a rollout."""
     return {
         "rollouts": [
@@ -20,11 +22,20 @@ def values(result: Judged, draw: bool) -> dict[str, Any]:
                 "notes": told,
                 "models": each.as_table(),
                 "joints": each.joint_table(),
-                "source": image_source(each.plot()) if draw else None,
+                "chart": _chart(each, charts),
+                "own": each.own,
+                "names": list(each.medians),
             }
             for each, told in zip(result.rollouts, fresh_notes(result.rollouts), strict=True)
         ]
     }
+
+
+def _chart(rolled: Rolled, charts: Charts) -> int:
+    """Return the median errors over time, exponents of ten of mrad; what ran away is missing."""
+    with np.errstate(divide="ignore"):
+        powers = {name: np.log10(1e3 * median) for name, median in rolled.medians.items()}
+    return charts.add(x=rolled.time, **powers)
 
 
 def fresh_notes(rollouts: Sequence[Rolled]) -> list[list[str]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.output.report.finding import Finding
 from sdpid.output.report.grades import LEVELS, Level
@@ -34,19 +36,20 @@ def _worst(every: tuple[Finding, ...]) -> Level:
 def _beside(result: Judged) -> Iterator[dict[str, Any]]:
     """Yield the errors on what was held out of the baselines and of the estimate.
 
-    Lengths of bars are shares of the largest error.
+    Bars are logarithmic, from 0.1 % to 100 %.
     """
     if result.held_out is None:
         return
     every = result.held_out.every
-    largest = max((fit.moving.relative for fit in every.values()), default=0.0) or 1.0
     for name, fit in every.items():
         joints = zip(fit.moving.rmse.tolist(), fit.moving.rows.tolist(), strict=True)
         yield {
             "name": name,
             "ours": fit is result.held_out.fit,
             "moving": fit.moving.relative,
-            "length": fit.moving.relative / largest,
+            "length": float(
+                np.clip(1.0 + np.log10(max(fit.moving.relative, 1e-9)) / 3.0, 0.0, 1.0)
+            ),
             "resting": None if fit.resting is None else fit.resting.relative,
             "rmse": [value if rows else None for value, rows in joints][fit.n_base :],
         }
