@@ -65,7 +65,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         found |= names
         if names:
             item.add_marker(pytest.mark.slow)
-    whole = config.args_source is not pytest.Config.ArgsSource.ARGS
+    roots = {str(_TESTS), _TESTS.name, f"{_TESTS.name}/"}
+    whole = config.args_source is not pytest.Config.ArgsSource.ARGS or bool(roots & {*config.args})
     config.stash[_UNKNOWN] = sorted(listed - found) if whole else []
 
 
@@ -80,10 +81,8 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     for report in terminalreporter.stats.get("passed", ()):
         listed = {"slow", "examples", "studies"} & {*report.keywords}
         if report.when == "call" and report.duration > _UNLISTED_SECONDS and not listed:
-            terminalreporter.write_line(
-                f"{report.nodeid} took {report.duration:.1f} s: list it in tests/slow.txt where "
-                "an idle machine needs over a second too"
-            )
+            took = f"{report.nodeid.partition('@')[0]} took {report.duration:.1f} s"
+            terminalreporter.write_line(f"{took}: list it in tests/slow.txt if it is slow alone")
 
 
 @pytest.fixture(scope="session")

@@ -97,7 +97,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     labels = [line[:14].strip() for line in done.stdout.splitlines()[1:]]
     order = ["missed effort", "worst joint", "proven", "next"]
     assert [label for label in labels if label in order] == order
-    assert "no physically possible robot fits this better (gap " in done.stdout
+    assert "no physically possible robot of this model fits better (gap " in done.stdout
     assert str(out) in done.stdout
     assert "NRMSE" not in done.stdout
     assert len(done.stdout.splitlines()) < 16

@@ -109,6 +109,7 @@ def headline(result: Judged) -> Headline:
     causes = causes_of(result)
     every = grades_of(result)
     worst = _worst(result, every)
+    warned = [each for each in result.findings if each.severity == "warning"]
     return Headline(
         error=_error(result),
         worst=_joint(result, worst, causes),
@@ -119,11 +120,7 @@ def headline(result: Judged) -> Headline:
         found=_found(result),
         warnings=tuple(each.warning for each in findings(result) if each.warning),
         proven=_proven(result),
-        log=tuple(
-            each.line()
-            for each in result.findings
-            if each.severity == "warning" and each.kind != "continued"
-        ),
+        log=tuple(each.line() for each in warned if each.kind != "continued"),
     )
 
 
@@ -133,7 +130,7 @@ def _title(result: Judged) -> str:
     size = f"{len(samples.position)} samples"
     if samples.time is not None:
         pieces = np.split(samples.time, samples.starts[1:])
-        size = f"{sum(float(piece[-1] - piece[0]) for piece in pieces):.3g} s"
+        size = f"{sum(float(piece[-1] - piece[0]) for piece in pieces):.0f} s"
     if held_out is None:
         predicted = "nothing else predicted"
     elif held_out.by == "blocks":
@@ -156,7 +153,7 @@ def _proven(result: Judged) -> str:
         return "nothing: links that no body can have were allowed (consistency none)"
     if not certificate.passed:
         return f"no: {certificate.summary()}"
-    return f"no physically possible robot fits this better (gap {certificate.gap:.1g})"
+    return f"no physically possible robot of this model fits better (gap {certificate.gap:.1g})"
 
 
 def _no_robot(result: Judged) -> str:
@@ -167,8 +164,7 @@ def _no_robot(result: Judged) -> str:
     share = float(np.mean(least <= 0.0))
     if not share:
         return ""
-    where = "all along" if share == 1.0 else f"on {percent(share)} of the motion"
-    return f", no robot (M < 0 {where})"
+    return f", no robot (M < 0 {'all along' if share == 1.0 else f'on {percent(share)} of it'})"
 
 
 def _error(result: Judged) -> str:
@@ -257,6 +253,8 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
         yield "train on both recordings: the first shows too little of what the other needs"
     if worst is not None and worst.level != "good":
         yield "record a motion that asks more of the worst joint: its error hides its dynamics"
+    if held_out is not None and held_out.beaten_by is not None:
+        yield f"do not use it: {held_out.beaten_by} predicts better what was held out"
     good = errors_of_urdf(result) is not None and _file(result) is None
     what = "identified.urdf" if good else _whole(result)
     yield f"none: use {what}, and validate again when the load or the temperature changes"
@@ -310,6 +308,7 @@ def _beside(result: Judged) -> str | None:
         + (_no_robot(result) if name == LEAST_SQUARES else "")
         for name, fit in held_out.every.items()
     ]
-    better = held_out.beaten_by
-    worse = "" if better is None else f": worse than {better} on what was held out, do not use it"
-    return f"{' | '.join(errors)} in motion{worse}"
+    told = f"{' | '.join(errors)} in motion"
+    if (better := held_out.beaten_by) is None:
+        return told
+    return f"{told}: worse than {words.get(better, better)} on what was held out, do not use it"
