@@ -146,7 +146,7 @@ def joints_shown(result: Judged) -> Iterator[JointShown]:
             used=used,
             half=None if band is None else band[:, j],
             curve=curve,
-            cloud=None if curve is None else _cloud(curve, velocity, error[used, j]),
+            cloud=_cloud(curve, velocity, error[used, j]) if curve and used.any() else None,
             speeds=seen["speeds"],
         )
 
