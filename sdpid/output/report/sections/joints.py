@@ -199,18 +199,21 @@ def _friction(own: JointShown, curve: JointCurve, charts: Charts) -> int:
     return charts.add(shaded=beyond, **shown, **band)
 
 
-def _error_shapes(errors: JointErrors, charts: Charts) -> dict[str, int]:
-    """Return spectrum (exponents of ten), autocorrelation and velocity dependence of the error."""
+def _error_shapes(errors: JointErrors, charts: Charts) -> dict[str, int | None]:
+    """Return spectrum (exponents of ten), autocorrelation and velocity dependence of the error.
+
+    A joint that hardly moves has no velocities to show its error over.
+    """
     densities = np.stack([errors.effort_density, errors.error_density])[:, errors.frequency > 0.0]
     seen = densities > FLOOR * densities.max(initial=0.0)
     powers = np.log10(densities, where=seen, out=np.full(densities.shape, np.nan))
     frequency = np.log10(errors.frequency[errors.frequency > 0.0])
     level = np.full(len(errors.lag), WITHIN / float(np.sqrt(errors.independent)))
-    ends = {"low": errors.low, "high": errors.high}
+    over = {"mean": errors.mean, "low": errors.low, "high": errors.high}
     return {
         "spectrum": charts.add(x=frequency, **{"measured effort": powers[0], "error": powers[1]}),
         "memory": charts.add(x=errors.lag, autocorrelation=errors.autocorrelation, level=level),
-        "over_velocity": charts.add(x=errors.velocity, mean=errors.mean, **ends),
+        "over_velocity": charts.add(x=errors.velocity, **over) if len(errors.velocity) else None,
     }
 
 
