@@ -160,7 +160,7 @@ class PhysicalConstraints:
         links, count = slopes.shape[:2]
         each = np.zeros((links, count, links, 10))
         each[range(links), :, range(links), :6] = slopes
-        full = np.zeros((links * count, len(self.variables.expand(x))))
+        full = np.zeros((links * count, self.problem.n_theta))
         full[:, : 10 * links] = each.reshape(links * count, -1)
         return self.variables.reduced(full) / self.moment
 

@@ -118,7 +118,7 @@ class PhysicalVariables:
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivative of theta in the scaled free variables, shape (p, count)."""
-        return self.pulled(x, np.eye(len(self.expand(x))))
+        return self.pulled(x, np.eye(self.problem.n_theta))
 
     def pulled(self, x: Array, slopes: Array) -> Array:
         """Return derivatives in theta (k, p) as ones in the scaled free variables (k, count)."""
