@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.causes import SHARE, Cause
 from sdpid.assurance.diagnostics.held_out import (
     DESCRIPTION,
@@ -104,6 +105,7 @@ class Headline:
         return (self.title, *shown)
 
 
+@kept
 def headline(result: Judged) -> Headline:
     """Return the verdict on an identification in short."""
     causes = causes_of(result)

@@ -173,15 +173,17 @@ def grades_of(identification: Judged) -> tuple[Grade, ...]:
     return grades(identification.estimate, identification.training, identification.held_out)
 
 
-def causes_of(
-    identification: Judged, errors: tuple[JointErrors, ...] | None = None
-) -> dict[str, Cause]:
+@kept
+def causes_of(identification: Judged) -> dict[str, Cause]:
     """Return what the error of each joint goes with, on the judged prediction."""
     robot = identification.problem.robot
     bodies = identification.estimate.some_theta[: 10 * robot.n_links]
-    found = errors_of(identification) if errors is None else errors
     return find_causes(
-        robot, bodies, *judged(identification), found, least_squares_of(identification)
+        robot,
+        bodies,
+        *judged(identification),
+        errors_of(identification),
+        least_squares_of(identification),
     )
 
 

@@ -115,7 +115,7 @@ def report_html(
         exports=exports,
         command=command,
         sha256=sha256,
-        **short.values(result, errors),
+        **short.values(result),
         **joints.values(result, errors, charts),
         **parameters.values(result, intervals),
         **links.values(result),

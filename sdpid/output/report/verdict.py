@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.active_constraints import ConstraintState, constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
 from sdpid.assurance.diagnostics.motion.light_joints import light_joints
 from sdpid.assurance.diagnostics.provenance import provenance
-from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
@@ -27,7 +27,6 @@ from sdpid.output.report.held_out_verdict import held_out_findings
 from sdpid.output.report.judged import (
     Judged,
     causes_of,
-    errors_of,
     grades_of,
     judged,
     missing_friction,
@@ -75,24 +74,20 @@ def verdict(identification: Judged) -> tuple[str, ...]:
     return tuple(finding.text for finding in findings(identification))
 
 
-def findings(
-    identification: Judged, errors: tuple[JointErrors, ...] | None = None
-) -> tuple[Finding, ...]:
-    """Return the findings of the verdict, each with its level.
+# Terminal, page and JSON ask for the same findings.
+@kept
+def findings(identification: Judged) -> tuple[Finding, ...]:
+    """Return the findings of the verdict, each with its level; computed once a result.
 
     Parameters
     ----------
     identification : Identification
         What `identify` found.
-    errors : tuple of JointErrors, optional
-        Of the prediction that counts (see `judged`), where they are known.
 
     Returns
     -------
     tuple of Finding
     """
-    if errors is None:
-        errors = errors_of(identification)
     return (
         *_recordings(identification),
         *effort_findings(
@@ -102,7 +97,7 @@ def findings(
         *held_out_findings(identification),
         *cause_findings(
             judged(identification)[1],
-            causes_of(identification, errors),
+            causes_of(identification),
             terms_of(identification),
             identification.problem.effects,
         ),

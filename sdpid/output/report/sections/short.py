@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.output.report.finding import Finding
 from sdpid.output.report.grades import LEVELS, Level
 from sdpid.output.report.headline import headline
@@ -15,9 +14,9 @@ from sdpid.output.report.judged import Judged
 from sdpid.output.report.verdict import findings
 
 
-def values(result: Judged, errors: tuple[JointErrors, ...]) -> dict[str, Any]:
+def values(result: Judged) -> dict[str, Any]:
     """Return the values of the template."""
-    every = findings(result, errors)
+    every = findings(result)
     return {
         "headline": headline(result),
         "findings": every,
