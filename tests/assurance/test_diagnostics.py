@@ -414,7 +414,8 @@ ROBOT = small_arm(3)
 BODIES = random_links(np.random.default_rng(5), 3)
 
 
-def slowly(seconds: float = 120.0) -> Samples:
+@cache
+def slow_motion(seconds: float = 120.0) -> Samples:
     """Return samples of a slow random motion of a tilted-axis arm, predicted but for noise."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, seconds, 1.0 / RATE)
@@ -427,16 +428,15 @@ def slowly(seconds: float = 120.0) -> Samples:
     return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t)
 
 
-SAMPLES = slowly()
 SECOND = ROBOT.joint_names[1]
 
 
 def causes_of(effort: Array, free: Array | None = None) -> dict[str, Cause]:
     """Return the causes that are found where efforts are measured otherwise than predicted."""
-    samples = replace(SAMPLES, effort=effort)
+    samples = replace(slow_motion(), effort=effort)
     fit, *others = (
         Validation.of_prediction(ROBOT.joint_names, samples, predicted)
-        for predicted in (SAMPLES.effort, *(() if free is None else (free,)))
+        for predicted in (slow_motion().effort, *(() if free is None else (free,)))
     )
     return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), *others)
 
@@ -444,8 +444,8 @@ def causes_of(effort: Array, free: Array | None = None) -> dict[str, Cause]:
 def causes(error: Array) -> dict[str, Cause]:
     """Return the causes that are found of an error (K,) of the second joint, beside noise."""
     rng = np.random.default_rng(8)
-    size = 0.1 * SAMPLES.effort.std(axis=0)
-    effort = SAMPLES.effort + 0.5 * size * rng.standard_normal(SAMPLES.effort.shape)
+    size = 0.1 * slow_motion().effort.std(axis=0)
+    effort = slow_motion().effort + 0.5 * size * rng.standard_normal(slow_motion().effort.shape)
     effort[:, 1] += size[1] * error / np.sqrt(np.mean(error**2))
     return causes_of(effort)
 
@@ -463,8 +463,8 @@ def tilted(samples: Samples) -> Array:
 def of_channel(factor: float) -> dict[str, Cause]:
     """Return the causes where the second joint's effort is measured with another factor."""
     rng = np.random.default_rng(8)
-    size = 0.05 * SAMPLES.effort.std(axis=0)
-    effort = SAMPLES.effort + size * rng.standard_normal(SAMPLES.effort.shape)
+    size = 0.05 * slow_motion().effort.std(axis=0)
+    effort = slow_motion().effort + size * rng.standard_normal(slow_motion().effort.shape)
     effort[:, 1] *= factor
     return causes_of(effort)
 
@@ -477,22 +477,22 @@ def test_a_wrong_sign_or_scale_of_the_effort_is_no_missing_effect(factor: float,
 
 
 def test_what_constraints_hold_back_has_no_shape_of_an_effect() -> None:
-    shape = SHAPES["acceleration"](SAMPLES)
-    size = 0.5 * SAMPLES.effort[:, 1].std()
-    effort = np.array(SAMPLES.effort)
+    shape = SHAPES["acceleration"](slow_motion())
+    size = 0.5 * slow_motion().effort[:, 1].std()
+    effort = np.array(slow_motion().effort)
     effort[:, 1] += size * shape / shape.std()
-    samples = replace(SAMPLES, effort=effort)
+    samples = replace(slow_motion(), effort=effort)
     for left, expected in ((0.9, ("acceleration",)), (0.3, ())):
-        less = effort + left * (SAMPLES.effort - effort)
+        less = effort + left * (slow_motion().effort - effort)
         found = causes_of(effort, less)
         assert tuple(each.kind for each in found.values()) == expected
         fit, free = (
             Validation.of_prediction(ROBOT.joint_names, samples, each)
-            for each in (SAMPLES.effort, less)
+            for each in (slow_motion().effort, less)
         )
         assert held_back(fit, free) == (() if expected else (SECOND,))
     # Nor has an error beside which the mean predicts better.
-    effort[:, 1] += 20.0 * SAMPLES.effort[:, 1].std()
+    effort[:, 1] += 20.0 * slow_motion().effort[:, 1].std()
     assert causes_of(effort) == {}
 
 
@@ -510,7 +510,7 @@ SHAPES: dict[str, Callable[[Samples], Array]] = {
 
 @pytest.mark.parametrize("kind", SHAPES)
 def test_the_cause_of_an_error_is_named(kind: str) -> None:
-    found = causes(SHAPES[kind](SAMPLES))
+    found = causes(SHAPES[kind](slow_motion()))
     # The others have noise alone.
     assert list(found) == [SECOND]
     assert found[SECOND].kind == kind
@@ -521,17 +521,17 @@ def test_the_cause_of_an_error_is_named(kind: str) -> None:
 
 def test_noise_has_no_cause() -> None:
     rng = np.random.default_rng(1)
-    assert causes(rng.standard_normal(SAMPLES.n_samples)) == {}
+    assert causes(rng.standard_normal(slow_motion().n_samples)) == {}
     # Neither has noise that is alike for a second, however well it fits some shape by chance.
-    smooth = np.convolve(rng.standard_normal(SAMPLES.n_samples), np.ones(50), "same")
+    smooth = np.convolve(rng.standard_normal(slow_motion().n_samples), np.ones(50), "same")
     assert causes(smooth) == {}
 
 
 def test_a_robot_without_gravity_or_motion_has_no_cause() -> None:
     floating = ROBOT.with_gravity([0.0, 0.0, 0.0])
-    still = {name: np.zeros_like(SAMPLES.velocity) for name in ("velocity", "acceleration")}
-    samples = replace(SAMPLES, **still)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    still = {name: np.zeros_like(slow_motion().velocity) for name in ("velocity", "acceleration")}
+    samples = replace(slow_motion(), **still)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, slow_motion().effort)
     assert find_causes(floating, BODIES, samples, fit, joint_errors(samples, fit)) == {}
 
 

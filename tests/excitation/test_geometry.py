@@ -1,6 +1,7 @@
 """Distances against closed forms and Pinocchio's own; bounds of their rates; what is left out."""
 
 import pickle
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +43,19 @@ ACCURACY = 1e-5
 
 CHAIN = shaped_arm(BALL, ROD, "", BALL, '<box size="0.1 0.2 0.1"/>', spacing=0.3, kinds="rrprr")
 BOX = Box(size=(0.2, 0.3, 0.4), translation=(0.4, 0.6, 0.2), rpy=(0.3, 0.2, -0.5))
-ROBOTS = {
-    "shapes": CollisionModel.of(CHAIN, [table(-0.6), BOX]),
-    "tree": CollisionModel.of(sdpid.load_robot(TREE), [table(-3.0)], radius=0.05),
-    "mimic": CollisionModel.of(sdpid.load_robot(TREE_MIMIC), [table(-3.0)], radius=0.05),
-    "panda": CollisionModel.of(sdpid.load_robot("panda_description/panda"), [table(), BOX]),
-}
+ROBOTS = ("shapes", "tree", "mimic", "panda")
+
+
+@cache
+def model_of(name: str) -> CollisionModel:
+    """Return the collision model of one of the robots, made once."""
+    match name:
+        case "shapes":
+            return CollisionModel.of(CHAIN, [table(-0.6), BOX])
+        case "panda":
+            return CollisionModel.of(sdpid.load_robot("panda_description/panda"), [table(), BOX])
+    tree = sdpid.load_robot({"tree": TREE, "mimic": TREE_MIMIC}[name])
+    return CollisionModel.of(tree, [table(-3.0)], radius=0.05)
 
 
 def positions(robot: sdpid.RobotModel, seed: int, count: int) -> Array:
@@ -86,7 +94,7 @@ def test_a_box_and_a_ball_in_closed_form_also_where_they_overlap() -> None:
 
 def test_distances_are_those_of_pinocchios_own_reading() -> None:
     """Its raw meshes are inside of their hulls: the same where the meshes are convex."""
-    model = ROBOTS["panda"]
+    model = model_of("panda")
     robot, path = model.robot, find_robot("panda_description/panda")
     folder = str(path.parents[4])
     full = pin.buildModelFromUrdf(str(path))
@@ -118,7 +126,7 @@ def test_distances_are_those_of_pinocchios_own_reading() -> None:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_gradients_are_those_of_differences(name: str) -> None:
-    model = ROBOTS[name]
+    model = model_of(name)
     robot, step = model.robot, 1e-3
     q = positions(robot, 2, 20)
     distances, gradients = distances_and_gradients(model, q)
@@ -141,7 +149,7 @@ def test_gradients_are_those_of_differences(name: str) -> None:
 def test_distances_change_no_faster_than_the_reach_allows(
     name: str, seed: int, size: float
 ) -> None:
-    model = ROBOTS[name]
+    model = model_of(name)
     rng = np.random.default_rng(seed)
     lower, upper = np.clip(model.robot.position_limits, -3.0, 3.0).T
     q = rng.uniform(lower, upper, (10, model.robot.n))
@@ -152,7 +160,7 @@ def test_distances_change_no_faster_than_the_reach_allows(
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_reach_is_attained_within_a_factor(name: str) -> None:
-    model = ROBOTS[name]
+    model = model_of(name)
     _, gradients = distances_and_gradients(model, positions(model.robot, 3, 300))
     steepest = np.abs(gradients).max(axis=0)
     assert (steepest <= model.reach + 1e-9).all()
@@ -163,7 +171,7 @@ def test_the_reach_is_attained_within_a_factor(name: str) -> None:
 
 
 def test_joints_that_are_not_between_two_bodies_have_no_reach() -> None:
-    model = ROBOTS["panda"]
+    model = model_of("panda")
     p = column(model, "panda_link2", "panda_link5")
     assert np.flatnonzero(model.reach[p]).tolist() == [2, 3, 4]
     assert np.flatnonzero(model.reach[column(model, "panda_link4", "table")]).tolist() == [
@@ -176,7 +184,7 @@ def test_joints_that_are_not_between_two_bodies_have_no_reach() -> None:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_soft_minimum_is_below_the_least_slack_by_what_it_says(name: str) -> None:
-    model, sharpness = ROBOTS[name], 200.0
+    model, sharpness = model_of(name), 200.0
     q = positions(model.robot, 4, 30)
     slack = (model.distances(q) - model.clearances(0.03)).min(axis=1)
     solids = [solid.body for solid in model.solids]
@@ -196,7 +204,7 @@ def test_the_soft_minimum_is_below_the_least_slack_by_what_it_says(name: str) ->
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_capsules_around_the_solids_bound_the_distances_of_bodies(name: str) -> None:
-    model = ROBOTS[name]
+    model = model_of(name)
     q = positions(model.robot, 6, 50)
     measure = Measure(model.robot, model.solids, [(p.first, p.second) for p in model.pairs])
     below = measure.capsules.below(q)
@@ -221,7 +229,7 @@ def test_neighbors_and_pairs_that_always_overlap_are_left_out_with_reasons() -> 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_pairs_that_are_proven_apart_stay_apart(name: str) -> None:
-    model = ROBOTS[name]
+    model = model_of(name)
     proven = [(a, b, reason) for a, b, reason in model.left_out if "proven" in reason]
     assert proven
     measure = Measure(model.robot, model.solids, [(a, b) for a, b, _ in proven])
@@ -233,7 +241,7 @@ def test_pairs_that_are_proven_apart_stay_apart(name: str) -> None:
 
 def test_a_clearance_beyond_what_was_proven_is_refused() -> None:
     with pytest.raises(DataError, match=r"at most 0\.05 m; make the model with clearance=0\.2"):
-        ROBOTS["panda"].clearances(0.2)
+        model_of("panda").clearances(0.2)
 
 
 def test_links_that_turn_on_the_spot_above_a_table_are_left_out() -> None:
@@ -321,7 +329,7 @@ def test_a_clearance_that_can_be_kept_is_asked_for_in_full() -> None:
 
 
 def test_links_built_close_to_each_other_are_asked_for_less() -> None:
-    model = ROBOTS["panda"]
+    model = model_of("panda")
     p = column(model, "panda_link5", "panda_link7")
     assert 0.0 < model.clearances(0.05)[p] < 0.02
     assert any("panda_link5 and panda_link7" in sentence for sentence in model.closer(0.05))
@@ -353,7 +361,7 @@ def test_bad_arguments_are_named() -> None:
 
 
 def test_a_subset_and_a_pickled_copy_measure_the_same() -> None:
-    model = ROBOTS["shapes"]
+    model = model_of("shapes")
     q = positions(model.robot, 5, 3)
     part = model.only([2, 0])
     np.testing.assert_array_equal(part.distances(q), model.distances(q)[:, [2, 0]])
