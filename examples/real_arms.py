@@ -64,6 +64,10 @@ def run(out: Path, data: Path = DATA, *, quick: bool = False) -> pd.DataFrame:
     table.to_csv(out / "real_arms.csv", index=False)
     if arms:
         print(f"\nReal arms\n{table.to_string(index=False, float_format='{:.3g}'.format)}")
+        missed = {arm.name: arm.missed for arm in arms}
+        of_arms = 100.0 * pd.DataFrame.from_dict(missed, orient="index")
+        of_arms.to_csv(out / "missed.csv", index_label="arm")
+        arm_pictures.bars(arms, out / "front_bars.png")
         arm_pictures.summary(arms, falls, out / "real_arms.png")
         arm_pictures.animation(arms, falls, out / "released.gif")
     return table

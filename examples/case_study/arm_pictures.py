@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from case_study.arms import Arm
+from case_study.arms import METHODS, MODELS, Arm
 from case_study.release import Fall, skeleton
 from sdpid import plots
 
 # Okabe and Ito's colors, which readers with any color vision can tell apart.
 COLORS = {
+    "URDF as it is": "#9CA3AF",
+    "URDF, friction fitted": "#6B7280",
     "least squares": "#D55E00",
     "ridge, our prior": "#CC79A7",
     "ridge, cross-validated": "#E69F00",
@@ -46,8 +48,8 @@ def summary(arms: Sequence[Arm], falls: Mapping[tuple[str, str], Fall], path: Pa
             upper.axhline(arm.proven, **bound, label="proven for every posture")
         upper.set(ylim=(-10.0, 0.3), xlabel="time on the recorded motion, s")
         lower.set(yscale="log", ylim=(0.1, 1000.0), xlabel="time after the release, s")
-        for method, color in COLORS.items():
-            fall = falls[arm.name, method]
+        for method in METHODS:
+            color, fall = COLORS[method], falls[arm.name, method]
             time, speed = fall.time, fall.speed
             if fall.diverged is not None:
                 lower.plot(fall.diverged, 930.0, "X", color=color, markersize=8, zorder=4)
@@ -62,6 +64,31 @@ def summary(arms: Sequence[Arm], falls: Mapping[tuple[str, str], Fall], path: Pa
         axis.spines[["top", "right"]].set_visible(False)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    plots.save_figure(figure, path)
+
+
+def bars(arms: Sequence[Arm], path: Path) -> None:
+    """Draw the effort that four models miss where it was not fitted, and which is no robot."""
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained", facecolor="white")
+    axis = figure.subplots()
+    width = 0.8 / len(MODELS)
+    places = np.arange(len(arms))
+    for k, name in enumerate(MODELS):
+        heights = [100.0 * arm.missed[name] for arm in arms]
+        at = places + (k - 0.5 * (len(MODELS) - 1)) * width
+        drawn = axis.bar(at, heights, 0.94 * width, color=COLORS[name], label=name)
+        axis.bar_label(drawn, [f"{each:.2g}" for each in heights], fontsize=8, padding=1)
+    for place, arm in zip(places, arms, strict=True):
+        if arm.eigenvalues["least squares"].max() < 0.0:
+            top = 100.0 * arm.missed["least squares"]
+            words = {"ha": "center", "fontsize": 8, "color": COLORS["least squares"]}
+            axis.text(place + 0.5 * width, 1.3 * top, "no\nrobot", fontweight="bold", **words)
+    axis.set_yscale("log")
+    axis.set_ylim(1.0, 4.0 * axis.get_ylim()[1])
+    axis.set_ylabel("missed effort, not fitted, %")
+    axis.set_xticks(places, [arm.name for arm in arms], fontsize=10)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(loc="upper center", ncols=len(MODELS), frameon=False, fontsize=9)
     plots.save_figure(figure, path)
 
 

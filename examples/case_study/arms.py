@@ -11,7 +11,7 @@ import numpy as np
 
 import sdpid
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, predicted_by
-from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS
+from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES, OURS
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.prior.prior import prior_terms
 
@@ -26,6 +26,14 @@ ARMS = {
 
 # The second differs from ours by the inequality alone.
 METHODS = ("least squares", "ridge, our prior", "ridge, cross-validated", "this package")
+
+# What users have before they identify, beside what they get, as `identify` compares them.
+MODELS = {
+    "URDF as it is": DESCRIPTION,
+    "URDF, friction fitted": FRICTION_FITTED,
+    "least squares": LEAST_SQUARES,
+    "this package": OURS,
+}
 
 # Strengths of the ridge in nats; cross-validation takes one that is not at an end.
 STRENGTHS = tuple(10.0 ** np.arange(-4.0, 3.1, 0.5))
@@ -128,6 +136,12 @@ class Arm:
             power = (friction(speeds) - friction(still)) * speeds
             counts[method] = int((power < -POWER * np.abs(power).max()).any(axis=0).sum())
         return counts
+
+    @property
+    def missed(self) -> dict[str, float]:
+        """Relative errors of what users could take on what was held out, in motion."""
+        every = self.result.held_out.every
+        return {name: every[key].moving.relative for name, key in MODELS.items()}
 
     @property
     def held_out(self) -> dict[str, float]:
