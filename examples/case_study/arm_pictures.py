@@ -77,12 +77,11 @@ def bars(arms: Sequence[Arm], path: Path) -> None:
         heights = [100.0 * arm.missed[name] for arm in arms]
         at = places + (k - 0.5 * (len(MODELS) - 1)) * width
         drawn = axis.bar(at, heights, 0.94 * width, color=COLORS[name], label=name)
-        axis.bar_label(drawn, [f"{each:.2g}" for each in heights], fontsize=8, padding=1)
-    for place, arm in zip(places, arms, strict=True):
-        if arm.eigenvalues["least squares"].max() < 0.0:
-            top = 100.0 * arm.missed["least squares"]
-            words = {"ha": "center", "fontsize": 8, "color": COLORS["least squares"]}
-            axis.text(place + 0.5 * width, 1.3 * top, "no\nrobot", fontweight="bold", **words)
+        labels = [f"{each:.0f}" if each >= 10.0 else f"{each:.1f}" for each in heights]
+        if name == "least squares":
+            labels = [_no_robot(arm) + label for arm, label in zip(arms, labels, strict=True)]
+        dark = "#B34700" if name == "least squares" else "black"
+        axis.bar_label(drawn, labels, fontsize=8, padding=1, color=dark)
     axis.set_yscale("log")
     axis.set_ylim(1.0, 4.0 * axis.get_ylim()[1])
     axis.set_ylabel("missed effort, not fitted, %")
@@ -90,6 +89,11 @@ def bars(arms: Sequence[Arm], path: Path) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     axis.legend(loc="upper center", ncols=len(MODELS), frameon=False, fontsize=9)
     plots.save_figure(figure, path)
+
+
+def _no_robot(arm: Arm) -> str:
+    """Return what to write over least squares whose mass matrix is indefinite all along."""
+    return "no\nrobot\n" if arm.eigenvalues["least squares"].max() < 0.0 else ""
 
 
 def animation(
