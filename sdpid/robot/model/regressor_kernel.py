@@ -29,9 +29,10 @@ REVOLUTE, PRISMATIC, FLOATING = 0, 1, 2
 # are given by unit vectors, whose rounding is far below.
 _PURE = 1e-12
 
-# Bytes that Pinocchio writes in about a millisecond; only to load Numba takes half a second. The
-# size decides, not whether it is loaded, so that the same call gives the same bits every time.
-SMALL = 1 << 20
+# Bytes that Pinocchio writes in 20 ms and the compiled loop in half of that; only to load Numba
+# takes half a second. The size decides, not whether it is loaded, so that the same call gives the
+# same bits every time.
+SMALL = 1 << 24
 
 # Bytes of the rows of a log, gone through two or three times, in which Numba makes up for its own
 # loading: a tenth of a second of Pinocchio each time.
