@@ -14,6 +14,8 @@ from sdpid.assurance.tables.csv_table import half_unit, read_base_table
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.problem import Problem
 from sdpid.output.tables.parameters_file import read_parameters
+from sdpid.robot.description.level import without_level
+from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -109,9 +111,12 @@ def read_given(
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix in _DESCRIPTIONS:
-        given = load_robot(path)
+        # A base that a run found to be tilted is no matter of the links.
+        text = read_description(path).text
+        source = path if without_level(text) == text else without_level(text)
+        given = load_robot(source)
         if robot.free_flyer and not given.free_flyer:
-            given = load_robot(path, root="free_flyer")
+            given = load_robot(source, root="free_flyer")
         return GivenParameters(source=file.name, values=_described(given, robot, file))
     if suffix == ".csv":
         table = read_base_table(path, value=value)

@@ -24,6 +24,7 @@ from sdpid.output.robots.friction_files import terms_data
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.tendons import tendons_markup
+from sdpid.robot.description.level import base_turn
 from sdpid.robot.description.xacro import is_xacro
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.friction.model import FrictionModel
@@ -31,6 +32,7 @@ from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.stored import term_from_dict
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.model.digest import close, other_kinematics
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier import certificate
@@ -237,11 +239,26 @@ def robot_differences(
             yield f"link {shown(link)}: its inertia is not that of the certified parameters"
     if problem is None:
         return
-    robot = problem.robot
+    robot = _as_written(problem, theta, compiled=compiled)
     other = list(other_kinematics(robot, file, _SAME, loops=not compiled))
     yield from other
     if not other:
         yield from _other_attributes(problem, theta, file, exact if compiled else None)
+
+
+def _as_written(problem: Problem, theta: Array, *, compiled: bool) -> RobotModel:
+    """Return the robot as files have it where its base is tilted: gravity turned, or the base."""
+    robot = problem.robot
+    model = RobotDynamics(robot=robot, terms=problem.friction, theta=theta)
+    if compiled:
+        return robot.with_gravity(model.tilted_gravity)
+    turn, turned = np.eye(4), robot.pin_model.copy()
+    turn[:3, :3] = base_turn(robot.gravity, model.tilted_gravity)
+    for i in range(1, turned.njoints):
+        if not turned.parents[i]:
+            place = turned.jointPlacements[i]
+            turned.jointPlacements[i] = type(place)(turn) * place
+    return replace(robot, pin_model=turned)
 
 
 def _other_attributes(

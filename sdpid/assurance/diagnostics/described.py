@@ -9,7 +9,8 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, Viscous
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
@@ -35,6 +36,7 @@ def described_dynamics(
     bodies: Array | None = None,
     attributes: tuple[Array, Array, Array] | None = None,
     couplings: Couplings = (),
+    offsets: Array | None = None,
 ) -> RobotDynamics:
     """Return the dynamics that a description holds: links, dry friction, damping, armature.
 
@@ -51,6 +53,8 @@ def described_dynamics(
     couplings : tuple, optional
         Two joints each, and the inertia, viscous and dry friction of their common drive that act
         crosswise (see `sdpid.friction.Coupling`).
+    offsets : ndarray, shape (joints,), optional
+        Constant efforts of the joints.
 
     Returns
     -------
@@ -63,9 +67,11 @@ def described_dynamics(
     sharp = described_coulomb(samples)
     width = float(np.max(sharp.width))  # type: ignore[arg-type]
     drives = tuple(Coupling(*joints, width) for joints, _ in couplings)
-    terms = sharp, Viscous(), RotorInertia(), *drives
+    terms: tuple[FrictionTerm, ...] = (sharp, Viscous(), RotorInertia(), *drives)
     values = [each[robot.n_base :] for each in attributes]
     values += [np.array(crosswise) for _, crosswise in couplings]
+    if offsets is not None:
+        terms, values = (*terms, Offset()), [*values, offsets]
     return RobotDynamics(
         robot=robot,
         terms=FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base),

@@ -32,6 +32,7 @@ from sdpid.output.report.judged import (
 )
 from sdpid.output.report.prediction_verdict import resting_share
 from sdpid.output.report.verdict import findings
+from sdpid.robot.description.level import LINK
 from sdpid.verifier.results.friction_terms import KINDS
 
 # Beside the two that have all terms in one.
@@ -60,6 +61,8 @@ class Headline:
     file : str or None
         What identified.urdf misses, and what to use in its place where that is clearly more than
         the estimate misses.
+    tilt : str or None
+        How the robot's files have a base that was found to be tilted.
     title : str
         The robot, how much was fitted, and what was predicted.
     found : str or None
@@ -77,6 +80,7 @@ class Headline:
     step: str
     baseline: str | None
     file: str | None = None
+    tilt: str | None = None
     title: str = ""
     found: str | None = None
     warnings: tuple[str, ...] = ()
@@ -91,7 +95,7 @@ class Headline:
             ("found", (self.found,)),
             ("worst joint", (self.worst,)),
             ("do not", self.warnings),
-            ("robot file", (self.file,)),
+            ("robot file", tuple(filter(None, (self.file, self.tilt)))),
             ("proven", (self.proven,)),
             ("next", (self.step,)),
             ("log", self.log),
@@ -118,6 +122,7 @@ def headline(result: Judged) -> Headline:
         step=_step(result, worst, causes),
         baseline=_beside(result),
         file=_file(result),
+        tilt=_tilt(result),
         title=_title(result),
         found=_found(result),
         warnings=tuple(each.warning for each in findings(result) if each.warning),
@@ -289,9 +294,20 @@ def _file(result: Judged) -> str | None:
     )
 
 
+def _tilt(result: Judged) -> str | None:
+    """Return how robots are written whose base was found to be tilted."""
+    if "Tilt" not in terms_of(result):
+        return None
+    gravity = ", ".join(f"{x:.4g}" for x in result.estimate.model().tilted_gravity)
+    return (
+        f"the base stands tilted, as found: identified.urdf on a new root link '{LINK}', "
+        f"identified.xml under gravity ({gravity}) m/s²"
+    )
+
+
 def _whole(result: Judged) -> str:
-    """Return in words what has all terms: no code has a tilted base, nor terms of one's own."""
-    code = _CODE if terms_of(result) <= KINDS.keys() else ""
+    """Return in words what has all terms: no code has terms of one's own, a URDF has the tilt."""
+    code = _CODE if terms_of(result) <= KINDS.keys() | {"Tilt"} else ""
     return f"estimate.model() or parameters.json{code}"
 
 

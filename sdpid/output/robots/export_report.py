@@ -14,6 +14,7 @@ from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.robots.joint_friction import LeftOut
+from sdpid.robot.model.model import RobotModel
 
 # Relative difference of two errors that are the same but for rounding and a solver's tolerance.
 _SAME = 1e-3
@@ -178,13 +179,19 @@ class Written:
         What was written.
     attributes : tuple of ndarray, shape (n,) each
         Dry friction, damping and armature of the robot's coordinates, read back from the file.
+    robot : RobotModel
+        Under gravity as a reader of the file has it.
     couplings : tuple
         Of two joints each, what tendons do crosswise, read back from the file.
+    offsets : ndarray, shape (joints,), or None
+        Constant efforts.
     """
 
     estimate: Estimate
     attributes: tuple[Array, Array, Array]
+    robot: RobotModel
     couplings: Couplings = ()
+    offsets: Array | None = None
 
     def errors(self, samples: Samples | None = None) -> Errors | None:
         """Return errors on samples, by default on the problem's own, if there are any."""
@@ -196,11 +203,12 @@ class Written:
             samples = problem.samples
         bodies = theta[: 10 * problem.robot.n_links]
         model = described_dynamics(
-            problem.robot,
+            self.robot,
             samples,
             bodies=bodies,
             attributes=self.attributes,
             couplings=self.couplings,
+            offsets=self.offsets,
         )
         return Errors(
             validate_dynamics(model, samples, problem).relative,

@@ -64,7 +64,7 @@ def write_friction(
     atomic_write_text(path, writer(data))
     if not data["left_out"]:
         return ()
-    gravity = ", ".join(f"{x:.5g}" for x in model.to_pinocchio().gravity.linear)
+    gravity = ", ".join(f"{x:.5g}" for x in model.tilted_gravity)
     return (
         f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
         f"({gravity}) m/s² as gravity in the base",

@@ -8,7 +8,7 @@ best with the identified links held.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,6 +84,8 @@ class JointAttributes:
         Whether they are not the identified numbers.
     tendons : tuple of Tendon
         Drives of two joints.
+    offsets : dict
+        Constant efforts by joint name.
     """
 
     values: dict[str, dict[str, float]]
@@ -91,6 +93,7 @@ class JointAttributes:
     notes: tuple[str, ...] = ()
     fitted: bool = False
     tendons: tuple[Tendon, ...] = ()
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 def joint_attributes(
@@ -100,6 +103,7 @@ def joint_attributes(
     what: str,
     *,
     tendons: bool = False,
+    offsets: bool = False,
 ) -> JointAttributes:
     """Return identified friction as attributes of joints.
 
@@ -119,15 +123,23 @@ def joint_attributes(
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
     what : str
         Name of the written robot in messages.
-    tendons : bool, optional
-        Whether the drive of two joints has a place as a tendon.
+    tendons, offsets : bool, optional
+        Whether the drive of two joints has a place as a tendon, a constant effort one as an
+        actuator.
 
     Raises
     ------
     ExportError
         When an identified number that is to be written is negative.
     """
-    places = Places(problem, theta, attributes, tendons=tendons)
+    places = Places(problem, theta, attributes, tendons=tendons, offsets=offsets)
+    found = _attributes(problem, theta, places, what)
+    values = [part.values.tolist() for part in places.offsets]
+    return replace(found, offsets=dict(zip(places.joints, *values, strict=True)) if values else {})
+
+
+def _attributes(problem: Problem, theta: Array, places: Places, what: str) -> JointAttributes:
+    """Return what is written of friction: as identified, or else as it fits the rows."""
     values, coupled = places.at_nominal_speeds(), places.tendons
     if not places.curves and not places.lost and places.holds_tendons:
         places.require_nonnegative(what)
@@ -205,13 +217,14 @@ class Rows:
             (shape * places.added()[kind] for kind, shape in more if kind in places.added()),
             np.zeros_like(self.effort),
         )
-        self.held = sum((self.of_part(part) for part in places.coupled), self.added)
+        held = (*places.coupled, *places.offsets)
+        self.held = sum((self.of_part(part) for part in held), self.added)
 
     def _measured_friction(self, theta: Array) -> Array:
         """Return what the efforts have beside those of the links, and of contacts."""
         problem, samples, first = self.problem, self.problem.samples, self.problem.friction.first
         if samples.contacts is None:
-            return self.effort - rigid_efforts(problem.robot, theta, samples)[:, first:]
+            return self.effort - rigid_efforts(self.places.robot, theta, samples)[:, first:]
         # Forces are those that suit the estimate best: what is left is its friction and errors.
         error = samples.effort - problem.predict(problem.base_of(theta))
         values = theta[10 * problem.robot.n_links :]

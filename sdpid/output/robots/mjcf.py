@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, Written
 from sdpid.output.robots.joint_friction import joint_attributes
-from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton
+from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton, quoted
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.tendons import Tendon, couplings_of, tendons_markup
 from sdpid.output.robots.urdf import source_text
@@ -46,22 +46,28 @@ PLACES: dict[Kind, str] = {
     RotorInertia: "armature",
 }
 
+# MuJoCo's dry friction is the sign of v + a/b, smeared: by default b is 105/s and the smear that of
+# a light joint 0.1 rad/s. With these b is 526/s at its own time step, and the smear a hundredth.
+STEEP = {"solreffriction": "0.004 1", "solimpfriction": "0.999 0.999 0.001"}
+
 
 def write_mjcf(
     estimate: Estimate,
     *,
     target: str | os.PathLike[str],
     source: str | os.PathLike[str] | None = None,
+    offsets: bool = False,
 ) -> ExportReport:
     """Write an MJCF with identified inertias, armature, damping and friction (extra ``sim``).
 
     From a URDF a new MJCF is made, with every link as a body under its name and without shapes.
     An MJCF is patched: only ``<inertial>`` elements and the joints' ``armature`` (rotor inertia),
     ``damping`` (viscous friction) and ``frictionloss`` (Coulomb friction) change, and of these
-    only what the problem has a term for. One exception: where the problem has no rotor inertia the
-    links hold that of the rotors, so that an ``armature`` of the source becomes zero. In a new
-    MJCF, drives of two joints become fixed tendons. Bodies fixed to moving ones, and terms without
-    a place, are treated as by `write_urdf`.
+    only what the problem has a term for; and gravity where the base was found to be tilted. Dry
+    friction gets ``solreffriction`` and ``solimpfriction`` that make it steep. One exception: where
+    the problem has no rotor inertia the links hold that of the rotors, so that an ``armature`` of
+    the source becomes zero. In a new MJCF, drives of two joints become fixed tendons. Bodies fixed
+    to moving ones, and terms without a place, are treated as by `write_urdf`.
 
     The file's joint frames need not be the robot's, but the positions at which joints are at zero
     must, and its world must be the robot's base (or have a body with the name of the URDF's root
@@ -77,6 +83,9 @@ def write_mjcf(
     source : str or path, optional
         MJCF to change or URDF to start from, as a path or its text; by default the URDF that the
         robot was loaded from.
+    offsets : bool, optional
+        Write offsets as actuators with a constant force, behind those of the source. They are
+        left out otherwise: mostly they are zero errors of sensors.
 
     Returns
     -------
@@ -102,25 +111,30 @@ def write_mjcf(
     RobotModel('denso_vp6242', 6 coordinates, 6 links)
     """
     problem = estimate.problem
-    robot = problem.robot
+    # What the file is of: the robot under gravity as a tilt of the base turns it.
+    robot = problem.robot.with_gravity(estimate.model().tilted_gravity)
     what = f"MJCF of '{robot.name}'"
     theta = standard_parameters(estimate, what, "MJCF")
     bodies = problem.feasible.bodies(theta)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     require_consistent(robot, bodies, "pseudo_inertia", what)
     patch, notes = open_source(robot, source, what)
-    friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.ours)
+    friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.ours, offsets=offsets)
     written = friction.values
     notes = friction.notes + notes
+    if not np.array_equal(robot.gravity, problem.robot.gravity):
+        notes += (f"gravity is {patch.gravity()} m/s²: its base stands tilted, as found",)
     for link, body in enumerate(bodies):
         patch.body(link, body)
     patch.joints(written, clear_armature="armature" not in _attributes(written))
     patch.tendons(friction.tendons)
+    patch.offsets(friction.offsets)
     result = patch.document.text()
     # It has compiled in a child process; only numbers have changed since.
     compiled = Compiled(robot, result, what, folder=patch.folder, ours=True)
     compiled.require_same_efforts(bodies)
-    file = Written(estimate, compiled.attributes(), compiled.couplings)
+    constant = np.array([*friction.offsets.values()]) if friction.offsets else None
+    file = Written(estimate, compiled.attributes(), robot, compiled.couplings, constant)
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     if patch.cleared:
@@ -393,6 +407,8 @@ class Patch(Compiled):
             if values:
                 joint = self._joint(carrier, i)
                 text = {key: numbers([value]) for key, value in values.items()}
+                if values.get("frictionloss"):
+                    text |= STEEP
                 self.document.set_attributes(joint, text)
                 self.joints_changed.append(name)
 
@@ -401,6 +417,29 @@ class Patch(Compiled):
         if tendons:
             markup = tendons_markup(tendons)
             self.document.insert_child(self.document.root, markup, last=True)
+
+    def offsets(self, offsets: Mapping[str, float]) -> None:
+        """Write constant efforts: what a drive gives beside them moves the joint."""
+        lines = [
+            f'  <general joint={quoted(joint)} gainprm="0" biastype="affine" '
+            f'biasprm="{numbers([-value, 0.0, 0.0])}"/>'
+            for joint, value in offsets.items()
+        ]
+        if lines:
+            markup = "\n".join(["<actuator>", *lines, "</actuator>"])
+            self.document.insert_child(self.document.root, markup, last=True)
+
+    def gravity(self) -> str:
+        """Write gravity in the file's world and return it in words."""
+        found = self.base[:3, :3] @ self.robot.gravity
+        options = self.document.root.find_all("option")
+        if options:
+            option = max(options, key=lambda each: "gravity" in each.attributes)
+            self.document.set_attributes(option, {"gravity": numbers(found)})
+        else:
+            line = f'<option gravity="{numbers(found)}"/>'
+            self.document.insert_child(self.document.root, line)
+        return f"({', '.join(f'{each:.4g}' for each in found)})"
 
     def _joint(self, body: int, i: int) -> Element:
         """Return the element of a joint, which need not have a name."""

@@ -12,17 +12,20 @@ from sdpid.errors import ExportError
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.output.robots.tendons import Tendon, added, tendons_of
+from sdpid.robot.friction.posed import Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
+    Offset,
     RotorInertia,
     SigmoidFriction,
     SquareRootFriction,
     Stribeck,
     Viscous,
 )
+from sdpid.robot.model.dynamics import RobotDynamics
 
 Kind = type[JointwiseTerm]
 
@@ -58,8 +61,12 @@ class Places:
         Terms for which there is no place.
     coupled : list of Part
         Drives of two joints that become tendons.
+    offsets : list of Part
+        Constant efforts that are written.
     kinds : list
         The terms whose attributes are written.
+    robot : RobotModel
+        The robot, under gravity as a tilt of the base turns it.
 
     Parameters
     ----------
@@ -69,8 +76,8 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    tendons : bool, optional
-        Whether drives of two joints have a place.
+    tendons, offsets : bool, optional
+        Whether drives of two joints and constant efforts have a place.
     """
 
     def __init__(
@@ -80,7 +87,11 @@ class Places:
         attributes: Mapping[Kind, str],
         *,
         tendons: bool = False,
+        offsets: bool = False,
     ) -> None:
+        model = RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
+        # Every file has room for the direction of gravity.
+        self.robot = problem.robot.with_gravity(model.tilted_gravity)
         self.joints = problem.friction.joint_names
         self.attributes = attributes
         self.exact: dict[Kind, Array] = {}
@@ -88,6 +99,7 @@ class Places:
         self.curves: list[Part] = []
         self.lost: list[Part] = []
         self.coupled: list[Part] = []
+        self.offsets: list[Part] = []
         at = 10 * problem.robot.n_links
         for term in problem.friction.terms:
             names = tuple(p.name for p in term.parameters(self.joints))
@@ -100,7 +112,9 @@ class Places:
                 self.exact[type(term)] = np.maximum(part.values, 0.0)
             elif isinstance(term, Coupling) and tendons:
                 self.coupled.append(part)
-            else:
+            elif isinstance(term, Offset) and offsets:
+                self.offsets.append(part)
+            elif type(term) is not Tilt:
                 self.lost.append(part)
         self._keep_real_drives()
         stand_in = {Coulomb, Viscous} if self.curves or self.coupled else set()

@@ -31,6 +31,7 @@ from sdpid.output.robots.written_bodies import (
     rest_of,
     standard_parameters,
 )
+from sdpid.robot.description.level import LINK, base_turn, stand_on_level, without_level
 from sdpid.robot.description.urdf import inertial_values, written_values
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, read_description
@@ -56,9 +57,10 @@ def write_urdf(
 
     Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
     joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
-    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are. Where the
-    problem has terms that a URDF has no place for, damping and friction are fitted to its rows
-    anew, with the identified links held. See docs/guides/exports.md.
+    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are. A base that
+    was found to be tilted stands on a new root link that is level. Where the problem has terms
+    that a URDF has no place for, damping and friction are fitted to its rows anew, with the
+    identified links held. See docs/guides/exports.md.
 
     Parameters
     ----------
@@ -101,7 +103,7 @@ def write_urdf(
     robot = problem.robot
     what = f"URDF of '{robot.name}'"
     theta = standard_parameters(estimate, what, "URDF")
-    text = source_text(robot, source, what)
+    text = without_level(source_text(robot, source, what))
     bodies = problem.feasible.bodies(theta)
     consistency = problem.consistency
     require_consistent(robot, bodies, consistency, what)
@@ -145,9 +147,15 @@ def write_urdf(
         write_inertial(document, tree.links[link], written_values(written))
         changed.append(link)
     friction = _write_friction(tree, problem, theta)
+    notes, turn = friction.notes, base_turn(robot.gravity, estimate.model().tilted_gravity)
+    if not np.array_equal(turn, np.eye(3)):
+        stand_on_level(document, tree.root_link(), turn)
+        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+        notes += (f"its base stands tilted by {angle:.3g}° on a new root link '{LINK}', as found",)
     result = document.text()
-    damping, dry = read_back(robot, bodies, result).described_friction()
-    file = Written(estimate, (dry, damping, np.zeros(robot.n)))
+    seen = robot.with_gravity(turn.T @ robot.gravity)
+    damping, dry = read_back(robot, bodies, result, seen=seen).described_friction()
+    file = Written(estimate, (dry, damping, np.zeros(robot.n)), seen)
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     return ExportReport(
@@ -158,7 +166,7 @@ def write_urdf(
         left_out=friction.left_out,
         friction_fitted=friction.fitted,
         triangle_violations=tuple(flat),
-        notes=friction.notes,
+        notes=notes,
         training=file.errors(),
         _written=file,
     )
@@ -263,8 +271,12 @@ def write_dynamics(
             document.insert_child(tree.joints[name], line, last=True)
 
 
-def read_back(robot: RobotModel, bodies: Array, text: str) -> RobotModel:
+def read_back(
+    robot: RobotModel, bodies: Array, text: str, *, seen: RobotModel | None = None
+) -> RobotModel:
     """Return the robot of the written text, which must need the efforts of the identified one.
+
+    Where its base is turned, `seen` is the robot under gravity as it is then.
 
     Raises
     ------
@@ -284,7 +296,7 @@ def read_back(robot: RobotModel, bodies: Array, text: str) -> RobotModel:
         )
     states = generic_states(robot, STATES, SEED)
     require_same_efforts(
-        robot.inverse_dynamics(bodies, *states),
+        (seen or robot).inverse_dynamics(bodies, *states),
         written.inverse_dynamics(written.prior, *states),
         what,
         "the source's joints are placed differently. Give the URDF that the robot was identified "

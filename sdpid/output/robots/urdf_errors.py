@@ -44,4 +44,5 @@ def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> Errors | 
         values = written.get(joint, {})
         dry[j] = values.get(PLACES[Coulomb], dry[j])
         damping[j] = values.get(PLACES[Viscous], damping[j])
-    return Written(estimate, (dry, damping, np.zeros(robot.n))).errors(samples)
+    seen = robot.with_gravity(estimate.model().tilted_gravity)
+    return Written(estimate, (dry, damping, np.zeros(robot.n)), seen).errors(samples)

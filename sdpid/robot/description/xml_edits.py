@@ -172,6 +172,10 @@ class Document:
         """Replace a whole element by markup."""
         self._edit(element.start, element.end, text)
 
+    def remove(self, element: Element) -> None:
+        """Remove a whole element and the white space before it."""
+        self._edit(len(self._data[: element.start].rstrip()), element.end, "")
+
     def _edit(self, start: int, end: int, text: str) -> None:
         self._edits.append((start, end, text.encode("utf-8")))
 

@@ -112,15 +112,22 @@ class RobotDynamics:
         where the model says so. Joints that mimic others are joints of their own there.
         """
         model = self._links.copy()
-        for term, values in self._posed():
-            if isinstance(term, Tilt):
-                model.gravity.linear += values @ term.change(self.robot.gravity)
+        model.gravity.linear = self.tilted_gravity
         drives = np.diag(self.drive_inertia)
         for i in range(1, model.njoints):
             if model.names[i] in self.robot.joint_names:
                 coordinate = self.robot.joint_names.index(model.names[i])
                 model.armature[model.joints[i].idx_v] = drives[coordinate]
         return model
+
+    @cached_property
+    def tilted_gravity(self) -> Array:
+        """Gravity in the base link, tilted where the model says so, m/s²."""
+        gravity = self.robot.gravity
+        return gravity + sum(
+            (values @ term.change(gravity) for term, values in self._posed() if type(term) is Tilt),
+            np.zeros(3),
+        )
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return the mass matrix, rotor inertias and couplings included.

@@ -29,6 +29,7 @@ _ATTRIBUTES = {
     "connect": {"name", "site1", "site2"},
     "weld": {"name", "site1", "site2"},
     "joint": {"name", "type", "axis", "range", "actuatorfrcrange", *_FRICTION}
+    | {"solreffriction", "solimpfriction"}
     | {"joint1", "joint2", "polycoef"}
     | {"joint", "coef"},
     "fixed": {"name", *_FRICTION},

@@ -3,18 +3,23 @@
 import difflib
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.joint_friction import LeftOut
 from sdpid.output.robots.mjcf import write_mjcf
+from sdpid.robot.description.level import without_level
 from sdpid.robot.friction.terms import RotorInertia
 from sdpid.robot.model.base_parameters import generic_states
+from sdpid.workflow.given_parameters import read_given
+from tests.helpers import world
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
@@ -200,7 +205,7 @@ def test_a_users_file_is_patched(tmp_path: Path) -> None:
     allowed = re.compile(r"<inertial pos|<joint name=")
     assert [line for line in changed if not allowed.match(line)] == []
     assert "<!-- a guess -->" in out
-    assert 'stiffness="5" frictionloss="0.75" damping="0.75" armature="0.75"/>' in out
+    assert 'stiffness="5" frictionloss="0.75" damping="0.75" armature="0.75" solref' in out
     # The base's turn about the vertical leaves gravity as it is; the spring is not identified.
     source.write_text(out.replace('stiffness="5"', ""))
     assert_identified(problem, links, source)
@@ -310,3 +315,75 @@ def test_a_body_with_several_joints_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="body 'second' has several joints"):
         write_mjcf(estimate, source=source, target=tmp_path / "out.xml")
     assert write_mjcf(estimate, target=tmp_path / "out.xml").lumped == ()
+
+
+def _played(path: Path, motion: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Return the efforts of drives of a motion by MuJoCo's inverse dynamics, dry friction too."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, found = mujoco.MjData(model), []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(*motion, strict=True):
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        found.append(data.qfrc_inverse - data.qfrc_actuator)
+    return np.array(found)
+
+
+def _tilted_log(seed: int, times: np.ndarray) -> tuple[tuple[np.ndarray, ...], sdpid.Recording]:
+    """Return the motion, and the log, of the arm of `world` that stands tilted by 1.6 degrees."""
+    down = np.array([0.6 * np.sin(0.028), 0.8 * np.sin(0.028), np.cos(0.028)])
+    robot = sdpid.load_robot(world.arm_urdf(np.ones(6)), gravity=(-9.81 * down).tolist())
+    rng = np.random.default_rng(seed)
+    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, 1, robot.n))
+    size, phase = rng.uniform(0.15, 0.4, w.shape), rng.uniform(0.0, 2.0 * np.pi, w.shape)
+    waves = (size * np.sin(w * times[:, None] + phase), size * np.cos(w * times[:, None] + phase))
+    motion = (waves[0].sum(0), (w * waves[1]).sum(0), -(w**2 * waves[0]).sum(0))
+    friction = 0.5 + 0.5 * np.arange(robot.n)[::-1]
+    effort = robot.inverse_dynamics(robot.prior, *motion)
+    effort += friction * (np.tanh(motion[1] / 0.01) + motion[1]) + 0.2
+    effort += 0.2 * rng.standard_normal(effort.shape)
+    position = motion[0] + 2e-5 * rng.standard_normal(effort.shape)
+    return motion, sdpid.Recording(
+        time=times, position=position, effort=effort, joint_names=robot.joint_names
+    )
+
+
+def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Path) -> None:
+    times = np.arange(2000) / 100.0
+    logs = [_tilted_log(seed, times) for seed in (1, 2)]
+    (motion, other), off = logs[1], np.array([1.1, 0.9, 1.1, 0.9, 1.1, 0.9])
+    robot = sdpid.load_robot(world.arm_urdf(off))
+    result = sdpid.identify(robot, logs[0][1], validation=other, intervals=False)
+    assert result.headline.tilt is not None
+    assert "under gravity (-0.1" in result.headline.tilt
+    samples, recipe = result.validation_samples, result.recipe
+    assert samples is not None
+    assert recipe is not None
+    used, errors = samples.used, []
+    write_mjcf(result.estimate, target=tmp_path / "arm.xml", offsets=True)
+    for efforts in (
+        _played(tmp_path / "arm.xml", motion),
+        result.model().inverse_dynamics(*motion),
+    ):
+        # Efforts pass the filter of the log's.
+        played = sdpid.process(replace(other, effort=efforts), recipe.processing)
+        errors.append(float(np.linalg.norm((samples.effort - played.effort)[used])))
+    assert errors[0] <= 1.05 * errors[1]
+    # Readers of the URDF find the base tilted, and the same links and joints on it.
+    report = sdpid.write_urdf(result.estimate, target=tmp_path / "arm.urdf")
+    assert "tilted by 1.59°" in report.describe()
+    assert "Tilt" not in [lost.term for lost in report.left_out]
+    for name in ("arm.urdf", "arm.xml"):
+        if name == "arm.xml":
+            write_mjcf(result.estimate, target=tmp_path / name)
+        assert differences(result.estimate, tmp_path / name) == []
+    again = sdpid.load_robot(tmp_path / "arm.urdf")
+    found = validate_robot(again, samples).relative
+    assert found == pytest.approx(report.with_validation(samples).validation.file, rel=1e-6)
+    # Written upon itself, it is the same; turned otherwise, it is told.
+    sdpid.write_urdf(result.estimate, source=tmp_path / "arm.urdf", target=tmp_path / "two.urdf")
+    assert (tmp_path / "two.urdf").read_bytes() == (tmp_path / "arm.urdf").read_bytes()
+    text = (tmp_path / "arm.urdf").read_text(encoding="utf-8")
+    (tmp_path / "two.urdf").write_text(without_level(text), encoding="utf-8")
+    assert "another place" in differences(result.estimate, tmp_path / "two.urdf")[0]
+    given = read_given(tmp_path / "arm.urdf", robot)
+    assert given.values["m_1"] == pytest.approx(result.estimate.named_theta()["m_1"])

@@ -9,6 +9,7 @@ from sdpid.assurance.log_proof.chain.sealed import Sealed
 from sdpid.assurance.log_proof.recipe import RobotRecipe
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_robots, example_robots
+from sdpid.robot.description.level import without_level
 from sdpid.robot.description.xacro import is_xacro
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.digest import kinematics_digest
@@ -55,9 +56,11 @@ def _of_folder(sealed: Sealed) -> RobotModel | None:
         return None
     try:
         # No run writes xacro, and its expressions are run; the folder may be anybody's.
-        if is_xacro(read_description(sealed.folder / URDF)):
+        description = read_description(sealed.folder / URDF)
+        if is_xacro(description):
             return None
-        robot = load_robot(sealed.folder / URDF, root=recipe.root, gravity=recipe.gravity)
+        text = without_level(description.text)
+        robot = load_robot(text, root=recipe.root, gravity=recipe.gravity)
     except ModelError:
         return None
     return robot if kinematics_digest(robot) == recipe.kinematics else None
