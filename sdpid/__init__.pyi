@@ -54,6 +54,7 @@ from .workflow.adapt import adapt
 from .workflow.comparison import compare
 from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
+from .workflow.runs.saved import load
 from .workflow.sample import sample_parameters
 from .workflow.verify import verify
 
@@ -98,6 +99,7 @@ __all__ = [
     "identify_drive_gains",
     "identify_payload",
     "inspect_recording",
+    "load",
     "load_robot",
     "paper_excitation",
     "plots",

@@ -30,6 +30,7 @@ CONTRACT = {
     "identify_drive_gains",
     "identify_payload",
     "inspect_recording",
+    "load",
     "load_robot",
     "paper_excitation",
     "process",

@@ -15,6 +15,7 @@ import sdpid
 from sdpid.constraints import TotalMass
 from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.workflow.runs.saved import SavedRun
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
 from tests.helpers.plans import small_plan
@@ -129,6 +130,7 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "identify_drive_gains": lambda: sdpid.identify_drive_gains(
         robot(), currents(), known={robot().joint_names[0]: 10.0}, effects="none"
     ),
+    "load": lambda: SavedRun.of(result()),
     "identify_payload": lambda: sdpid.identify_payload(robot(), *[problem().samples] * 2),
     "inspect_recording": lambda: sdpid.inspect_recording(log(), robot()),
     "load_robot": robot,

@@ -170,11 +170,6 @@ def plot_motion(
     return axes
 
 
-def nearest_pairs(room: Array) -> list[tuple[str, int]]:
-    """Return color and index of the pairs that `plot_distances` shows, the nearest first."""
-    return list(zip(COLORS, np.argsort(room.min(axis=0)).tolist(), strict=False))
-
-
 def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
     """Show how far the nearest pairs stay from their least distances over time.
 
@@ -190,7 +185,7 @@ def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
     Returns
     -------
     matplotlib.axes.Axes
-        With the pairs of `nearest_pairs`.
+        The nearest pairs, as many as there are colors.
 
     Examples
     --------
@@ -202,7 +197,7 @@ def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
     """
     (axis,) = stacked([Panel(_LARGE, "room left [mm]", x="time [s]")], axes)
     axis.margins(x=0.0)
-    for color, pair in nearest_pairs(room):
+    for color, pair in zip(COLORS, np.argsort(room.min(axis=0)), strict=False):
         _line(axis, time, 1e3 * room[:, pair], color=color, linewidth=1.0)
     axis.axhline(0.0, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
     axis.set_ylim(min(0.0, 1e3 * float(room.min())), min(_ROOM, 1.05e3 * float(room.max())))

@@ -1,7 +1,4 @@
-"""Figures of panels under each other, as wide as a phone's screen.
-
-Their places are fixed, so that nothing needs to be drawn to find them.
-"""
+"""Figures of panels under each other, as wide as a phone's screen."""
 
 from __future__ import annotations
 
@@ -9,24 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from sdpid._common.extras import require
 from sdpid.plots.figures import SMALL, axes_of, dress, legend, new_figure
 
-# Points; a phone shows it some 340 pixels wide, so letters of 8 are 10 pixels high.
+# Points.
 WIDTH = 280.0
 
-# Free at the edges (on the left for a label and six digits), above a panel (with its keys), and
-# below one (with numbers, and with a label below them), points.
-_LEFT, _RIGHT = 48.0, 6.0
-_ABOVE, _KEYS = 6.0, 15.0
-_BELOW, _WORDS = 1.0, 25.0
+# Of a panel beside its frame, points: keys above, a label below.
+_KEYS, _WORDS = 15.0, 35.0
 
-# From a panel to the middle of the label on its left, points.
-_LABEL = 36.0
-
-# Approximate numbers of ticks; each tick costs as much time as a line.
+# Approximate numbers of ticks.
 _TICKS_X, _TICKS_Y = 6, 4
 
 # Numbers beyond these powers of ten get a common factor, so that they fit on the left.
@@ -80,32 +69,23 @@ def stacked(panels: Sequence[Panel], axes: Any = None) -> Any:
             dress(axis, xlabel=panel.x, ylabel=panel.y)
         return given
     ticker = require("matplotlib.ticker", extra="plot")
-    high = sum(p.height + _above(p) + (_WORDS if p.x else _BELOW) for p in panels)
-    figure = new_figure(WIDTH / 72.0, high / 72.0, layout=None)
-    figure.patch.set_visible(False)
-    placed = np.empty(len(panels), dtype=object)
-    top, above = high, None
-    for k, panel in enumerate(panels):
-        top -= _above(panel) + panel.height
-        wide = WIDTH - _LEFT - _RIGHT
-        place = (_LEFT / WIDTH, top / high, wide / WIDTH, panel.height / high)
-        axis = figure.add_axes(place, sharex=above)
+    heights = [panel.height for panel in panels]
+    high = sum(heights) + sum(_KEYS * panel.keys + _WORDS * bool(panel.x) for panel in panels)
+    figure = new_figure(WIDTH / 72.0, high / 72.0)
+    placed = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for k, (axis, panel) in enumerate(zip(placed, panels, strict=True)):
         dress(axis, xlabel=panel.x, ylabel=panel.y)
         axis.xaxis.label.set_fontsize(SMALL)
         axis.yaxis.label.set_fontsize(SMALL)
-        axis.xaxis.set_label_coords(0.5, -15.0 / panel.height)
-        axis.yaxis.set_label_coords(-_LABEL / wide, 0.5)
-        # The grid shows where the ticks are.
-        axis.tick_params(length=0.0, left=False, bottom=False, labelbottom=bool(panel.x))
+        axis.tick_params(length=0.0, labelbottom=bool(panel.x))
         axis.ticklabel_format(scilimits=_POWERS)
         axis.xaxis.set_major_locator(ticker.MaxNLocator(_TICKS_X, steps=(1, 2, 5, 10)))
         axis.yaxis.set_major_locator(ticker.MaxNLocator(_TICKS_Y, steps=(1, 2, 5, 10)))
         for part in (axis.xaxis, axis.yaxis):
             part.offsetText.set_fontsize(SMALL)
-        axis.xaxis.offsetText.set_visible(bool(panel.x))
-        placed[k] = axis
-        top -= _WORDS if panel.x else _BELOW
-        above = None if panel.x else axis
+        if not panel.x:
+            axis.sharex(placed[k + 1])
+            axis.xaxis.offsetText.set_visible(False)
     return placed
 
 
@@ -126,7 +106,3 @@ def keys(axis: Any) -> None:
     """Add a legend above a panel."""
     place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
     legend(axis, **place, ncols=3, frameon=False, borderpad=0.2, handlelength=1.5)
-
-
-def _above(panel: Panel) -> float:
-    return _KEYS if panel.keys else _ABOVE

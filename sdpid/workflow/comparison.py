@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
+from sdpid.workflow.runs.compare import RunComparison, Saved, compare_runs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +148,7 @@ class Comparison(Shown):
             When no start of the solver has a history.
         """
         from sdpid.plots.convergence import plot_convergence
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
 
         runs = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
         histories = [e.history for e in runs if e is not None and e.history]
@@ -172,8 +173,14 @@ class Comparison(Shown):
         Table(_COLUMNS, tuple(tuple(vars(row).values()) for row in self.rows)).write(path)
 
 
+@overload
+def compare(problem: Saved, other: Saved) -> RunComparison: ...
+
+
+@overload
 def compare(
     problem: Problem,
+    other: None = None,
     *,
     starts: int = 20,
     seed: int = 0,
@@ -182,13 +189,29 @@ def compare(
     max_iterations: int | None = None,
     n_jobs: int | None = None,
     show_progress: bool | None = None,
-) -> Comparison:
-    """Run every solver on a problem, the local ones from many starts.
+) -> Comparison: ...
+
+
+def compare(
+    problem: Problem | Saved,
+    other: Saved | None = None,
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    extra_starts: Sequence[tuple[str, np.ndarray]] = (),
+    local: Sequence[str] = ("slsqp", "log_cholesky"),
+    max_iterations: int | None = None,
+    n_jobs: int | None = None,
+    show_progress: bool | None = None,
+) -> Comparison | RunComparison:
+    """Run every solver on a problem, the local ones from many starts; or compare two results.
 
     Parameters
     ----------
-    problem : Problem
-        The problem, with a consistency.
+    problem : Problem, or Identification, SavedRun or path
+        The problem, with a consistency; or a result of `identify`, or its folder.
+    other : Identification, SavedRun or path, optional
+        The result to compare with, of the same robot. The other arguments are those of solvers.
     starts : int, optional
         Number of random starts; every local solver gets the same.
     seed : int, optional
@@ -207,7 +230,7 @@ def compare(
 
     Returns
     -------
-    Comparison
+    Comparison, or RunComparison of two results
         A local run that raises is a row with status ``"error"`` and its message. A local solver
         that cannot handle the problem's conditions or prior is left out, and one row says why.
 
@@ -216,7 +239,8 @@ def compare(
     SolverError
         When the global optimum cannot be found: then there is nothing to compare with.
     DataError
-        When the problem has no consistency, or a local solver is not known.
+        When the problem has no consistency, a local solver is not known, or one of two results is
+        none.
 
     Examples
     --------
@@ -226,7 +250,13 @@ def compare(
     >>> all(row.cost >= comparison.certificate.lower_bound for row in comparison.rows[1:])
     True
     >>> comparison.to_csv("comparison.csv")
+    >>> sdpid.compare(result, result).same_log
+    True
     """
+    if other is not None or not isinstance(problem, Problem):
+        if other is None or isinstance(problem, Problem):
+            raise DataError("compare: give a problem alone, or two results of identify.")
+        return compare_runs(problem, other)
     unknown = [name for name in local if name not in _LOCAL]
     if unknown:
         raise DataError(

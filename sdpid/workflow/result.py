@@ -182,7 +182,7 @@ class Identification(Judged, Shown):
             One row a joint: effort and error over time, friction over velocity.
         """
         from sdpid.output.report.sections.overview import plot_overview
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
 
         return in_notebook(plot_overview(self, title=title, axes=axes), axes)
 

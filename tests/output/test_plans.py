@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -28,9 +27,7 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.plans import write
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
 from sdpid.output.plans.motion_files import (
-    write_coefficients,
     write_motion_csv,
-    write_motion_parquet,
 )
 from sdpid.output.plans.page import plan_html
 from sdpid.output.plans.pieces import TOLERANCE, pieces
@@ -43,7 +40,7 @@ from tests.helpers.motions import fourier_motion, spline_motion
 from tests.helpers.plans import AROUND, LIMITS, small_plan
 from tests.helpers.refusals import refuses
 from tests.helpers.scenes import unpacked
-from tests.output.test_report import elements, pictures, tree, words
+from tests.output.test_report import elements, tree, words
 
 SIX = tuple(f"joint_{k}" for k in range(1, 7))
 MOTIONS = {
@@ -93,37 +90,6 @@ def test_the_table_holds_the_motion(motion: Trajectory, tmp_path: Path) -> None:
     # With all digits, and at rest at both ends.
     assert np.array_equal(table[:-1, 1:7], motion.sample()[0])
     assert np.abs(table[[0, -1], 7:]).max() < 1e-6
-
-
-def test_parquet_is_the_table(motion: Trajectory, tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
-    write_motion_csv(motion, tmp_path / "a.csv")
-    write_motion_parquet(motion, tmp_path / "a.parquet")
-    one, other = pandas.read_csv(tmp_path / "a.csv"), pandas.read_parquet(tmp_path / "a.parquet")
-    assert list(one) == list(other)
-    assert np.allclose(one, other, rtol=1e-15, atol=0.0)
-
-
-def test_the_coefficients_are_the_motion(motion: Trajectory, tmp_path: Path) -> None:
-    write_coefficients(motion, tmp_path / "c.json")
-    content = json.loads((tmp_path / "c.json").read_text())
-    assert content["joint_names"] == list(SIX)
-    assert content["periods"] == motion.periods
-    t = np.linspace(0.0, motion.period, 101)
-    if content["kind"] == "b-spline":
-        points = np.array(content["control_points"]).T
-        found = BSpline(np.array(content["knots"]), points, content["degree"])(t)
-    else:
-        found = np.array(content["center"]) + sum(
-            np.array(content["amplitudes"])[:, h]
-            * np.sin(
-                2 * np.pi * np.array(content["harmonics"])[:, h] * t[:, None] / content["period"]
-                + np.array(content["phases"])[:, h]
-            )
-            for h in range(3)
-        )
-    assert np.allclose(found, motion.series.evaluate(t), atol=1e-12)
 
 
 def test_the_message_holds_the_motion(motion: Trajectory, tmp_path: Path) -> None:
@@ -245,20 +211,23 @@ def page() -> str:
 
 
 def scene(page: str) -> dict[str, Any]:
-    (found,) = [each for each in elements(page, "script") if each.get("type")]
+    found, _ = [each for each in elements(page, "script") if each.get("type")]
     content: dict[str, Any] = json.loads(found.text)
     return content
 
 
 def test_it_is_valid_and_alone(page: str) -> None:
-    """Of scripts one runs, by its digest; nothing is fetched."""
+    """Scripts run by their digests; nothing is fetched."""
     assert page.startswith("<!DOCTYPE html>")
-    data, player = elements(page, "script")
-    assert data.get("type") == "application/json"
-    assert not player.attrib
-    digest = base64.b64encode(hashlib.sha256(player.text.encode()).digest()).decode()
+    *data, player, uplot, drawing = elements(page, "script")
+    assert [each.get("type") for each in data] == ["application/json"] * 2
+    assert not any(each.attrib for each in (player, uplot, drawing))
+    digests = [
+        f"'sha256-{base64.b64encode(hashlib.sha256(each.text.encode()).digest()).decode()}'"
+        for each in (player, uplot, drawing)
+    ]
     (policy,) = [m.get("content") for m in elements(page, "meta") if m.get("http-equiv")]
-    assert f"script-src 'sha256-{digest}'" in policy.split("; ")
+    assert f"script-src {' '.join(digests)}" in policy.split("; ")
     assert "default-src 'none'" in policy.split("; ")
     for element in tree(page).iter("{*}*"):
         for key, value in element.attrib.items():
@@ -286,16 +255,21 @@ def test_it_tells_the_plan(page: str) -> None:
         *plan.expected.sentences(),
     ):
         assert re.sub(r"\s+", " ", text).rstrip(".").lower() in shown.lower()
-    # A picture a joint, distances, spectrum, and errors over the duration.
-    assert len(pictures(page)) == plan.robot.n + 3
-    assert len(pictures(plan_html(plan, figures=False))) == 0
+    # Five charts a joint, distances, spectrum, and errors over the duration.
+    places = [each for each in elements(page, "div") if each.get("data-chart")]
+    assert len(places) == 5 * plan.robot.n + 3
+    held = json.loads(elements(page, "script")[1].text)
+    assert len(held["charts"]) == len(places)
+    for place in places:
+        chart = held["charts"][int(place.get("data-chart"))]
+        assert {line[0] for line in json.loads(place.get("data-look"))["lines"]} <= chart.keys()
 
 
 def test_a_broken_limit_is_bad(page: str) -> None:
     plan = small_plan()
     row = replace(plan.limits.rows[0], verdict="broken", reached=99.0)
     limits = replace(plan.limits, rows=(row, *plan.limits.rows[1:]))
-    shown = words(plan_html(replace(plan, limits=limits), figures=False))
+    shown = words(plan_html(replace(plan, limits=limits)))
     assert "Not every limit is proven to hold" in shown
     assert "Every limit holds" not in shown
 
@@ -337,6 +311,8 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
         slide = "s = document.getElementById('scene-time'); s.value = 2; s.dispatchEvent(new Event("
         await tab.value(f"{slide}'input'))")
         await tab.until(f"{told}.startsWith('2.00 s of')")
+        await tab.value("document.querySelector('#bought .chart').scrollIntoView()")
+        await tab.until("document.querySelector('#bought .chart canvas') !== null")
         for width in (1280, 390):
             size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
             await tab.call("Emulation.setDeviceMetricsOverride", **size)
@@ -354,9 +330,7 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
 
 FILES = {
     "trajectory.csv",
-    "trajectory.parquet",
     "trajectory.toml",
-    "coefficients.json",
     "joint_trajectory.yaml",
     "report.html",
     "limits.toml",
@@ -372,7 +346,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("jinja2")
     out = tmp_path_factory.mktemp("plans") / "new" / "plan"
     told: list[str] = []
-    files = write_plan(small_plan(), out, report=told.append, figures=False)
+    files = write_plan(small_plan(), out, report=told.append)
     assert {file.name for file in files} == FILES
     assert told == [
         "no excitation.script: arms of Universal Robots have 6 turning joints, this robot has "
@@ -395,12 +369,11 @@ def test_the_motion_is_that_of_the_plan(folder: Path) -> None:
     again = sdpid.Trajectory.from_toml(folder / "trajectory.toml")
     assert np.array_equal(again.series.control_points, own.series.control_points)  # type: ignore[attr-defined]
     time = np.linspace(0.0, own.period, 997)
-    for name in ("trajectory.csv", "trajectory.parquet"):
-        read = read_trajectory(folder / name, own.joint_names)
-        assert read.series.duration == pytest.approx(own.duration, abs=1e-12)
-        for order, near in enumerate((1e-9, 1e-7, 1e-4)):
-            found = read.series.evaluate(time, derivative=order)
-            assert np.allclose(found, own.series.evaluate(time, derivative=order), atol=near)
+    read = read_trajectory(folder / "trajectory.csv", own.joint_names)
+    assert read.series.duration == pytest.approx(own.duration, abs=1e-12)
+    for order, near in enumerate((1e-9, 1e-7, 1e-4)):
+        found = read.series.evaluate(time, derivative=order)
+        assert np.allclose(found, own.series.evaluate(time, derivative=order), atol=near)
 
 
 def test_the_results_are_told(folder: Path) -> None:
@@ -432,12 +405,12 @@ def test_limits_and_obstacles_are_those_given(folder: Path) -> None:
 def test_a_search_that_ended_early_says_so(tmp_path: Path) -> None:
     """Options do not make the same plan again where time ended the search."""
     plan = small_plan()
-    write_plan(plan, tmp_path, figures=False)
+    write_plan(plan, tmp_path)
     assert "another run" not in (tmp_path / "plan.toml").read_text()
     timed = replace(plan, settings={**plan.settings, "time_limit": 3.0})
     stopped = replace(plan, history=({**plan.history[0], "status": INTERRUPTED},))
     for each, word in ((timed, "time limit"), (stopped, "interrupted")):
-        write_plan(each, tmp_path, figures=False)
+        write_plan(each, tmp_path)
         assert word in (tmp_path / "plan.toml").read_text().splitlines()[0]
         load_toml(tmp_path / "plan.toml")
 
@@ -446,23 +419,23 @@ def test_a_search_that_ended_early_says_so(tmp_path: Path) -> None:
 def test_files_that_no_plan_wrote_are_not_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(ExportError, match=f"{name}, which no run like this wrote"):
-        write_plan(small_plan(), tmp_path, figures=False)
+        write_plan(small_plan(), tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
-    first = write_plan(small_plan(), tmp_path, figures=False)
+    first = write_plan(small_plan(), tmp_path)
     content = {path.name: path.read_bytes() for path in first}
-    second = write_plan(small_plan(), tmp_path, figures=False)
+    second = write_plan(small_plan(), tmp_path)
     assert {path.name: path.read_bytes() for path in second} == content
     assert (tmp_path / "mine.txt").read_text() == "mine"
     # With options of a command there are no limits.toml and obstacles.toml: those of before go.
-    write_plan(small_plan(), tmp_path, figures=False, config="seed = 1\n")
+    write_plan(small_plan(), tmp_path, config="seed = 1\n")
     assert not (tmp_path / "limits.toml").exists()
     (tmp_path / "plan.toml").write_text("# my own\n")
-    refuses(ExportError, "which no run wrote", write_plan, small_plan(), tmp_path, figures=False)
+    refuses(ExportError, "which no run wrote", write_plan, small_plan(), tmp_path)
     assert (tmp_path / "plan.toml").read_text() == "# my own\n"
 
 
@@ -470,9 +443,8 @@ def test_what_is_not_installed_is_left_out(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(write.importlib.util, "find_spec", lambda name: None)
     told: list[str] = []
     names = {path.name for path in write_plan(small_plan(), tmp_path, report=told.append)}
-    assert FILES - names == {"trajectory.parquet", "report.html"}
+    assert FILES - names == {"report.html"}
     assert any("pip install 'jinja2>=" in each for each in told)
-    assert any("'pyarrow>=" in each for each in told)
 
 
 def test_a_plan_without_collisions(tmp_path: Path) -> None:
@@ -489,7 +461,7 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(write, "write_joint_trajectory", fail)
     with pytest.raises(ExportError, match="No space left"):
-        write_plan(small_plan(), tmp_path / "plan", figures=False)
+        write_plan(small_plan(), tmp_path / "plan")
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
     refuses(ExportError, "it is a file", write_plan, small_plan(), tmp_path / "file")

@@ -8,7 +8,7 @@ import pytest
 from sdpid.errors import DataError
 from sdpid.plots import plot_forest, plot_friction_curve, plot_mass_matrix
 from sdpid.plots.figures import envelope, figure_of, new_figure
-from sdpid.plots.in_pages import svg_text
+from tests.helpers.pictures import svg_text
 from tests.helpers.refusals import refuses
 
 pytest.importorskip("matplotlib")

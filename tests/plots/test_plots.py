@@ -1,6 +1,5 @@
 """Plots are drawn from arrays, without global state, and written whole."""
 
-import base64
 import re
 import sys
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lxml import etree
 
 pytest.importorskip("matplotlib")
 
@@ -30,9 +28,9 @@ from sdpid.plots import (
     plot_signals,
     save_figure,
 )
-from sdpid.plots.figures import POINTS, decimate, figure_of, new_figure, runs, spans, stretch
-from sdpid.plots.in_pages import image_source, svg_text
+from sdpid.plots.figures import BLUE, POINTS, decimate, figure_of, new_figure, runs, spans, stretch
 from sdpid.plots.joints import COLUMNS, detail
+from tests.helpers.pictures import svg_text
 from tests.helpers.refusals import refuses
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")
@@ -376,22 +374,6 @@ def test_spans_are_cut_half_way_between_samples() -> None:
     assert spans(x, np.zeros(6, dtype=bool))[0].shape == (0,)
 
 
-@pytest.mark.parametrize("count", [2, 40, 4000])
-@pytest.mark.parametrize("size", [0.0, 3e-9, 0.04, 123456.0])
-def test_a_picture_is_a_part_of_a_page(count: int, size: float) -> None:
-    y = size * np.sin(np.arange(float(count)))
-    used = np.arange(count) % 7 > 1
-    figures = [plot_joint(np.linspace(0.0, 9.0, count), y, 1.1 * y, used) for _ in range(2)]
-    text, again = map(svg_text, figures)
-    assert text == again
-    assert figure_of(figures[0]).dpi == 100.0
-    assert "nan" not in text
-    picture = etree.fromstring(text.encode())
-    assert "measured" in "".join(picture.itertext())
-    data = base64.b64decode(image_source(figures[1]).removeprefix("data:image/svg+xml;base64,"))
-    assert data.decode() == text
-
-
 @pytest.mark.parametrize("pieces", [1, 3])
 def test_panels_do_not_run_into_each_other(pieces: int) -> None:
     """The longest numbers and labels that there are."""
@@ -422,7 +404,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
 
 def drawn_points(figure: Any, color: str) -> np.ndarray:
     """Return the points of the first line of a color, in points from the upper left corner."""
-    path = re.search(rf'd="([^"]*)" [^>]*stroke: var\(--{color}\)', svg_text(figure).lower())
+    path = re.search(rf'd="([^"]*)" [^>]*stroke: {color}', svg_text(figure).lower())
     assert path
     return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path[1]), dtype=float)
 
@@ -432,7 +414,7 @@ def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
     y = np.sin(x)
     y[31_234] = 7.0
     figure = figure_of(plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool)))
-    points = drawn_points(figure, "blue")
+    points = drawn_points(figure, BLUE.lower())
     assert len(points) <= 2 * COLUMNS + 4
     axis = figure.axes[0]
     axis.figure.dpi = 72.0
@@ -451,7 +433,7 @@ def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
 def test_gaps_break_a_line() -> None:
     y = np.zeros(9)
     figure = plot_joint(None, y, y, y == 0.0, starts=(0, 4))
-    path = re.search(r'd="([^"]*)" [^>]*stroke: var\(--blue\)', svg_text(figure))
+    path = re.search(rf'd="([^"]*)" [^>]*stroke: {BLUE.lower()}', svg_text(figure))
     assert path
     assert path[1].count("M") == 2
 
@@ -482,13 +464,3 @@ def test_the_stretch_about_the_largest_error_is_shown() -> None:
     assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
     few = np.zeros(2 * COLUMNS)
     assert len(plot_joint(None, few, few, few == 0.0)) == 2
-
-
-def test_no_color_of_a_picture_ignores_the_scheme() -> None:
-    """Colors of the house are variables with a value for light pages and one for dark ones."""
-    y = np.sin(np.arange(50.0))
-    text = svg_text(plot_joint(None, y, y + 0.1, y > -0.5))
-    sheet, _, drawn = text.partition("<defs>")
-    assert "prefers-color-scheme: dark" in sheet
-    assert set(re.findall(r"var\(--(\w+)\)", drawn)) <= set(re.findall(r"--(\w+):", sheet))
-    assert not re.findall(r"#[0-9a-f]{6}", drawn.replace("#000000", ""))

@@ -20,6 +20,7 @@ from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 from sdpid.workflow.runs.compare import RunComparison, compare_runs
 from sdpid.workflow.sample import ParameterSamples
+from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.identified import ARM, arm_theta, identified, moved
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
@@ -299,6 +300,45 @@ def test_runs_of_one_log_are_judged_by_what_they_held_out(runs: dict[str, Path])
     assert same.better is None
     assert "predict alike" in same.notes[0]
     assert not same.choices.rows
+
+
+def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:
+    made = sdpid.identify(sdpid.load_robot(ARM_URDF), recorded(1), effects="tilt", intervals=True)
+    made.save(tmp_path / "there")
+    (tmp_path / "there").rename(tmp_path / "here")
+    found = sdpid.load(tmp_path / "here")
+    own, model = made.model(), found.model()
+    assert model.terms.terms == own.terms.terms
+    np.testing.assert_array_equal(model.theta, own.theta)
+    states = np.random.default_rng(0).standard_normal((3, 5, 2))
+    want = own.inverse_dynamics(*states)
+    np.testing.assert_allclose(model.inverse_dynamics(*states), want, rtol=0, atol=1e-12)
+    assert found.headline["error"] == made.headline.error
+    frame, intervals = found.to_frame(), made.intervals
+    assert intervals is not None
+    assert list(frame.index) == list(made.problem.base.names)
+    assert frame.loc["Fv1", "upper"] == intervals.upper[intervals.names.index("Fv1")]
+    assert {"Gx", "m_1"} <= set(found.to_frame("standard").index)
+    assert found.plot() is not None
+    assert "certified=True" in repr(found)
+    # The file of MuJoCo has the same kinematics.
+    (tmp_path / "here" / "identified.urdf").unlink()
+    again = sdpid.load(tmp_path / "here").model()
+    np.testing.assert_allclose(again.inverse_dynamics(*states), want, rtol=0, atol=1e-9)
+    # In memory and in a folder it is one result.
+    both = sdpid.compare(made, tmp_path / "here")
+    assert both.folders == ("first", str(tmp_path / "here"))
+    assert both.same_log is True
+    assert not both.choices.rows
+    np.testing.assert_array_equal([row[4] for row in both.parameters.rows], 0.0)
+    (tmp_path / "here" / "identified.xml").unlink()
+    with pytest.raises(DataError, match=r"has no identified\.urdf and no identified\.xml, so"):
+        sdpid.load(tmp_path / "here").model()
+    (tmp_path / "here" / "manifest.json").unlink()
+    with pytest.raises(DataError, match=r"has no recipe in its manifest\.json"):
+        sdpid.load(tmp_path / "here").model()
+    refuses(DataError, "a problem alone, or two results", sdpid.compare, made)
+    refuses(DataError, "a problem alone, or two results", sdpid.compare, made.problem, made)
 
 
 def one_less(content: dict[str, Any]) -> None:

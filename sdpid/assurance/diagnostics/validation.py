@@ -293,7 +293,7 @@ class Validation(Errors):
         DataError
             When the measurements are not here.
         """
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.reconstruction import plot_fit
 
         if self._samples is None:

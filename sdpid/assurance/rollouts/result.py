@@ -259,7 +259,7 @@ class Rollout(Shown):
         -------
         matplotlib.axes.Axes
         """
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_rollout
 
         drawn = plot_rollout(self.time, self.medians, own=self.own, title=title, axes=axes)

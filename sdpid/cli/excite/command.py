@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import time
 from collections.abc import Iterable
 from enum import Enum
@@ -13,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import sdpid.cli.options as opt
-from sdpid._common.extras import require
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import NO_ANSWER, command_line
@@ -159,7 +157,10 @@ def excite(
     ] = None,
     seed: Annotated[int, _motion(min=0, help="Random seed of the search.")] = 0,
     figures: Annotated[
-        bool | None, typer.Option(help="Draw plots. Default: where matplotlib is installed.")
+        bool | None,
+        typer.Option(
+            help="Draw plots of a robot that stands. Default: where matplotlib is installed."
+        ),
     ] = None,
 ) -> None:
     """Design a motion to run: safe at every instant, and with what it will buy told before."""
@@ -169,7 +170,6 @@ def excite(
     began = time.monotonic() - min(time.process_time(), _STARTING)
     standing.require_stand()
     if standing.stand:
-        draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
         around = surroundings
         excite_standing(
             robot,
@@ -200,7 +200,7 @@ def excite(
                 "--clearance": around.clearance is not None,
                 "--torque-spread": around.torque_spread != 0.0,
             },
-            figures=draw,
+            figures=figures,
             config=config_text(ctx, out),
         )
         return
@@ -211,9 +211,6 @@ def excite(
 
     inputs = [robot, surroundings.limits, surroundings.obstacles, predict, *(previous or ())]
     require_writable(out, inputs, config=printing.config, writes_config=True)
-    draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
-    if draw:
-        require("matplotlib", extra="plot")
     from sdpid._common.signals import keyboard_interrupts
     from sdpid.excitation.design.design import design_excitation
     from sdpid.experiment.trajectory.reading import read_trajectory
@@ -248,7 +245,6 @@ def excite(
     files = write_plan(
         plan,
         out,
-        figures=draw,
         command=command_line(ctx),
         config=config_text(ctx, out),
         report=notes.append,

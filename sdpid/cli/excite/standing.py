@@ -101,7 +101,7 @@ def excite_standing(
     *,
     options: dict[str, Any],
     unfit: dict[str, bool],
-    figures: bool,
+    figures: bool | None,
     config: str,
 ) -> None:
     """Design a motion of a robot that stands, and write it.
@@ -120,7 +120,7 @@ def excite_standing(
         Further arguments of `design_standing`, None for those that are not given.
     unfit : dict of str to bool
         Options for robots on a fixed base, and whether they are given.
-    figures : bool
+    figures : bool or None
         Whether to draw.
     config : str
         Text of ``plan.toml``.

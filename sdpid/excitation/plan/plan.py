@@ -111,7 +111,7 @@ class Plan(Shown):
             One column a joint: position, velocity, acceleration, jerk and torque over time.
         """
         from sdpid.excitation.plan.limited import limited_quantities
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_motion
 
         motion = played(self.trajectory, _RATE_HZ)

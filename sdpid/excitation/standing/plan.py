@@ -176,7 +176,7 @@ class StandingPlan(Shown):
             Displacement of the base, its angles, normal forces of the feet, and the share of
             friction that they use.
         """
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_standing
 
         motion = self.motion

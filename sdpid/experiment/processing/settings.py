@@ -90,7 +90,7 @@ class Stages:
         -------
         ndarray of matplotlib.axes.Axes, shape (4, 2)
         """
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.signals import plot_signals
 
         drawn = plot_signals(

@@ -1,51 +1,48 @@
 """The page of a plan: what to run, its limits, what it will buy, and the moving arm.
 
-One HTML file that loads nothing; of scripts only the player runs, by its digest.
+One HTML file that loads nothing; of scripts the player and the charts run, by their digests.
 """
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import cycle
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.extras import require
 from sdpid.excitation.expected.expected import NORMAL, Expected
 from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
 from sdpid.experiment.trajectory.played import Played, played
+from sdpid.output.charts.charts import Charts, scripts, style
 from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.report.page import page
 from sdpid.output.scene.motion import FRAME_RATE
-from sdpid.plots.in_pages import image_source
-from sdpid.plots.motion import (
-    COLORS,
-    nearest_pairs,
-    plot_against_limits,
-    plot_distances,
-    plot_over_duration,
-    plot_spectrum,
-)
 
 # What falls by less than this share over all durations is no curve to look at.
 _FALLS = 0.8
 
-# Samples a second of the pictures.
-_RATE_HZ = 200.0
+# Samples a second of the charts.
+_RATE_HZ = 50.0
+
+# A limit beyond so many times the motion is not drawn: the motion would be a flat line.
+_FAR = 4.0
+
+# Amplitudes below this share of the highest are not shown.
+_FLOOR = 1e-3
+
+# Of lines in a chart, by their names in charts.css; red is left to limits.
+BLUE, RED, DASHED = "blue", "red", "dashed"
+COLORS = (BLUE, "green", "orange", "purple", "sky", "gray", "ink")
+
+# What a template draws: columns with their colors.
+Lines: TypeAlias = list[tuple[str, str]]
 
 
-def plan_html(
-    plan: Plan,
-    *,
-    command: str | None = None,
-    figures: bool | None = None,
-    names: Sequence[str] = (),
-) -> str:
+def plan_html(plan: Plan, *, command: str | None = None, names: Sequence[str] = ()) -> str:
     """Return the page of a plan.
 
     Parameters
@@ -54,22 +51,15 @@ def plan_html(
         From `design_excitation`.
     command : str, optional
         The command line that made it.
-    figures : bool, optional
-        Draw plots; by default where matplotlib is installed.
     names : sequence of str, optional
         Files beside the page.
 
     Raises
     ------
     MissingExtraError
-        When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
-        asked for (extra ``plot``).
+        When jinja2 is not installed (extra ``report``).
     """
-    drawable = importlib.util.find_spec("matplotlib") is not None
-    if figures:
-        require("matplotlib", extra="plot")
-    draw = drawable if figures is None else figures
-    clearance = plan.joint_limits.clearance or 0.0
+    clearance, charts = plan.joint_limits.clearance or 0.0, Charts()
     scene = scene_of(plan.robot, played(plan.trajectory, FRAME_RATE), plan.collision, clearance)
     motion = played(plan.trajectory, _RATE_HZ)
     return page(
@@ -81,18 +71,18 @@ def plan_html(
         tiles=list(tiles(plan)),
         sentences=list(sentences(plan)),
         rows=plan.limits.rows,
-        distances=_distances(plan, motion) if draw else None,
-        joints=list(_joints(plan, motion)) if draw else [],
-        spectrum=image_source(plot_spectrum(motion)) if draw else None,
-        colors=list(zip(plan.robot.joint_names, cycle(COLORS), strict=False)),
-        drawable=drawable,
-        **_expected(plan, draw),
+        distances=_distances(plan, motion, charts),
+        joints=list(_joints(plan, motion, charts)),
+        spectrum=_spectrum(plan, motion, charts),
+        **_expected(plan, charts),
         notes=list(dict.fromkeys([*plan.notes, *plan.limits.notes, *plan.expected.notes])),
         left_out=plan.limits.left_out,
         files=names,
         command=command,
         scene=scene,
-        scripts=(scene.script,),
+        scripts=(scene.script, *scripts()),
+        charts=charts,
+        chart_style=style(),
     )
 
 
@@ -106,34 +96,58 @@ def _subtitle(plan: Plan) -> str:
     return f"Motion of {joints} for {moving.duration:.4g} s ({kind}), for {purpose}"
 
 
-def _joints(plan: Plan, motion: Played) -> Iterator[dict[str, Any]]:
-    """Yield the picture of each joint against its limits."""
+def _joints(plan: Plan, motion: Played, charts: Charts) -> Iterator[dict[str, Any]]:
+    """Yield the charts of each joint: its quantities and, where they are near, their limits."""
     for name, rows in limited_quantities(plan.robot, plan.joint_limits, motion):
-        yield {"name": name, "source": image_source(plot_against_limits(motion.time, rows))}
+        shown = []
+        for label, values, lower, upper in rows:
+            far = _FAR * (float(np.abs(values).max()) or 1.0)
+            near = {
+                what: np.full(len(values), limit)
+                for what, limit in (("lower limit", lower), ("upper limit", upper))
+                if limit is not None and abs(limit) <= far
+            }
+            number = charts.add(x=motion.time, **{"motion": values, **near})
+            shown.append(
+                (number, label, [("motion", BLUE), *((each, RED, DASHED) for each in near)])
+            )
+        yield {"name": name, "charts": shown}
 
 
-def _distances(plan: Plan, motion: Played) -> dict[str, Any] | None:
-    """Return the picture of the distances, and the pairs in it with what is asked of each."""
+def _distances(plan: Plan, motion: Played, charts: Charts) -> tuple[int, Lines] | None:
+    """Return the chart of the room that the nearest pairs leave, mm."""
     collision = plan.collision
     if collision is None or not collision.pairs:
         return None
     step = max(round(motion.rate_hz / FRAME_RATE), 1)
     asked = collision.clearances(plan.joint_limits.clearance or 0.0)
-    room = collision.distances(motion.position[::step]) - asked
-    picture = plot_distances(motion.time[::step], room)
-    pairs = [
-        (color, f"{collision.pairs[k].first} – {collision.pairs[k].second}", float(asked[k]))
-        for color, k in nearest_pairs(room)
+    room = 1e3 * (collision.distances(motion.position[::step]) - asked)
+    nearest = np.argsort(room.min(axis=0))[: len(COLORS)]
+    names = [
+        f"{collision.pairs[k].first} – {collision.pairs[k].second} ({1e3 * asked[k]:.2g} mm asked)"
+        for k in nearest
     ]
-    return {"source": image_source(picture), "pairs": pairs}
+    return _together(charts, motion.time[::step], names, room[:, nearest].T)
 
 
-def _expected(plan: Plan, draw: bool) -> dict[str, Any]:
-    """Return what the run will buy: tables and a picture."""
+def _spectrum(plan: Plan, motion: Played, charts: Charts) -> tuple[int, Lines]:
+    """Return the chart of the amplitudes of accelerations over frequency."""
+    count = len(motion.time)
+    frequency = np.fft.rfftfreq(count, 1.0 / motion.rate_hz)[1:]
+    amplitude = 2.0 / count * np.abs(np.fft.rfft(motion.acceleration, axis=0))[1:]
+    least = _FLOOR * (float(amplitude.max()) or 1.0)
+    powers = np.log10(np.maximum(amplitude, least))
+    names = [f"of {name}" for name in plan.robot.joint_names]
+    return _together(charts, np.log10(frequency), names, powers.T)
+
+
+def _expected(plan: Plan, charts: Charts) -> dict[str, Any]:
+    """Return what the run will buy: tables and a chart."""
     expected = plan.expected
     curves = list(_curves(expected))[: len(COLORS)]
     seconds = np.array([each.seconds for each in expected.durations])
-    shown = draw and len(seconds) > 1 and bool(curves)
+    names, shares = [name for name, _ in curves], [2.0 + np.log10(share) for _, share in curves]
+    shown = len(seconds) > 1 and bool(curves)
     return {
         "expected": expected,
         "open": _open(expected),
@@ -142,13 +156,17 @@ def _expected(plan: Plan, draw: bool) -> dict[str, Any]:
             (each.seconds, each.repetitions, [share[k] for _, share in curves])
             for k, each in enumerate(expected.durations)
         ],
-        "curves": list(zip((name for name, _ in curves), COLORS, strict=False)),
-        "over_duration": (
-            image_source(plot_over_duration(seconds, [share for _, share in curves]))
-            if shown
-            else None
-        ),
+        "curves": names,
+        "over_duration": _together(charts, np.log10(seconds), names, shares) if shown else None,
     }
+
+
+def _together(
+    charts: Charts, x: Array, names: Sequence[str], columns: Iterable[Array]
+) -> tuple[int, Lines]:
+    """Return a chart of columns under their names, and its lines."""
+    lines = list(zip(names, cycle(COLORS), strict=False))
+    return charts.add(x=x, **dict(zip(names, columns, strict=True))), lines
 
 
 def _curves(expected: Expected) -> Iterator[tuple[str, Array]]:

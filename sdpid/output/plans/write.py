@@ -23,9 +23,7 @@ from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
 from sdpid.output.plans.motion_files import (
-    write_coefficients,
     write_motion_csv,
-    write_motion_parquet,
 )
 from sdpid.output.plans.settings_files import LIMITS, OBSTACLES, PLAN, settings_files
 from sdpid.output.plans.urscript import JOINTS, write_urscript
@@ -39,9 +37,7 @@ _CONFIG = PLAN
 # Every file that a plan may have.
 NAMES = (
     "trajectory.csv",
-    "trajectory.parquet",
     "trajectory.toml",
-    "coefficients.json",
     "joint_trajectory.yaml",
     "excitation.script",
     "report.html",
@@ -60,17 +56,16 @@ def write_plan(
     plan: Plan,
     folder: str | os.PathLike[str],
     *,
-    figures: bool | None = None,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
 ) -> tuple[Path, ...]:
     """Write a plan into a folder, all files or none.
 
-    ``trajectory.csv`` (and ``.parquet``) holds the motion sample by sample, ``coefficients.json``
-    what it is made of, ``joint_trajectory.yaml`` the ROS message trajectory_msgs/JointTrajectory,
+    ``trajectory.csv`` holds the motion sample by sample, ``trajectory.toml`` what it is made of and
+    `simulate` takes, ``joint_trajectory.yaml`` the ROS message trajectory_msgs/JointTrajectory,
     ``excitation.script`` a program for arms of Universal Robots (six turning joints),
-    ``trajectory.toml`` what `simulate` takes, ``report.html`` a page that explains the plan and
+    ``report.html`` a page that explains the plan and
     plays the arm, ``plan.toml`` the options that make the plan again, and ``plan.json`` limits,
     expected errors and everything that was assumed.
 
@@ -80,8 +75,6 @@ def write_plan(
         From `design_excitation`.
     folder : str or path
         Made where it does not exist; the files of an earlier plan in it are replaced.
-    figures : bool, optional
-        Draw plots in the report; by default where matplotlib is installed.
     report : callable, optional
         Called with a sentence for each file that is left out, and why.
     command : str, optional
@@ -99,14 +92,12 @@ def write_plan(
     ------
     ExportError
         When the folder cannot be written to, or holds files of these names that no plan wrote.
-    MissingExtraError
-        When figures are asked for and matplotlib is not installed (extra ``plot``).
 
     Examples
     --------
-    >>> files = sdpid.write_plan(plan, "plan", figures=False)
+    >>> files = sdpid.write_plan(plan, "plan")
     >>> sorted(path.name for path in files)[:3]
-    ['coefficients.json', 'joint_trajectory.yaml', 'limits.toml']
+    ['joint_trajectory.yaml', 'limits.toml', 'obstacles.toml']
     >>> sdpid.Trajectory.from_toml("plan/trajectory.toml").duration
     5.0
     """
@@ -116,7 +107,7 @@ def write_plan(
 
     def fill(stage: Path) -> dict[str, Any]:
         writer = _Writer(plan, stage, target, note)
-        writer.write(figures=figures, command=command, config=config)
+        writer.write(command=command, config=config)
         return plan_content(plan)
 
     return _FOLDER.write(target, fill, note)
@@ -173,13 +164,13 @@ class _Writer:
     target: Path
     note: Callable[[str], None]
 
-    def write(self, *, figures: bool | None, command: str | None, config: str | None) -> None:
+    def write(self, *, command: str | None, config: str | None) -> None:
         """Write all files but plan.json."""
         steps: list[Callable[[], None]] = [
             self._motion,
             self._controllers,
             lambda: self._config(config),
-            lambda: self._page(figures, command),
+            lambda: self._page(command),
         ]
         with progress(len(steps), "writing the plan") as advance:
             for step in steps:
@@ -189,12 +180,7 @@ class _Writer:
     def _motion(self) -> None:
         motion = self.plan.trajectory
         write_motion_csv(motion, self.folder / "trajectory.csv")
-        if importlib.util.find_spec("pyarrow") is None:
-            self.note(f"no trajectory.parquet: pyarrow is not installed ({installation('io')})")
-        else:
-            write_motion_parquet(motion, self.folder / "trajectory.parquet")
         motion.to_toml(self.folder / "trajectory.toml")
-        write_coefficients(motion, self.folder / "coefficients.json")
 
     def _controllers(self) -> None:
         motion = self.plan.trajectory
@@ -214,12 +200,12 @@ class _Writer:
         for name, text in texts.items():
             (self.folder / name).write_text(text, encoding="utf-8")
 
-    def _page(self, figures: bool | None, command: str | None) -> None:
+    def _page(self, command: str | None) -> None:
         if importlib.util.find_spec("jinja2") is None:
             self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
         from sdpid.output.plans.page import plan_html
 
         there = [name for name in NAMES if (self.folder / name).exists()]
-        text = plan_html(self.plan, command=command, figures=figures, names=[*there, _RESULT])
+        text = plan_html(self.plan, command=command, names=[*there, _RESULT])
         (self.folder / "report.html").write_text(text, encoding="utf-8")

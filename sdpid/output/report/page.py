@@ -34,7 +34,7 @@ def page(package: str, template: str, *, scripts: Sequence[str] = (), **values: 
     Parameters
     ----------
     package, template : str
-        Where the template is; it may include and import others of its package.
+        Where the template is; it may include and import others of its package, or of reports.
     scripts : sequence of str
         Programs to be run.
     **values
@@ -56,9 +56,15 @@ def _template(package: str, name: str) -> Any:
     """Return a template of a package, compiled."""
     jinja2 = require("jinja2", extra="report")
     markup = require("markupsafe", extra="report").Markup
-    own = files(package)
+    reports = files("sdpid.output.report")
+    rooms = (files(package), reports)
+
+    def text(name: str) -> str | None:
+        found = (each for room in rooms if (each := room.joinpath(name)).is_file())
+        return next((each.read_text(encoding="utf-8") for each in found), None)
+
     environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: own.joinpath(name).read_text(encoding="utf-8")),
+        loader=jinja2.FunctionLoader(text),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -66,7 +72,7 @@ def _template(package: str, name: str) -> Any:
     )
     environment.filters.update(number=number, percent=percent, fixed=fixed)
     environment.filters["capitalized"] = capitalized
-    style = files("sdpid.output.report").joinpath("page.css").read_text(encoding="utf-8")
+    style = reports.joinpath("page.css").read_text(encoding="utf-8")
     environment.globals.update(style=markup(style), version=__version__, long=LONG)
     return environment.get_template(name)
 

@@ -144,16 +144,6 @@ class ExportReport(Shown):
             )
         return "\n".join([*lines, *self.notes])
 
-    def headline(self) -> str | None:
-        """Return what the file misses and why, None where it predicts as the estimate does."""
-        errors = self.validation or self.training
-        if errors is None or not errors.differ:
-            return None
-        what = "the recorded" if self.validation is None else "the validation recording's"
-        lost = ", ".join(lost.term for lost in self.left_out)
-        why = f" (no place for {lost})" if lost else ""
-        return f"misses {what} efforts by {errors}{why}{errors.warning}"
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         content = {

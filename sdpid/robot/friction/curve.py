@@ -68,7 +68,7 @@ class JointCurve(Shown):
         matplotlib.axes.Axes
         """
         from sdpid.plots.friction_curve import plot_friction_curve
-        from sdpid.plots.in_pages import in_notebook
+        from sdpid.plots.in_notebooks import in_notebook
 
         return in_notebook(plot_friction_curve(self, axes=axes), axes)
 

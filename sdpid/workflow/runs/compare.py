@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.robot.inertia import physical_parameters
-from sdpid.workflow.runs.saved import OURS, BaseParameter, SavedRun, predictions
+from sdpid.workflow.result import Identification
+from sdpid.workflow.runs.saved import OURS, SavedParameter, SavedRun, predictions
+
+# Results, and folders of them.
+Saved: TypeAlias = SavedRun | Identification | str | os.PathLike[str]
 
 _NO_JOINT_TEST = (
     "Files hold no covariances, so parameters are tested one by one and never together; "
@@ -27,7 +31,7 @@ class RunComparison(Shown):
     Attributes
     ----------
     folders : (str, str)
-        The first and the other.
+        The first and the other, which are called so where they are in no folder.
     inputs, choices, held_out, proofs, parameters, links : Table
         What they were given; what was asked and chosen differently; errors on what was held out;
         costs and proofs; base parameters with their differences; masses, centers and inertias.
@@ -115,13 +119,13 @@ class RunComparison(Shown):
         return plain_dict({**{n: getattr(self, n) for n in rest}, **tables})
 
 
-def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -> RunComparison:
-    """Compare two folders that `Identification.save` wrote, from their files alone.
+def compare_runs(first: Saved, other: Saved) -> RunComparison:
+    """Compare two results of `identify`, as their files say them.
 
     Parameters
     ----------
-    first, other : path
-        The folders, of one robot.
+    first, other : Identification, SavedRun or path
+        Results, or the folders that they were saved in, of one robot.
 
     Returns
     -------
@@ -133,12 +137,13 @@ def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -
     DataError
         When a folder is none, or they are of different robots.
     """
-    a, b = SavedRun.read(first), SavedRun.read(other)
+    a, b = SavedRun.of(first), SavedRun.of(other)
+    names = (str(a.folder or "first"), str(b.folder or "other"))
     joints = [list(run.problem["joints"]) for run in (a, b)]
     if joints[0] != joints[1]:
         raise DataError(
-            f"compare-runs: the joints of {a.folder} are {', '.join(joints[0])}, those of "
-            f"{b.folder} {', '.join(joints[1])}; compare runs of one robot."
+            f"compare: the joints of {names[0]} are {', '.join(joints[0])}, those of "
+            f"{names[1]} {', '.join(joints[1])}; compare runs of one robot."
         )
     same_log = _same(a, b, "log")
     shared = bool(set(a.files("log")) & set(b.files("log")))
@@ -146,7 +151,7 @@ def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -
     alike = a.intervals == b.intervals
     tested = same_log is False and not shared and alike
     parameters, outside, regrouped = _parameters(a, b, tested=tested)
-    better, sentence = _better(a, b) if same_rows else (None, why)
+    better, sentence = _better(a, b, names) if same_rows else (None, why)
     notes = [sentence]
     if tested:
         notes.append(_counted(parameters, outside, a.intervals[1]))
@@ -172,7 +177,7 @@ def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -
     if regrouped:
         notes.append(f"Regrouped differently, and not compared: {', '.join(regrouped)}.")
     return RunComparison(
-        folders=(str(a.folder), str(b.folder)),
+        folders=names,
         inputs=_inputs(a, b),
         choices=_choices(a, b),
         held_out=_held_out(a, b),
@@ -183,7 +188,7 @@ def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -
         same_held_out=same_rows,
         better=better,
         outside=outside,
-        headlines=(dict(a.result["headline"]), dict(b.result["headline"])),
+        headlines=(a.headline, b.headline),
         notes=tuple(notes),
     )
 
@@ -214,7 +219,7 @@ def _choices(a: SavedRun, b: SavedRun) -> Table:
         ("option", a.settings, b.settings),
         ("chosen", {k: a.problem.get(k) for k in chosen}, {k: b.problem.get(k) for k in chosen}),
         ("chosen", {"friction terms": a.terms}, {"friction terms": b.terms}),
-        ("processing", a.processing or {}, b.processing or {}),
+        ("processing", a.processing, b.processing),
     )
     for what, one, two in sides:
         for name in dict.fromkeys([*one, *two]):
@@ -263,7 +268,7 @@ def _same_held_out(a: SavedRun, b: SavedRun, same_log: bool | None) -> tuple[boo
     if not same:
         known = "are not the same" if same is False else "may not be the same"
         return False, said + f"the recordings that were held out ({role}) {known}."
-    if a.processing is None or a.processing != b.processing:
+    if not a.processing or a.processing != b.processing:
         return False, said + "the recordings held out were processed differently."
     rows = [
         [joint["rows"] for joint in _predictions(run)[OURS]["joints"].values()] for run in (a, b)
@@ -273,15 +278,15 @@ def _same_held_out(a: SavedRun, b: SavedRun, same_log: bool | None) -> tuple[boo
     return True, ""
 
 
-def _better(a: SavedRun, b: SavedRun) -> tuple[str | None, str]:
+def _better(a: SavedRun, b: SavedRun, names: tuple[str, str]) -> tuple[str | None, str]:
     """Return the folder that predicts better what was held out from both, and a sentence."""
     errors = [_predictions(run)[OURS]["relative_residual"] for run in (a, b)]
     numbers = f"{100.0 * errors[0]:.3g} % (first) and {100.0 * errors[1]:.3g} % (other)"
     if errors[0] == errors[1]:
         return None, f"On the same rows held out both predict alike: {numbers} in motion."
     k = int(errors[1] < errors[0])
-    which, folder = ("first", "other")[k], str((a, b)[k].folder)
-    return folder, f"On the same rows held out the {which} predicts better: {numbers} in motion."
+    which = ("first", "other")[k]
+    return names[k], f"On the same rows held out the {which} predicts better: {numbers} in motion."
 
 
 def _proofs(a: SavedRun, b: SavedRun) -> Table:
@@ -317,7 +322,7 @@ def _parameters(
     return Table(header, tuple(rows)), tuple(outside), regrouped
 
 
-def _allowed(one: BaseParameter, two: BaseParameter, difference: float) -> float | None:
+def _allowed(one: SavedParameter, two: SavedParameter, difference: float) -> float | None:
     """Return the half width of the interval of a difference: those that face each other.
 
     Their squares add up, as those of independent errors do.
