@@ -1046,6 +1046,7 @@ def test_forces_of_contacts_are_no_friction() -> None:
     estimate = Estimate.of_theta(problem, theta, method="sdp", status="optimal")
     numbers = [found.values[joint] for joint in made.robot.joint_names[6:]]
     written = [np.r_[np.zeros(6), [each[key] for each in numbers]] for key in URDF.values()]
-    errors = Written(estimate, (written[0], written[1], np.zeros(18))).errors()
+    attributes = written[0], written[1], np.zeros(18)
+    errors = Written(estimate, attributes, problem.robot).errors()
     assert errors.estimate < 0.01
     assert errors.file < 0.05

@@ -97,7 +97,7 @@ def write_plan(
     --------
     >>> files = sdpid.write_plan(plan, "plan")
     >>> sorted(path.name for path in files)[:3]
-    ['joint_trajectory.yaml', 'limits.toml', 'obstacles.toml']
+    ['joint_trajectory.yaml', 'limits.toml', 'plan.json']
     >>> sdpid.Trajectory.from_toml("plan/trajectory.toml").duration
     5.0
     """
