@@ -62,6 +62,21 @@ def test_it_writes_and_says_what_to_run(folder: Path) -> None:
     assert bound == {"a": 200.0, "b": 200.0}
 
 
+def test_a_first_safe_motion_and_how_to_search_on(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules["sdpid.cli.excite.command"], "_QUICK", 2.0)
+    monkeypatch.chdir(tmp_path)
+    done = ran("excite", folder / "arm.urdf", "--quick", "--duration", 4, "--out", "plan")
+    assert "safe: Every limit holds at every instant: " in done.stdout
+    assert done.stdout.endswith("excite --config plan/plan.toml --no-quick searches on\n")
+    config = load_toml(tmp_path / "plan" / "plan.toml")
+    assert config["quick"] is True
+    assert "its time limit" in " ".join(
+        json.loads((tmp_path / "plan/plan.json").read_text())["notes"]
+    )
+
+
 def test_the_written_file_makes_the_plan_again(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

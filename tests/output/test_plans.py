@@ -245,7 +245,8 @@ def test_it_tells_the_plan(page: str) -> None:
     plan, shown = small_plan(), words(page)
     for text in (
         "Every limit holds at every instant",
-        "mm kept of 20 mm asked for",
+        "mm kept everywhere, nearest ",
+        ", 20 mm asked for; a stays ",
         number(plan.condition_number),
         EVIL,
         "<b>box",

@@ -64,6 +64,9 @@ _motion = functools.partial(typer.Option, rich_help_panel="Motion and search")
 # least share of it that is searched.
 _STARTING, _WRITING, _SHARE = 5.0, 2.0, 0.2
 
+# Of the whole command with --quick, s: an arm of seven joints is ready within ten.
+_QUICK = 7.0
+
 # Broken limits that the last line names.
 _FEW = 4
 
@@ -155,6 +158,13 @@ def excite(
             help="Time for the whole command, s; of a robot that stands for search and check.",
         ),
     ] = None,
+    quick: Annotated[
+        bool,
+        _motion(
+            "--quick/--no-quick",
+            help="A first safe motion, within 10 s; without it the search goes on.",
+        ),
+    ] = False,
     seed: Annotated[int, _motion(min=0, help="Random seed of the search.")] = 0,
     figures: Annotated[
         bool | None,
@@ -169,6 +179,8 @@ def excite(
     # Time of the processor is what the command took to start, unless another program calls it.
     began = time.monotonic() - min(time.process_time(), _STARTING)
     standing.require_stand()
+    if quick:
+        time_limit = min(time_limit or _QUICK, _QUICK)
     if standing.stand:
         around = surroundings
         excite_standing(
@@ -250,7 +262,10 @@ def excite(
         report=notes.append,
     )
     content = {**plan_content(plan), "notes": [*plan.notes, *notes], "files": map(str, files)}
-    printing.show(content, _printed(plan, out, [file.name for file in files], notes))
+    text = _printed(plan, out, [file.name for file in files], notes)
+    if quick:
+        text += f"\nquick: sdpid excite --config {out / 'plan.toml'} --no-quick searches on"
+    printing.show(content, text)
 
 
 def _left(time_limit: float, used: float) -> float:

@@ -11,13 +11,13 @@ from sdpid.output.report.page import number
 
 # Kinds of limits in the order in which they are told.
 KINDS = (
+    "distance",
     "position",
     "velocity",
     "acceleration",
     "jerk",
     "torque",
     "tool speed",
-    "distance",
 )
 
 
@@ -84,15 +84,20 @@ def safe_sentence(check: LimitCheck) -> str:
     if not check.ok:
         return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
     least = [row for kind in KINDS if (row := check.least(kind)) is not None]
-    slacks = "; ".join(f"{r.kind} {_slack(r)} ({r.subject})" for r in least)
-    return f"Every limit holds at every instant. Least slack: {slacks}.{_closer(check)}"
+    return f"Every limit holds at every instant: {'; '.join(map(_slack, least))}.{_closer(check)}"
 
 
 def _slack(row: LimitRow) -> str:
-    """Return what is left to a limit; of a distance, what is kept and what of it was asked for."""
+    """Return who comes nearest to a limit, and what is left to it."""
     if row.kind != "distance":
-        return f"{row.slack:.3g} {row.unit}"
-    return f"{1e3 * row.worst:.3g} mm kept of {1e3 * row.limit:.3g} mm asked for"
+        limit = "the end of its range" if row.kind == "position" else f"its {row.kind} limit"
+        return f"{row.subject} stays {row.slack:.3g} {row.unit} from {limit}"
+    first, _, second = row.subject.partition(" – ")
+    the = "the " * second.startswith(("table", "wall"))
+    return (
+        f"{1e3 * row.worst:.3g} mm kept everywhere, nearest {first} to {the}{second}, "
+        f"{1e3 * row.limit:.3g} mm asked for"
+    )
 
 
 def _closer(check: LimitCheck) -> str:
