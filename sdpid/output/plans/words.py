@@ -9,17 +9,6 @@ from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.plan import Plan
 from sdpid.output.report.page import number
 
-# Kinds of limits in the order in which they are told.
-KINDS = (
-    "distance",
-    "position",
-    "velocity",
-    "acceleration",
-    "jerk",
-    "torque",
-    "tool speed",
-)
-
 
 @dataclass(frozen=True)
 class Tile:
@@ -83,7 +72,9 @@ def safe_sentence(check: LimitCheck) -> str:
     """Return whether the limits hold, with the least slack of each kind."""
     if not check.ok:
         return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
-    least = [row for kind in KINDS if (row := check.least(kind)) is not None]
+    # Distances are checked last, and told first.
+    kinds = dict.fromkeys(row.kind for row in reversed(check.rows))
+    least = [row for kind in kinds if (row := check.least(kind)) is not None]
     return f"Every limit holds at every instant: {'; '.join(map(_slack, least))}.{_closer(check)}"
 
 
