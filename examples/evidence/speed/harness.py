@@ -43,12 +43,15 @@ class Bench:
         The folder of the public records.
     figaroh_python : str, optional
         The interpreter of an environment with FIGAROH.
+    before : Path, optional
+        A checkout of earlier code, which commands are compared with.
     """
 
     repeats: int
     quick: bool = False
     data: Path | None = None
     figaroh_python: str | None = None
+    before: Path | None = None
 
     def size(self, full: T, small: T) -> T:
         """Return a size: the full one, or a small one."""

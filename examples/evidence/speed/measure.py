@@ -22,6 +22,7 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).resolve().parents[3]))
 
 import chain
+import commands
 import compression_proof
 import contacts
 import didim
@@ -53,6 +54,7 @@ PARTS: dict[str, Callable[[Bench], Iterable[Row] | Table]] = {
     "log": from_log.measure,
     "simulation": simulation.measure,
     "job": whole_job.measure,
+    "commands": commands.measure,
     "hour": fleet.hour,
     "cluster": fleet.scaling,
     "small_problems": small_problems.measure,
@@ -69,13 +71,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
     parser.add_argument("--figaroh-python", help="interpreter of an environment with figaroh")
+    parser.add_argument("--before", type=Path, help="checkout of earlier code, for commands")
     options = parser.parse_args()
     if unknown := set(options.part) - set(PARTS):
         parser.error(f"no part {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}.")
     if options.repeat < LEAST_REPEATS:
         parser.error(f"--repeat: is {options.repeat}; at least {LEAST_REPEATS} give a spread.")
     repeats = 1 if options.quick else options.repeat
-    bench = Bench(repeats, options.quick, options.data, options.figaroh_python)
+    bench = Bench(repeats, options.quick, options.data, options.figaroh_python, options.before)
     libraries = ("numpy", "scipy", "pin", "clarabel", "numba")
     used = ", ".join(f"{name} {version(name)}" for name in libraries)
     threads = os.environ.get("OPENBLAS_NUM_THREADS", "?")
