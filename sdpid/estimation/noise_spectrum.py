@@ -243,9 +243,7 @@ def _rows(bands: Iterable[Band], known: Array) -> Array:
     triangle = Triangle(len(known))
     triangle.add(np.diag(np.sqrt(known)))
     for own, R in bands:
-        whole = np.zeros((len(R), len(known)))
-        whole[:, own] = R[:, :-1]
-        triangle.add(whole)
+        triangle.add(R[:, :-1], own)
     return triangle.R
 
 

@@ -66,9 +66,7 @@ class Branches:
     def join(self, triangle: Triangle, apart: Sequence[Triangle]) -> None:
         """Fold the triangles of the branches into that of all columns."""
         for own, columns in zip(apart, self.columns, strict=True):
-            rows = np.zeros((len(own.R), triangle.columns))
-            rows[:, columns] = own.R
-            triangle.add(rows)
+            triangle.add(own.R, columns)
 
 
 # Rows that are not told apart.

@@ -1,13 +1,11 @@
 """A growing triangular factor of rows, at the speed of matrix products.
 
-Rows are multiplied by a matrix M that makes those seen so far orthonormal, and only the Gram
-matrix ``Y^T·Y`` of ``Y = X·M`` is kept: Cholesky QR with a preconditioner. With the columns scaled
-to unit norm by D and the singular value decomposition ``U·diag(s)·V^T`` of what was seen,
-``M = D·V·diag(1/s)``. As V is orthogonal, the rounding of a product ``X·D·V`` is of the size of the
-rows themselves, and dividing by s and multiplying again does not enlarge it: the error is that of
-an orthogonal factorization, however ill-conditioned the rows are, while the Gram matrix is not.
-Where it would be, because rows bring what those before them did not have, M is made anew, or the
-rows are factorized as they are.
+Rows X are divided by a triangle T of those seen so far, and only the Gram matrix ``Y^T·Y`` of
+``Y = X·T^(-1)`` is kept: Cholesky QR with a preconditioner. Each row of Y solves its triangular
+system but for roundings of T itself, so that Y·T is X to rounding in the size of its columns: the
+error is that of an orthogonal factorization, however ill-conditioned the rows are, while the Gram
+matrix is not. Where it would be, because rows bring what those before them did not have, T is made
+anew, or the rows are factorized as they are.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
 
 # Rows multiplied at a time, in bytes: Y stays in a core's second-level cache beside the rows.
 PIECE = 1 << 19
@@ -29,11 +27,11 @@ _FEW = 4
 # number stays below, and rounding in it is enlarged by the square root of that at most.
 _GROWN = 1e3
 
-# Beyond this growth even a new M, made from the Gram matrix, would not be good: the matrix is
+# Beyond this growth even a new T, made from the Gram matrix, would not be good: the matrix is
 # known to 1e-16 of its largest eigenvalue, and its smallest one is 1.
 _FAR = 1e9
 
-# With a new M the Gram matrix of everything is the identity but for what the old one was rounded
+# With a new T the Gram matrix of everything is the identity but for what the old one was rounded
 # by. More than this is no longer near.
 _NEAR = 0.5
 
@@ -52,17 +50,15 @@ class Triangle:
 
     def __init__(self, columns: int) -> None:
         self._columns = columns
-        # The factor of everything is S, or root(G)·back once there is an M.
-        self._S: Array = np.zeros((0, columns))
-        self._M: Array | None = None
-        self._back: Array = self._S
+        # The factor of everything is T, or root(G)·T of the columns seen while rows are divided.
+        self._T: Array = np.zeros((0, columns))
         self._G: Any = None
         # No eigenvalue of G is larger.
         self._growth = 1.0
-        self._unseen: Any = None
+        self._seen: Any = None
         self._waiting: list[Array] = []
         self._count = 0
-        self._R: Array | None = self._S
+        self._R: Array | None = self._T
 
     def __getstate__(self) -> tuple[int, Array]:
         """Return what is sent: the rows' triangle stands for all of them."""
@@ -82,7 +78,8 @@ class Triangle:
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""
         if self._R is None:
-            self._R = _triangle(np.vstack([self._factor(), *self._waiting]))
+            found = self._factor()
+            self._R = _triangle(np.vstack([found, *self._waiting])) if self._waiting else found
             self._R.setflags(write=False)
         return self._R
 
@@ -90,9 +87,13 @@ class Triangle:
         """Multiply all rows so far by a number, as one does to forget them slowly."""
         self._restart(factor * self.R)
 
-    def add(self, rows: Array) -> None:
-        """Fold further rows (k, columns) in; k may be zero."""
+    def add(self, rows: Array, at: Indices | None = None) -> None:
+        """Fold further rows (k, columns) in, or (k, c) of those columns alone; k may be zero."""
         rows = np.asarray(rows, dtype=np.float64)
+        if at is not None:
+            whole = np.zeros((len(rows), self._columns))
+            whole[:, at] = rows
+            rows = whole
         self._R = None
         few = _FEW * self._columns
         if self._count + len(rows) < few:
@@ -123,33 +124,33 @@ class Triangle:
         return R[:b, :b].copy(), R[:b, b].copy(), float(R[b, b] ** 2)
 
     def _factor(self) -> Array:
-        """Return a factor of everything folded in, not triangular."""
-        return self._S if self._M is None else np.asarray(_root(self._G) @ self._back)
+        """Return the triangle of everything folded in."""
+        if self._G is None:
+            return self._T
+        factor = np.zeros((self._columns, self._columns))
+        factor[np.ix_(self._seen, self._seen)] = _root(self._G) @ self._T
+        return factor
 
     def _restart(self, factor: Array) -> None:
-        """Be the triangle of this factor alone."""
-        self._S, self._M, self._R = factor, None, None
+        """Be this triangle alone."""
+        self._T, self._G, self._R = factor, None, None
         self._waiting, self._count = [], 0
 
     def _fold(self, rows: Array) -> None:
-        from scipy.linalg.blas import dsyrk
-
-        if len(self._S) < self._columns and self._M is None:
-            self._restart(_triangle(np.vstack([self._S, rows])))
-            return
-        M = self._M
-        if M is None:
-            M = self._precondition(self._S)
-            self._G, self._growth = np.eye(M.shape[1], order="F"), 1.0
-        G = self._G
-        if self._unseen.size and rows[:, self._unseen].any():
+        if self._G is None:
+            if len(self._T) < self._columns:
+                self._fold_plainly(rows)
+                return
+            self._divide_by(self._T)
+            self._G, self._growth = np.eye(len(self._T), order="F"), 1.0
+        if not self._seen.all() and rows[:, ~self._seen].any():
             self._fold_plainly(rows)
             return
-        if not len(G):
+        if not len(self._G):
             return
-        grown = dsyrk(1.0, (rows @ M).T, beta=1.0, c=G)
+        grown = self._added(self._G, rows)
         # Rows add their square at most; sums of sizes, a closer bound, cost as much as they.
-        growth = self._growth + float(np.trace(grown) - np.trace(G))
+        growth = self._growth + float(np.trace(grown) - np.trace(self._G))
         if not growth <= _GROWN:
             growth = _bound(grown)
         if growth <= _GROWN:
@@ -158,33 +159,36 @@ class Triangle:
         if not growth <= _FAR:  # not a number, too
             self._fold_plainly(rows)
             return
-        # An M for these rows, too; what was folded in before is taken over row by row.
-        before = self._factor()
-        M = self._precondition(np.asarray(_root(grown) @ self._back))
-        grown = dsyrk(1.0, (rows @ M).T, beta=1.0, c=dsyrk(1.0, (before @ M).T))
+        # A T for these rows, too; what was folded in before is taken over row by row.
+        before, self._G = self._factor(), grown
+        self._divide_by(self._factor())
+        grown = self._added(self._added(np.zeros_like(grown), before), rows)
         if np.abs(np.triu(grown) - np.eye(len(grown))).max() <= _NEAR / len(grown):
             self._G, self._growth = grown, _bound(grown)
         else:
             self._restart(before)
             self._fold_plainly(rows)
 
+    def _added(self, G: Array, rows: Array) -> Any:
+        """Return G with the products of rows, divided by T, added in its upper triangle."""
+        from scipy.linalg.blas import dsyrk, dtrsm
+
+        own = rows if self._seen.all() else rows[:, self._seen]
+        return dsyrk(1.0, dtrsm(1.0, self._T, own.T, trans_a=1), beta=1.0, c=G)
+
     def _fold_plainly(self, rows: Array) -> None:
         self._restart(_triangle(np.vstack([self._factor(), rows])))
 
-    def _precondition(self, factor: Array) -> Array:
-        """Set M and its inverse so that the factor times M is orthonormal, and return M."""
+    def _divide_by(self, factor: Array) -> None:
+        """Make T of a triangle, at the columns that are not zero."""
         norms = np.sqrt(np.einsum("ij,ij->j", factor, factor))
-        seen = norms > 0.0
-        D = np.where(seen, norms, 1.0)
-        _, s, Vt = np.linalg.svd(factor[:, seen] / D[seen])
-        # Below, a singular value is rounding; any other such number stands for it as well.
-        s = np.maximum(s, np.finfo(float).eps * s.max(initial=0.0))
-        self._unseen = np.flatnonzero(~seen)
-        M, self._back = np.zeros((self._columns, len(s))), np.zeros((len(s), self._columns))
-        M[seen] = (Vt.T / s) / D[seen, None]
-        self._back[:, seen] = s[:, None] * Vt * D[seen]
-        self._M = M
-        return M
+        self._seen = norms > 0.0
+        T = factor if self._seen.all() else _triangle(factor[:, self._seen])
+        T = np.array(T, order="F")
+        # Below, what a column adds is rounding; any other such number stands for it as well.
+        own, least = np.diagonal(T).copy(), np.finfo(float).eps * norms[self._seen]
+        np.fill_diagonal(T, np.copysign(np.maximum(np.abs(own), least), own))
+        self._T = T
 
 
 def _triangle(rows: Array) -> Array:
