@@ -367,10 +367,8 @@ def left_out(
     def of_rows(friction: FrictionModel, samples: sdpid.Samples, rate: float) -> dict[str, float]:
         base = structural_base(robot, friction)
         joints = JointRows.of(RowSource(robot, friction, base, samples))
-        H = np.zeros((base.count, base.count))
-        for triangle, density in zip(joints.triangles, noise.density, strict=True):
-            H += triangle.R[:, :-1].T @ triangle.R[:, :-1] / (density * rate)
-        errors = np.sqrt(np.diag(np.linalg.inv(H)))
+        R = joints.joined(noise.density * rate).R[:, :-1]
+        errors = np.sqrt(np.diag(np.linalg.inv(R.T @ R)))
         return dict(zip(base.names, errors.tolist(), strict=True))
 
     weighted = np.sqrt(np.diag(run.spectrum.covariance))

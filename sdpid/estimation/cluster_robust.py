@@ -30,9 +30,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import whitened_chunks
+from sdpid.estimation.compression.whitening import weights, whitened_chunks
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
 
@@ -115,7 +114,7 @@ class ScoreBlocks:
         H, target = np.zeros((count, count)), np.zeros((len(efforts), count))
         for part, W, _, mask in rows.chunks():
             sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
-            weight = whitener(sigma, mask, 0.5 * problem.score_exponent)
+            weight = np.take(*weights(sigma, mask, 0.5 * problem.score_exponent), axis=0)
             X = weight @ (W @ T)
             H += np.einsum("kib,kic->bc", X, X, optimize=True)
             weighted = np.einsum("kij,kib->kjb", weight, X)

@@ -524,11 +524,13 @@ def test_friction_of_a_joint_without_rows_is_believed_to_be_small() -> None:
     mask = np.tile([False, True], (samples.n_samples, 1))
     found = solve_sdp(problem_of(replace(samples, mask=mask), Prior()))
     values = found.named()
-    assert max(abs(values[name]) for name in ("Fs1", "Fv1", "Fo1")) < 0.1
+    assert max(abs(values["Fs1"]), abs(values["Fo1"])) < 0.1
     errors = sdpid.confidence_intervals(found, parameters=("Fs1", "Fv1"), method="gauss_markov")
     # As large as the efforts of the described links, and no more.
     assert 100.0 < errors.upper[0] < 300.0
     assert errors.upper[1] < problem_of(samples, None).constraints.friction_max
+    # To what is believed of it, a solver finds zero as nearly as it proves its optimum.
+    assert abs(values["Fv1"]) < 1e-3 * errors.upper[1]
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.0])

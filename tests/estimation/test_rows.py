@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import sdpid
 from sdpid import Prior, Samples, build_problem, solve_sdp, solve_wls, validate
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
@@ -27,12 +26,13 @@ from sdpid.estimation.compression.covariance import (
     integrated_time,
     masked_covariance,
     power,
-    whitener,
 )
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
-from sdpid.robot.friction.terms import Coupling
+from sdpid.estimation.instrumental.rows import InstrumentalRows
+from sdpid.estimation.output_error.rows import SensitivityRows
+from sdpid.robot.friction.terms import AsymmetricCoulomb, Coupling
 from sdpid.robot.model import regressor_kernel as kernels
 from tests.helpers import world
 from tests.helpers.arm import ARM
@@ -72,11 +72,16 @@ def plain(rows: RowSource) -> Array:
     return np.concatenate(every, axis=2)[:, :, rows.base.kept]
 
 
+def each_weight(sigma: Array, mask: Array, exponent: float = -0.5) -> Array:
+    return np.take(*weights(sigma, mask, exponent), axis=0)
+
+
 def plainly_whitened(rows: RowSource, sigma: Array, exponent: float = -0.5) -> Array:
     s = rows.samples
     mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else s.mask
-    weight = whitener(sigma, mask, exponent)
-    return weight @ np.concatenate([plain(rows), s.effort[:, :, None]], axis=2)
+    return each_weight(sigma, mask, exponent) @ np.concatenate(
+        [plain(rows), s.effort[:, :, None]], axis=2
+    )
 
 
 def near(found: Array, expected: Array) -> None:
@@ -180,7 +185,7 @@ def test_each_sample_has_its_pattern(seed: int, count: int, n: int) -> None:
     mask = rng.random((count, n)) < 0.6
     sigma = random_covariance(rng, n)
     powers, index = weights(sigma, mask)
-    near(powers[index], whitener(sigma, mask, -0.5))
+    near(powers[index], each_weight(np.tile(sigma, (count, 1, 1)), mask))
     assert len(powers) <= len(np.unique(mask, axis=0))
 
 
@@ -265,24 +270,30 @@ def test_threads_change_no_bit_and_branches_no_product(
     np.testing.assert_allclose(R.T @ R, W.T @ W, atol=1e-13)
 
 
-# ---- Rows of branches have the columns that they are said to have, and no others.
+# ---- Rows have the columns that they are said to have, and no others.
 
 
-@pytest.mark.parametrize(
-    "terms", [(), ("coulomb", "viscous"), (sdpid.friction.AsymmetricCoulomb(), "offset")]
-)
-def test_rows_of_a_branch_are_zero_outside_its_columns(terms: tuple[object, ...]) -> None:
-    robot, samples = quadruped(), gait(20).samples
-    rows = row_source(robot, samples, terms)
-    assert len(rows.branches.columns) == 4
-    np.testing.assert_array_equal(
-        rows.branches.of_row, [-1] * 6 + [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
-    )
-    block = rows.rows(slice(None))
-    for i, own in enumerate(rows.branches.of_row):
-        if own >= 0:
-            others = np.delete(block[:, i], rows.branches.columns[own], axis=1)
-            assert not others.any()
+@pytest.mark.parametrize("terms", [(), ("coulomb", "viscous"), (AsymmetricCoulomb(), "offset")])
+@pytest.mark.parametrize("kind", ["plain", "instrumental", "sensitivities"])
+def test_no_product_of_rows_is_lost(kind: str, terms: tuple[Any, ...]) -> None:
+    """Rows of a branch that are multiplied by a matrix, or simulated, have every column."""
+    rng, samples = np.random.default_rng(2), replace(gait(20).samples, contacts=None)
+    rows = row_source(quadruped(), samples, terms)
+    b, source = rows.base.count, (rows.robot, rows.friction, rows.base, samples)
+    if kind == "plain":
+        branches = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+        np.testing.assert_array_equal(rows.branches.of_row, [-1] * 6 + branches)
+    elif kind == "instrumental":
+        link, fit = rng.standard_normal((b, b)), rng.standard_normal(b)
+        rows = InstrumentalRows(*source, instruments=samples, link=link, fit=fit, shift=0.0 * fit)
+    else:
+        slopes = rng.standard_normal((*samples.effort.shape, b))
+        rows = SensitivityRows(*source, slopes=slopes, target=samples.effort)
+    variance = rng.uniform(0.5, 2.0, rows.robot.n)
+    whole = (rows.rows(slice(None)) / np.sqrt(variance)[:, None]).reshape(-1, b + 1)
+    scale = np.linalg.norm(whole, axis=0) + 1e-300
+    for R in (JointRows.of(rows).joined(variance).R, compress(rows, np.diag(variance))[0].R):
+        np.testing.assert_allclose(*((x / scale).T @ (x / scale) for x in (R, whole)), atol=1e-13)
 
 
 def test_rows_that_have_most_columns_are_of_no_branch() -> None:
@@ -383,8 +394,8 @@ def test_whitening_masked_rows_is_whitening_the_rest(seed: int) -> None:
     rng = np.random.default_rng(seed)
     covariance = random_covariance(rng, 4)
     mask = rng.random((6, 4)) < 0.6
-    each = whitener(np.tile(covariance, (6, 1, 1)), mask, -1.0)
-    np.testing.assert_allclose(whitener(covariance, mask, -1.0), each, atol=1e-10)
+    each = each_weight(np.tile(covariance, (6, 1, 1)), mask, -1.0)
+    np.testing.assert_allclose(each_weight(covariance, mask, -1.0), each, atol=1e-10)
     for weight, used in zip(each, mask, strict=True):
         index = np.flatnonzero(used)
         assert not weight[~used].any()

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid.estimation.compression.rows import CHUNK, RowSource
+from sdpid._common.arrays import Array, Indices
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 
 # Cosine between two columns from which on they count as one. On recordings of six real arms a
@@ -65,15 +65,12 @@ def collinear_friction(problem: Problem) -> tuple[CollinearTerms, ...]:
         Pairs of one joint.
     """
     rows = problem.require_rows_here("collinear friction")
-    products = np.sum(rows.map(_products), axis=0)
+    pieces = rows.map(_products)
     found = []
-    parameters, first = rows.friction.parameters, rows.friction.first
-    for j, name in enumerate(rows.friction.joint_names):
-        own = [i for i, parameter in enumerate(parameters) if parameter.joint == j]
-        gram = products[first + j][np.ix_(own, own)]
+    parameters = rows.friction.parameters
+    for j, (name, own) in enumerate(zip(rows.friction.joint_names, _own(rows), strict=True)):
+        gram = np.sum([piece[j] for piece in pieces], axis=0)
         size = np.sqrt(np.diag(gram))
-        if not len(own):
-            continue
         cosine = gram / np.maximum(np.outer(size, size), np.finfo(float).tiny)
         for a in range(len(own)):
             for b in range(a + 1, len(own)):
@@ -83,14 +80,19 @@ def collinear_friction(problem: Problem) -> tuple[CollinearTerms, ...]:
     return tuple(found)
 
 
-def _products(rows: RowSource) -> Array:
-    """Return the products of all friction columns at every joint's used rows, (n, f, f)."""
-    n, count = rows.robot.n, len(rows.friction.parameters)
-    out = np.zeros((n, count, count))
-    for start in range(0, rows.n_samples, CHUNK):
-        part = slice(start, start + CHUNK)
-        columns = np.where(
-            rows.mask(part)[:, :, None], rows.friction.columns_in(rows.motion(part)), 0.0
-        )
-        out += np.einsum("kja,kjb->jab", columns, columns, optimize=True)
+def _own(rows: RowSource) -> list[Indices]:
+    """Return the places of the friction parameters of each joint."""
+    joints = np.array([parameter.joint for parameter in rows.friction.parameters])
+    return [np.flatnonzero(joints == j) for j in range(len(rows.friction.joint_names))]
+
+
+def _products(rows: RowSource) -> list[Array]:
+    """Return the products of each joint's friction columns at its used rows, (f, f)."""
+    first, owners = rows.friction.first, _own(rows)
+    out = [np.zeros((len(own), len(own))) for own in owners]
+    for part in rows.parts():
+        mask, columns = rows.mask(part), rows.friction.columns_in(rows.motion(part))
+        for j, own in enumerate(owners):
+            used = columns[mask[:, first + j], first + j][:, own]
+            out[j] += used.T @ used
     return out

@@ -175,9 +175,7 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
     used = np.maximum(rows.used, 1.0)
 
     def rmse(base: Array) -> Array:
-        error = np.append(base, -1.0)
-        squares = [float(np.sum((triangle.R @ error) ** 2)) for triangle in rows.triangles]
-        return np.asarray(np.sqrt(np.array(squares) / used))
+        return np.asarray(np.sqrt(rows.squared_residuals(base) / used))
 
     best = estimate if estimate.method == "sdp" else solve_sdp(problem)
     free = solve_wls(problem)

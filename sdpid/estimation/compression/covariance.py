@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -24,7 +24,8 @@ WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "re
 # Those whose cost is the norm of the normal equations' residual: no sum over rows, no likelihood.
 PRINTED: tuple[Weighting, ...] = ("eq9", "eq18")
 
-# A covariance whose reciprocal condition is below this is singular to working accuracy.
+# A covariance or a triangle whose reciprocal condition is below this is singular to working
+# accuracy.
 SINGULAR = 1e-12
 
 
@@ -67,27 +68,6 @@ def pooled(covariance: Array) -> Array:
     return covariance if covariance.ndim == 2 else np.asarray(covariance.mean(axis=0))
 
 
-def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
-    """Return Sigma^exponent for each sample, (K, n, n), masked rows and columns zero.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (n, n) or (K, n, n)
-        Effort covariance.
-    mask : ndarray of bool, shape (K, n)
-        Rows that are used.
-    exponent : float
-        -1/2 to whiten.
-    """
-    if covariance.ndim == 2:
-        patterns, index = np.unique(mask, axis=0, return_inverse=True)
-        powers = power(masked_covariance(covariance, patterns), exponent)
-        powers = powers * (patterns[:, :, None] & patterns[:, None, :])
-        return np.asarray(powers[index.reshape(-1)])
-    powers = power(masked_covariance(covariance, mask), exponent)
-    return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
-
-
 # Least standard deviation: this share of the overall effort, so that one quiet joint cannot
 # dominate; but no more than the joint's own effort varies, or any prediction of it would do. Of
 # 0.01 and 0.03 held-out errors on eight pairs of real recordings are alike (0.998 in the geometric
@@ -115,8 +95,10 @@ class JointRows:
 
     Attributes
     ----------
+    columns : tuple of ndarray of int
+        Of each joint, the columns where its rows may not be zero, efforts last.
     triangles : tuple of Triangle
-        One a joint, not whitened, the efforts in the last column.
+        One a joint, of those columns, not whitened.
     used : ndarray, shape (n,)
         Rows that are not masked.
     squares : ndarray, shape (n,)
@@ -125,6 +107,7 @@ class JointRows:
         Sum of those rows, efforts last.
     """
 
+    columns: tuple[Indices, ...]
     triangles: tuple[Triangle, ...]
     used: Array
     squares: Array
@@ -134,18 +117,20 @@ class JointRows:
     def of(cls, rows: RowSource) -> JointRows:
         """Compress the rows of every joint."""
         n, count = rows.robot.n, rows.base.count
-        triangles = tuple(Triangle(count + 1) for _ in range(n))
+        columns = tuple(np.flatnonzero(own) for own in rows.reached)
+        triangles = tuple(Triangle(len(own)) for own in columns)
         used, squares, sums = np.zeros(n), np.zeros(n), np.zeros((n, count + 1))
         for part in rows.parts():
             stacked, mask = rows.rows(part), rows.mask(part)
             everything = bool(mask.all())
             for j, triangle in enumerate(triangles):
                 own = stacked[:, j] if everything else stacked[mask[:, j], j]
+                own = own[:, columns[j]]
                 triangle.add(own)
                 used[j] += len(own)
                 squares[j] += float(own[:, -1] @ own[:, -1])
-                sums[j] += own.sum(axis=0)
-        return cls(triangles, used, squares, sums)
+                sums[j, columns[j]] += own.sum(axis=0)
+        return cls(columns, triangles, used, squares, sums)
 
     @classmethod
     def merged(cls, pieces: Sequence[JointRows]) -> JointRows:
@@ -153,14 +138,13 @@ class JointRows:
         first = pieces[0]
         if len(pieces) == 1:
             return first
-        triangles = []
-        for j in range(len(first.triangles)):
-            triangle = Triangle(first.sums.shape[1])
-            for piece in pieces:
-                triangle.merge(piece.triangles[j])
-            triangles.append(triangle)
+        triangles = tuple(Triangle(len(own)) for own in first.columns)
+        for piece in pieces:
+            for triangle, own in zip(triangles, piece.triangles, strict=True):
+                triangle.add(own.R)
         return cls(
-            tuple(triangles),
+            first.columns,
+            triangles,
             np.sum([piece.used for piece in pieces], axis=0),
             np.sum([piece.squares for piece in pieces], axis=0),
             np.sum([piece.sums for piece in pieces], axis=0),
@@ -175,21 +159,24 @@ class JointRows:
         """Return the mean of every joint's residual ``effort − W @ base``, (n,)."""
         return np.asarray(self.sums @ np.append(-base, 1.0) / np.maximum(self.used, 1.0))
 
-    def joined(self, variance: Array) -> Array:
-        """Return the triangles of all joints over their standard deviations, below each other."""
-        pairs = zip(self.triangles, variance, strict=True)
-        return np.vstack([t.R / np.sqrt(s) for t, s in pairs])
+    def joined(self, variance: Array) -> Triangle:
+        """Return the triangle of all rows over the standard deviations of their joints."""
+        joined = Triangle(self.sums.shape[1])
+        for own, triangle, s in zip(self.columns, self.triangles, variance, strict=True):
+            joined.add(triangle.R / np.sqrt(s), own)
+        return joined
 
     def fit(self, variance: Array) -> tuple[Array, int]:
         """Return the base parameters that fit best under given variances, and the rank."""
-        joined = self.joined(variance)
-        base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
+        A, rhs, _ = self.joined(variance).split()
+        base, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=SINGULAR)
         return np.asarray(base), int(rank)
 
     def squared_residuals(self, base: Array) -> Array:
         """Return the sum of every joint's squared residuals at some base parameters, (n,)."""
         error = np.append(base, -1.0)
-        return np.array([float(np.sum((t.R @ error) ** 2)) for t in self.triangles])
+        pairs = zip(self.columns, self.triangles, strict=True)
+        return np.array([float(np.sum((t.R @ error[own]) ** 2)) for own, t in pairs])
 
     def variance(self, base: Array, rank: int) -> Array:
         """Return the variance of every joint's residuals at some base parameters, (n,).

@@ -79,10 +79,9 @@ class Factor:
     def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
         """Weight rows that are compressed already with one variance a joint, from residuals."""
         variance, time = residual_noise(rows, joints)
-        triangle = Triangle(rows.base.count + 1)
-        triangle.add(joints.joined(variance * time))
         used = int(joints.used.sum())
-        return cls(np.diag(variance * time), *triangle.split(), used, time=time)
+        split = joints.joined(variance * time).split()
+        return cls(np.diag(variance * time), *split, used, time=time)
 
 
 def compressed(rows: Rows, sigma: Array) -> tuple[Triangle, int]:

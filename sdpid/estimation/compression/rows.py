@@ -13,7 +13,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid.estimation.compression.branches import NO_BRANCHES, Branches, moved
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
@@ -180,6 +180,13 @@ class RowSource:
     @cached_property
     def branches(self) -> Branches:
         """Which columns of `rows` the rows of branches have, none of a single chain."""
+        found = Branches.of(self.reached)
+        # The last joints of a single chain share their columns with those before.
+        return found if len(found.columns) > 1 else NO_BRANCHES
+
+    @cached_property
+    def reached(self) -> Mask:
+        """At which columns of `rows` the row of each joint may not be zero, (n, b + 1)."""
         tree, friction = self.robot.tree, self.friction
         standard = np.repeat(moved(tree), 10, axis=1)
         for term in friction.terms:
@@ -191,9 +198,30 @@ class RowSource:
             standard = np.concatenate([standard, own], axis=1)
         reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
         reached[:, :-1] = standard[:, self.base.kept]
-        found = Branches.of(reached)
-        # The last joints of a single chain share their columns with those before.
-        return found if len(found.columns) > 1 else NO_BRANCHES
+        return reached
+
+    def with_every_column(self) -> RowSource:
+        """Return the rows with a column for each friction parameter, dependent ones too.
+
+        They come last. The links' columns are those that the scan for base parameters kept, in
+        which friction has no part.
+        """
+        base, first, more = self.base, 10 * self.robot.n_links, self.friction.parameters
+        links = np.flatnonzero(base.kept < first)
+        matrix = np.zeros((len(links) + len(more), first + len(more)))
+        matrix[: len(links), :first] = base.matrix[links, :first]
+        matrix[len(links) :, first:] = np.eye(len(more))
+        names, units = tuple(p.name for p in more), tuple(p.unit for p in more)
+        every = replace(
+            base,
+            names=(*(base.names[i] for i in links), *names),
+            units=(*(base.units[i] for i in links), *units),
+            matrix=frozen(matrix),
+            kept=np.concatenate([base.kept[links], first + np.arange(len(more))]),
+            theta_names=(*base.theta_names[:first], *names),
+            theta_units=(*base.theta_units[:first], *units),
+        )
+        return replace(self, base=every)
 
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""

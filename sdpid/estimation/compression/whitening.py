@@ -15,7 +15,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.compression.ahead import one_ahead
 from sdpid.estimation.compression.contact_rows import ContactRows
-from sdpid.estimation.compression.covariance import masked_covariance, power, whitener
+from sdpid.estimation.compression.covariance import masked_covariance, power
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.robot.model.regressor_kernel import threads
@@ -37,21 +37,20 @@ def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, In
     exponent : float
         -1/2 to whiten.
     """
-    if sigma.ndim == 3:
-        return whitener(sigma, mask, exponent), np.arange(len(mask))
-    if mask.all():
-        return power(sigma, exponent)[None], np.zeros(len(mask), dtype=np.intp)
-    patterns, index = np.unique(np.packbits(mask, axis=1), axis=0, return_inverse=True)
-    used = np.unpackbits(patterns, axis=1, count=mask.shape[1]).astype(bool)
+    used, index = mask, np.arange(len(mask))
+    if sigma.ndim == 2:
+        if mask.all():
+            return power(sigma, exponent)[None], np.zeros(len(mask), dtype=np.intp)
+        patterns, index = np.unique(np.packbits(mask, axis=1), axis=0, return_inverse=True)
+        used = np.unpackbits(patterns, axis=1, count=mask.shape[1]).astype(bool)
     powers = power(masked_covariance(sigma, used), exponent)
-    powers = powers * (used[:, :, None] & used[:, None, :])
-    return np.asarray(powers), index.reshape(-1).astype(np.intp)
+    return np.asarray(powers * (used[:, :, None] & used[:, None, :])), index.reshape(-1)
 
 
 def whiten(rows: Array, sigma: Array, mask: Mask, exponent: float = -0.5) -> Array:
     """Return every sample's rows (k, n, c) times its power of Sigma, contacts aside.
 
-    With a diagonal Sigma and nothing masked they are multiplied in place.
+    With a diagonal Sigma they are multiplied in place.
     """
     return apply(*weights(sigma, mask, exponent), rows)
 
@@ -106,8 +105,7 @@ def whiten_rows(
 ) -> Array:
     """Return values (k, n, c) of some samples times their weights, in `out` if it is given.
 
-    As for `weights_of`; with a diagonal Sigma, nothing masked and no contacts they are multiplied
-    in place.
+    As for `weights_of`; with a diagonal Sigma and no contacts they are multiplied in place.
     """
     return apply(*weights_of(rows, part, sigma, exponent), values, out)
 
@@ -157,13 +155,10 @@ def _roots(
 
 def apply(powers: Array, index: Indices, rows: Array, out: Array | None = None) -> Array:
     """Return every sample's rows (k, n, c) times its power, which `weights` found; as `whiten`."""
-    if len(powers) > 1:
-        return np.matmul(powers[index], rows, out=out)
-    scale = np.diagonal(powers[0])
-    if np.array_equal(powers[0], np.diag(scale)):
-        rows *= scale[:, None]
+    if are_diagonal(powers):
+        rows *= np.diagonal(powers, axis1=1, axis2=2)[index][:, :, None]
         return rows
-    return np.matmul(powers[0], rows, out=out)
+    return np.matmul(powers[index] if len(powers) > 1 else powers[0], rows, out=out)
 
 
 def whitened_chunks(
@@ -253,7 +248,7 @@ def _independent(
         whitened = apply(powers, index, block, memory[1][: len(block)])
         whitened[done] = 0.0
         used = int(np.count_nonzero(rows.mask(part)))
-        if rows.branches.columns and _are_diagonal(powers):
+        if rows.branches.columns and are_diagonal(powers):
             return *rows.branches.split(whitened), used
         return whitened.reshape(-1, whitened.shape[2]), [], used
     block = rows.rows(part, memory[0])
@@ -263,7 +258,7 @@ def _independent(
     return found, apart, int(np.count_nonzero(rows.mask(part))) - lost
 
 
-def _are_diagonal(powers: Array) -> bool:
+def are_diagonal(powers: Array) -> bool:
     """Return whether weights leave the rows of a sample unmixed."""
     diagonal = np.diagonal(powers, axis1=1, axis2=2)
     return bool(np.count_nonzero(powers) == np.count_nonzero(diagonal))

@@ -13,7 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import weights_of
+from sdpid.estimation.compression.whitening import apply, are_diagonal, weights_of
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
 from sdpid.robot.friction.terms import Coulomb, SigmoidFriction, Stribeck
 
@@ -29,6 +29,9 @@ _TRIES = 20
 # Rounds over all open parameters; they stop when one brings less than this share of the cost.
 _ROUNDS = 8
 _SETTLED = 1e-5
+
+# Samples whose columns are made at a time.
+_TOGETHER = 512
 
 # Values whose cost exceeds the least by less than this share are as good: the range reported.
 FLAT = 0.01
@@ -102,10 +105,9 @@ class _Trial:
 class VariableProjection:
     """The least cost as a function of the open parameters, searched one at a time.
 
-    Whitened columns are kept joint by joint, (n, K, columns): with independent joints a column is
-    zero at all joints but those that its term acts on. Where contacts mix joints, a whitened column
-    is zero nowhere: then columns that are tried stay as they are and the others are whitened twice,
-    which makes the same products.
+    Columns that are tried stay as they are, and those that are kept are whitened twice, which makes
+    the products of whitened ones: a column that is tried is zero at all joints but those that its
+    term acts on, whitened it may be zero nowhere.
 
     Parameters
     ----------
@@ -124,35 +126,43 @@ class VariableProjection:
 
     def __init__(self, rows: RowSource, sigma: Array, opened: list[OpenTerm]) -> None:
         self._opened, self._friction = opened, rows.friction
-        first = rows.friction.first
         self._motion = rows.motion(slice(None))
         powers, which = weights_of(rows, slice(None), sigma)
-        self._power, self._first = powers[which], first
-        self._independent = np.count_nonzero(powers) == np.count_nonzero(
-            np.diagonal(powers, axis1=1, axis2=2)
-        )
-        columns = rows.friction.columns_in(self._motion)
         ends = np.cumsum([0, *(len(t.parameters(self._names)) for t in rows.friction.terms)])
         places = [np.arange(ends[each.place], ends[each.place + 1]) for each in opened]
         loose = np.concatenate(places)
-        # Friction comes last in the scan for base parameters: it does not change which of the
-        # inertial columns are kept.
-        inertial = rows.base.kept < 10 * rows.robot.n_links
-        regressor = rows.regressor(slice(None))[:, :, inertial]
-        fixed = np.concatenate([regressor, np.delete(columns, loose, axis=2)], axis=2)
-        self._basis = _orthonormal(self._whiten(fixed))
-        open_columns = np.concatenate(
-            [columns[:, :, loose], rows.effort(slice(None))[:, :, None]], axis=2
+        # The links' columns, those of friction and the effort.
+        every = rows.with_every_column()
+        apart = [*(every.base.count - ends[-1] + loose), every.base.count]
+        independent = are_diagonal(powers)
+        reached = every.reached | (not independent)
+        reached[:, apart] = False
+        # Columns of fixed shape, those that a joint has, (K, own); then the c open columns, and the
+        # effort as the last one.
+        owns, count = [np.flatnonzero(each) for each in reached], rows.n_samples
+        fixed = [np.empty((count, len(own))) for own in owns]
+        self._loose = np.empty((len(reached), count, len(apart)))
+        for part in every.parts(_TOGETHER):
+            whitened = apply(powers, which[part], every.rows(part))
+            for j, own in enumerate(owns):
+                fixed[j][part] = whitened[:, j, own]
+                self._loose[j, part] = whitened[:, j, apart]
+        self._basis = _orthonormal(fixed, owns, every.base.count)
+        self._inside = np.sum(
+            [U.T @ (Q.T @ x) for (Q, U), x in zip(self._basis, self._loose, strict=True)], axis=0
         )
-        # The c open columns, and the effort as the last one.
-        self._loose = self._whiten(open_columns)
-        self._inside = np.einsum("nkr,nkc->rc", self._basis, self._loose, optimize=True)
-        own = np.einsum("nka,nkb->ab", self._loose, self._loose, optimize=True)
+        own = np.sum([each.T @ each for each in self._loose], axis=0)
         self._products: Array = own - self._inside.T @ self._inside
         self._squares: Array = np.diagonal(own).copy()
-        if not self._independent:
-            self._gram = np.swapaxes(self._power, 1, 2) @ self._power
-            self._basis, self._loose = (self._whiten_again(x) for x in (self._basis, self._loose))
+        again = np.swapaxes(powers, 1, 2)
+        self._gram = (again @ powers)[which]
+        self._loose = _mixed(again[which], self._loose)
+        if independent:
+            scale = np.diagonal(powers, axis1=1, axis2=2)[which].T[:, :, None]
+            self._basis = [(s * Q, U) for s, (Q, U) in zip(scale, self._basis, strict=True)]
+        else:
+            mixed = _mixed(again[which], np.stack([Q @ U for Q, U in self._basis]))
+            self._basis = [(Q, np.eye(mixed.shape[2])) for Q in mixed]
         nonnegative = np.array([p.nonnegative for p in rows.friction.parameters], dtype=bool)
         self._free = np.flatnonzero(~nonnegative[loose])
         self._lowest = np.where(nonnegative[loose], 0.0, -np.inf)
@@ -214,13 +224,13 @@ class VariableProjection:
         """Return the cost at other values (g,) of a parameter, and the columns that it moves."""
         moved = self._moving(t, i)
         terms = [self._opened[t].changed(i, float(value)) for value in values]
-        joints, columns = self._whitened(terms, moved)
+        joints, columns = self._shown(terms, moved)
         places = self._starts[t] + moved
         w, count, g, m = columns.shape
-        inside = np.zeros((self._basis.shape[2], g * m))
-        others = np.zeros((self._loose.shape[2], g * m))
+        inside, others = (np.zeros((len(x), g * m)) for x in (self._inside, self._products))
         for j, each in zip(joints, columns.reshape(w, count, g * m), strict=True):
-            inside += self._basis[j].T @ each
+            Q, U = self._basis[j]
+            inside += U.T @ (Q.T @ each)
             others += self._loose[j].T @ each
         others = np.moveaxis((others - self._inside.T @ inside).reshape(len(others), g, m), 1, 0)
         inside = np.moveaxis(inside.reshape(len(inside), g, m), 1, 0)
@@ -237,15 +247,9 @@ class VariableProjection:
 
     def _keep(self, trial: _Trial) -> None:
         """Make the columns of a trial the present ones."""
-        if self._independent:
-            self._loose[:, :, trial.places] = 0.0
-            for j, column in zip(trial.joints, trial.columns, strict=True):
-                self._loose[j][:, trial.places] = column
-            squares = np.einsum("nkc,nkc->c", trial.columns, trial.columns)
-        else:
-            mixed = np.moveaxis(self._gram[:, :, trial.joints], 1, 0)
-            self._loose[:, :, trial.places] = np.einsum("nkw,wkc->nkc", mixed, trial.columns)
-            squares = np.diagonal(self._product(trial.joints, trial.columns[:, :, None])[0])
+        mixed = np.moveaxis(self._gram[:, :, trial.joints], 1, 0)
+        self._loose[:, :, trial.places] = np.einsum("nkw,wkc->nkc", mixed, trial.columns)
+        squares = np.diagonal(self._product(trial.joints, trial.columns[:, :, None])[0])
         self._inside[:, trial.places] = trial.inside
         self._squares[trial.places] = squares
         self._products, self.cost = trial.products, trial.cost
@@ -254,19 +258,24 @@ class VariableProjection:
         """Return which of a term's columns depend on one of its parameters."""
         if (t, i) not in self._moved:
             each, p = self._opened[t], self._opened[t].parameters[i]
-            low, high = (self._columns(each.changed(i, value)) for value in (p.lower, p.upper))
+            ends = [each.changed(i, value) for value in (p.lower, p.upper)]
+            # Of these terms the speeds tell, and no column has to be looked at.
+            alike = type(each.term) in _ALIKE
+            low, high = (self._speeds(e)[None] if alike else self._columns(e) for e in ends)
             self._moved[t, i] = np.flatnonzero(np.any(low != high, axis=(0, 1)))
         return self._moved[t, i]
+
+    def _speeds(self, term: FrictionTerm) -> Array:
+        """Return the speeds (fields, joints) of a term with one shape for all joints."""
+        assert isinstance(term, JointwiseTerm)
+        return np.array([term.speed(name, len(self._names)) for name in term.speed_fields])
 
     def _columns(self, term: FrictionTerm) -> Array:
         """Return a term's columns (K, joints, m)."""
         return term.columns_in(self._motion, self._names)
 
-    def _whitened(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
-        """Return at which joints some columns of g terms are not zero, and these (w, K, g, m).
-
-        They are whitened where joints are independent.
-        """
+    def _shown(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
+        """Return at which joints some columns of g terms are not zero, and these (w, K, g, m)."""
         first = terms[0]
         if isinstance(first, JointwiseTerm) and type(first) in _ALIKE and len(moved) == 1:
             joints, columns = moved, self._shapes(terms, int(moved[0]))[None, :, :, None]
@@ -274,37 +283,21 @@ class VariableProjection:
             found = np.stack([self._columns(term)[:, :, moved] for term in terms], axis=2)
             joints = np.flatnonzero(found.any(axis=(0, 2, 3)))
             columns = np.swapaxes(found[:, joints], 0, 1)
-        joints = joints + self._first
-        if self._independent:
-            columns = columns * self._power[:, joints, joints].T[:, :, None, None]
-        return joints, columns
+        return joints + self._friction.first, columns
 
     def _product(self, joints: Indices, columns: Array) -> Array:
-        """Return the products (g, m, m) of whitened columns, as `_whitened` returns them."""
-        if self._independent:
-            return np.asarray(np.einsum("wkga,wkgb->gab", columns, columns))
+        """Return the products (g, m, m), once whitened, of columns as `_shown` returns them."""
         weighted = np.einsum("kwv,vkga->wkga", self._gram[:, joints[:, None], joints], columns)
         return np.asarray(np.einsum("wkga,wkgb->gab", columns, weighted))
 
     def _shapes(self, terms: list[FrictionTerm], joint: int) -> Array:
         """Return the columns (K, g) of one joint, as if each term were that of another joint."""
-        alike = [term for term in terms if isinstance(term, JointwiseTerm)]
-        speeds = {
-            name: tuple(float(term.speed(name, len(self._names))[joint]) for term in alike)
-            for name in alike[0].speed_fields
-        }
-        same = [joint] * len(alike)
-        many = replace(alike[0], **speeds)
+        (first, *_), same = terms, [joint] * len(terms)
+        assert isinstance(first, JointwiseTerm)
+        speeds = np.stack([self._speeds(term)[:, joint] for term in terms], axis=1)
+        fields = zip(first.speed_fields, map(tuple, speeds.tolist()), strict=True)
+        many = replace(first, **dict(fields))
         return self._motion.filtered(lambda v, a: many.shape(v[:, same], a[:, same]))
-
-    def _whiten(self, columns: Array) -> Array:
-        """Return whitened columns (n, K, c) from columns (K, n, c)."""
-        return np.ascontiguousarray(np.swapaxes(self._power @ columns, 0, 1))
-
-    def _whiten_again(self, columns: Array) -> Array:
-        """Return whitened columns (n, K, c) times the transposed weights."""
-        again = np.swapaxes(self._power, 1, 2) @ np.swapaxes(columns, 0, 1)
-        return np.ascontiguousarray(np.swapaxes(again, 0, 1))
 
     def _least(self, products: Array, squares: Array) -> Array:
         """Return the least costs (g,) over all linear parameters, from the open columns' products.
@@ -329,15 +322,24 @@ class VariableProjection:
         return np.asarray(np.maximum(products[:, -1, -1] - gain, 0.0))
 
 
-def _orthonormal(columns: Array) -> Array:
-    """Return an orthonormal basis (n, K, rank) of the span of columns (n, K, c)."""
-    n, count, width = columns.shape
-    flat = columns.reshape(n * count, width)
-    size = np.linalg.norm(flat, axis=0)
-    Q, R = np.linalg.qr(flat / np.where(size > 0.0, size, 1.0))
+def _orthonormal(fixed: list[Array], owns: list[Indices], width: int) -> list[tuple[Array, Array]]:
+    """Return Q (K, own) and U (own, r) of joints with own columns: Q·U are an orthonormal basis."""
+    pairs = [np.linalg.qr(each) for each in fixed]
+    rows = [np.zeros((len(R), width)) for _, R in pairs]
+    for each, own, (_, R) in zip(rows, owns, pairs, strict=True):
+        each[:, own] = R
+    stacked = np.concatenate(rows)
+    size = np.linalg.norm(stacked, axis=0)
+    V, R = np.linalg.qr(stacked / np.where(size > 0.0, size, 1.0))
     U, s, _ = np.linalg.svd(R)
     rank = np.count_nonzero(s > _DEPENDENT * s.max(initial=0.0))
-    return np.asarray((Q @ U[:, :rank]).reshape(n, count, rank))
+    parts = np.split(V @ U[:, :rank], np.cumsum([len(each) for each in rows])[:-1])
+    return [(Q, part) for (Q, _), part in zip(pairs, parts, strict=True)]
+
+
+def _mixed(weights: Array, columns: Array) -> Array:
+    """Return columns (n, K, c) times the weights (K, n, n) of their samples."""
+    return np.ascontiguousarray(np.swapaxes(weights @ np.swapaxes(columns, 0, 1), 0, 1))
 
 
 def _flat_range(tried: dict[float, float], parameter: OpenParameter) -> tuple[float, float]:

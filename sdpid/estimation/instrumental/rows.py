@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -56,6 +57,11 @@ class InstrumentalRows(RowSource):
             rows = replace(self, samples=piece, instruments=instruments)
             found.append(function(rows, *own, *arguments))
         return found
+
+    @cached_property
+    def reached(self) -> Mask:
+        """At which columns rows may not be zero: at all, for L mixes them."""
+        return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
 
     def regressor(self, part: slice) -> Array:
         """Return the projected regressor X of some samples, shape (k, n, b)."""

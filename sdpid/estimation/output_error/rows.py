@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -60,6 +61,11 @@ class SensitivityRows(RowSource):
             rows = replace(self, samples=piece, slopes=self.slopes[part], target=self.target[part])
             found.append(function(rows, *own, *arguments))
         return found
+
+    @cached_property
+    def reached(self) -> Mask:
+        """At which columns rows may not be zero: at all, for a force at one joint moves all."""
+        return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
 
     def regressor(self, part: slice) -> Array:
         """Return the derivative of some positions, shape (k, n, b)."""

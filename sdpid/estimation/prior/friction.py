@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
+from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.robot.friction.terms import Offset
 
@@ -89,8 +89,7 @@ def _squares(rows: RowSource, unused: Mask) -> tuple[Array, Array, Array, Array]
     s, robot, n = rows.samples, rows.robot, rows.robot.n
     count, efforts = np.zeros(n), np.zeros(n)
     terms = np.zeros((n, len(rows.friction.parameters)))
-    for start in range(0, s.n_samples, CHUNK):
-        part = slice(start, start + CHUNK)
+    for part in rows.parts():
         columns = rows.friction.columns_in(rows.motion(part))
         mask = rows.mask(part) | unused
         count += mask.sum(axis=0)

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import CHUNK
 from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import weights as powers_of
 from sdpid.estimation.compression.whitening import weights_and_shares, whitened_chunks
 from sdpid.estimation.problem import Problem
 
@@ -155,6 +155,6 @@ class WhitenedRows:
                 if touching is not None and touching.covariance is not None:
                     out[part] += (1.0 / w - 1.0) * touching.covariance
                 continue
-            root = whitener(own, self.rows.mask(part), 0.5)
+            root = np.take(*powers_of(own, self.rows.mask(part), 0.5), axis=0)
             out[part] = (root / weights[part][:, None, :]) @ root
         return out

@@ -56,13 +56,12 @@ class Trials:
         friction = FrictionModel.from_terms(
             terms, problem.robot.joint_names, first=problem.robot.n_base
         )
-        base = _with_every_column(problem.base, problem.robot.n_links, friction)
         samples = problem.require_rows_here("choice of effects").samples.judged
         samples = samples.thinned(_MOST_SAMPLES)
-        rows = RowSource(problem.robot, friction, base, samples)
+        rows = RowSource(problem.robot, friction, problem.base, samples).with_every_column()
         found = Factor.of(rows, "residual")
         rows = rows.with_force_scale(found.force_scale)
-        triangle = np.zeros((base.count + 1, base.count + 1))
+        triangle = np.zeros((rows.base.count + 1, rows.base.count + 1))
         triangle[:-1] = np.column_stack([found.A, found.rhs])
         triangle[-1, -1] = np.sqrt(found.floor)
         belief = None
@@ -103,32 +102,6 @@ class Trials:
             prior=prior if self.prior is not None else None,
             rows=None,
         )
-
-
-def _with_every_column(
-    base: BaseParameters, n_links: int, friction: FrictionModel
-) -> BaseParameters:
-    """Return the links' base parameters with every friction parameter beside them.
-
-    The links' columns are those that the scan kept; a friction column may depend on them.
-    """
-    count = 10 * n_links
-    links = np.flatnonzero(base.kept < count)
-    more = len(friction.parameters)
-    matrix = np.zeros((len(links) + more, count + more))
-    matrix[: len(links), :count] = base.matrix[links, :count]
-    matrix[len(links) :, count:] = np.eye(more)
-    names = tuple(p.name for p in friction.parameters)
-    units = tuple(p.unit for p in friction.parameters)
-    return replace(
-        base,
-        names=(*(base.names[i] for i in links), *names),
-        units=(*(base.units[i] for i in links), *units),
-        matrix=frozen(matrix),
-        kept=np.concatenate([base.kept[links], count + np.arange(more)]),
-        theta_names=(*base.theta_names[:count], *names),
-        theta_units=(*base.theta_units[:count], *units),
-    )
 
 
 def _part(base: BaseParameters, kept: Indices, theta: Indices) -> BaseParameters:

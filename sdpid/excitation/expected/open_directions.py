@@ -192,10 +192,8 @@ def _information(asked: Asked, q: Array, v: Array, a: Array) -> Array:
     """Return the information (b, b) of states, per sample."""
     samples = Samples(position=q, velocity=v, acceleration=a, effort=np.zeros_like(v))
     rows = JointRows.of(RowSource(asked.robot, asked.friction, asked.base, samples))
-    found = np.zeros_like(asked.information)
-    for triangle, density in zip(rows.triangles, asked.density, strict=True):
-        found += triangle.R[:, :-1].T @ triangle.R[:, :-1] / density
-    return found / len(q)
+    R = rows.joined(asked.density).R[:, :-1]
+    return np.asarray(R.T @ R / len(q))
 
 
 def _cause(gains: dict[Change, Array], direction: Array) -> Change:
