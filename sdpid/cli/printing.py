@@ -75,14 +75,15 @@ def errors_table(fits: dict[str, Validation]) -> str:
         missed: list[float | None] = [None] * len(base)
         if fit.floating is not None:
             missed = [size for _, size in fit.floating.rows]
-        for values, more in ((fit.rmse, missed), (100.0 * fit.nrmse, [None] * len(base))):
-            rows = zip(values.tolist(), fit.rows.tolist(), strict=True)
+        own = fit.told
+        for values, more in ((own.rmse, missed), (100.0 * own.nrmse, [None] * len(base))):
+            rows = zip(values.tolist(), own.rows.tolist(), strict=True)
             columns.append([*[x if k else None for x, k in rows][fit.n_base :], *more])
     table = Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
     silent = [
         name
         for j, name in enumerate(first.joint_names)
-        if any(math.isinf(fit.nrmse[j]) for fit in fits.values())
+        if any(math.isinf(fit.told.nrmse[j]) for fit in fits.values())
     ]
     note = f"\nno effort of which errors are a share: {', '.join(silent)}" if silent else ""
-    return f"on the rows in use, without those masked near reversals and at rest:\n{table}{note}"
+    return f"in motion:\n{table}{note}"

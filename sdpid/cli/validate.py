@@ -68,7 +68,7 @@ def validate(
     verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
     notes = list(samples.notes)
     parts = [
-        f"{model.name}: relative residual on the rows in use {100 * fit.relative:.2f} %\n"
+        f"{model.name}: relative residual in motion {100 * fit.told.relative:.2f} %\n"
         + listed("verdict", verdict),
         listed("notes", notes),
         errors_table({"prediction": fit}),

@@ -184,12 +184,12 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
     certificate = certify(estimate, bound=optimum)
     wls = solve_wls(replace(problem, prior=None))
     residuals = {
-        name: validate(each).relative
+        name: validate(each).told.relative
         for name, each in (("given", estimate), ("optimum", optimum), ("unconstrained", wls))
     }
     robot = problem.robot
     if not robot.free_flyer and np.any(robot.prior[:, 0] > 0.0):
-        residuals["description"] = validate_robot(robot, problem.samples).relative
+        residuals["description"] = validate_robot(robot, problem.samples).told.relative
     return Judgment(
         given=given,
         estimate=estimate,

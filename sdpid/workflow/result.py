@@ -102,8 +102,8 @@ class Identification(Judged, Shown):
         facts: dict[str, object] = {
             "robot": self.problem.robot.name,
             "certified": self.certificate.passed,
-            "relative residual": self.training.relative,
-            "relative residual, unconstrained": self.training_wls.relative,
+            "relative residual": self.training.told.relative,
+            "relative residual, unconstrained": self.training_wls.told.relative,
             "cost": self.estimate.cost,
             "proven lower bound": self.certificate.lower_bound,
             "base parameters": self.problem.base.count,
@@ -111,7 +111,7 @@ class Identification(Judged, Shown):
         }
         if self.held_out is not None:
             what = "validation" if self.held_out.by == "recording" else "blocks held out"
-            facts[f"relative residual in motion, {what}"] = self.held_out.fit.moving.relative
+            facts[f"relative residual in motion, {what}"] = self.held_out.fit.told.relative
         return facts
 
     def _tables(self) -> Iterator[Table]:
@@ -120,8 +120,8 @@ class Identification(Judged, Shown):
         yield Table.of_columns(
             {
                 "joint": list(self.training.joint_names[joints]),
-                "RMSE [N·m]": self.training.rmse[joints].tolist(),
-                "NRMSE": self.training.nrmse[joints].tolist(),
+                "RMSE [N·m]": self.training.told.rmse[joints].tolist(),
+                "NRMSE": self.training.told.nrmse[joints].tolist(),
             }
         )
         yield Table(("verdict",), tuple((text,) for text in self.verdict))
@@ -235,17 +235,16 @@ class Identification(Judged, Shown):
         lines = [
             f"{self.problem.robot.name}: {self.problem.base.count} base parameters from "
             f"{self.problem.n_rows} rows; {self.certificate.summary()}",
-            f"relative residual on the fitted rows {100 * self.training.relative:.2f} % "
+            f"relative residual in motion {100 * self.training.told.relative:.2f} % "
             "(unconstrained "
-            f"{100 * self.training_wls.relative:.2f} %)",
+            f"{100 * self.training_wls.told.relative:.2f} %)",
         ]
         if self.problem.prior is not None:
             lines.append("regularized towards the inertias in the description")
             lines += self.problem.prior.notes
         if self.validation is not None:
-            fit = self.validation
-            moving, where = (fit.moving, "in motion") if fit.moving.rows.any() else (fit, "at rest")
-            lines.append(f"on the validation recording, {where}, {100 * moving.relative:.2f} %")
+            share = 100.0 * self.validation.told.relative
+            lines.append(f"on the validation recording {share:.2f} %")
         if self.cross_validation is not None:
             lines.append(self.cross_validation.summary())
         if self.bias is not None:

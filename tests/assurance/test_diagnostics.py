@@ -86,7 +86,7 @@ def test_beside_no_effort_no_share_is_told() -> None:
     assert printed[-1] == "no effort of which errors are a share: joint_1"
     assert next(line for line in printed if line.startswith("joint_1")).split()[-1] == "-"
     # Where nothing is predicted either, nothing is missed.
-    still = replace(fit, nrmse=np.zeros(len(fit.nrmse)))
+    still = replace(fit, moving=replace(fit.moving, nrmse=np.zeros(len(fit.nrmse))))
     assert "no effort" not in errors_table({"training": still})
 
 

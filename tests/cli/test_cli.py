@@ -446,7 +446,8 @@ def test_columns_and_units(tmp_path: Path) -> None:
         run("info", path, *READ, "--robot", ROBOT, "--unit", "position=deg", "--json").stdout
     )
     assert facts["rate_hz"] == pytest.approx(100.0)
-    assert [each["kind"] for each in facts["findings"]] == ["effort_not_compared"]
+    assert [each["kind"] for each in facts["findings"]] == ["units", "effort_not_compared"]
+    assert facts["findings"][0]["message"] == "units: position in deg, converted"
     assert facts["joints"][0]["position_max"] == pytest.approx(motion[:, 0].max())
     done = run("info", path, *READ, "--robot", ROBOT)
     assert "look like degrees" in done.stdout

@@ -252,6 +252,11 @@ class Validation(Errors):
             **_figures(effort, predicted, samples.used & joints),
         )
 
+    @property
+    def told(self) -> Errors:
+        """The errors that terminal, report and files tell: in motion; all, if nothing moves."""
+        return self.moving if self.moving.rows.any() else self
+
     def _table(self) -> Table:
         """Return one row a joint, and two for a floating base."""
         joints, base = super()._table(), self.floating

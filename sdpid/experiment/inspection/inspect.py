@@ -319,9 +319,14 @@ def _matched(
     names = log.joint_names
     if names is None or set(own) <= set(names):
         left_out = () if names is None else sorted(set(names) - set(own))
-        if not left_out:
+        if left_out:
+            message = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
+        elif names is not None and names != own:
+            message = (
+                f"joints are taken in the robot's order, the columns are of {', '.join(names)}"
+            )
+        else:
             return matched, robot, []
-        message = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
     else:
         found = [names[column] for column in joint_columns(robot, names, own)]
         pairs = [f"{a} is {b}" for a, b in zip(found, own, strict=True)]

@@ -47,8 +47,9 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
     log = subject.log
     for note in log.notes:
         if not note.startswith("time:"):
-            # Of who made the recording, such as a simulator.
-            yield Finding(severity="note", kind="recording", message=note)
+            # Else of who made the recording, such as a simulator.
+            kind = "units" if note.startswith("units:") else "recording"
+            yield Finding(severity="note", kind=kind, message=note)
             continue
         yield Finding(
             severity="note",

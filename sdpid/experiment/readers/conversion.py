@@ -95,12 +95,20 @@ def convert(
     }
     stated = {n: found.numbers.get(n) if v is None else v for n, v in stated.items()}
     stated["periods"] = _whole(stated["periods"])
-    notes = (f"time: {sources['time']}",) if _INFERRED in sources.get("time", "") else ()
+    notes = [f"time: {sources['time']}"] if _INFERRED in sources.get("time", "") else []
+    each = {n: [u] if isinstance(u, str) else sorted(set(u)) for n, u in units.items()}
+    converted = [
+        f"{name} in {'/'.join(own)}"
+        for name, own in each.items()
+        if name in tables.keys() | floating.keys() and {UNITS[name][one] for one in own} != {1.0}
+    ]
+    if converted:
+        notes.append(f"units: {', '.join(converted)}, converted")
     try:
         recording = Recording(
             time=time,
             joint_names=names,
-            notes=notes,
+            notes=tuple(notes),
             currents=arguments.amperes,
             base=base_of(file, found.floating, floating, arguments.floating),
             contacts=contacts_of(file, found.floating, floating, arguments.floating),

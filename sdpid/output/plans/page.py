@@ -20,7 +20,7 @@ from sdpid.output.charts.charts import Charts, scripts, style
 from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.report.page import page
-from sdpid.output.scene.motion import FRAME_RATE
+from sdpid.output.scene.contents import FRAME_RATE
 
 # What falls by less than this share over all durations is no curve to look at.
 _FALLS = 0.8

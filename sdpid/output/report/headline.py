@@ -16,6 +16,7 @@ from sdpid.assurance.diagnostics.held_out import (
     OURS,
 )
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.experiment.processing.delays.on_time import ON_TIME
 from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
 from sdpid.output.report.grades import LEVELS, Grade
@@ -31,6 +32,7 @@ from sdpid.output.report.judged import (
     terms_of,
 )
 from sdpid.output.report.prediction_verdict import resting_share
+from sdpid.output.report.sections.mass_matrix import least_eigenvalues
 from sdpid.output.report.verdict import findings
 from sdpid.robot.description.level import LINK
 from sdpid.verifier.results.friction_terms import KINDS
@@ -40,8 +42,8 @@ _CODE = ", or the links of identified.urdf with identified_friction.py (.hpp) fo
 _OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
 
 
-# Postures of the motion at which the mass matrix of least squares is looked at.
-_POSTURES = 500
+# What readers and processing made of the recordings, beside what is wrong with them.
+_CHANGED = ("time_unit", "units", "joints")
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Headline:
     proven : str
         What the certificate proves.
     log : tuple of str
-        What is wrong with the recordings.
+        What was changed about the recordings, and what is wrong with them.
     """
 
     error: str
@@ -115,7 +117,6 @@ def headline(result: Judged) -> Headline:
     causes = causes_of(result)
     every = grades_of(result)
     worst = _worst(result, every)
-    warned = [each for each in result.findings if each.severity == "warning"]
     return Headline(
         error=_error(result),
         worst=_joint(result, worst, causes),
@@ -127,8 +128,19 @@ def headline(result: Judged) -> Headline:
         found=_found(result),
         warnings=tuple(each.warning for each in findings(result) if each.warning),
         proven=_proven(result),
-        log=tuple(each.line() for each in warned if each.kind != "continued"),
+        log=tuple(_log(result)),
     )
+
+
+def _log(result: Judged) -> Iterator[str]:
+    """Yield what was changed about the recordings, then what is wrong with them."""
+    noted = [each for each in result.findings if each.severity == "note"]
+    notes = [each.message for each in noted if each.kind in _CHANGED]
+    notes += [each for each in result.problem.samples.notes if each.endswith(ON_TIME)]
+    yield from (f"changed: {each}" for each in dict.fromkeys(notes))
+    for each in result.findings:
+        if each.severity != "note" and each.kind != "continued":
+            yield each.line()
 
 
 def _title(result: Judged) -> str:
@@ -165,10 +177,8 @@ def _proven(result: Judged) -> str:
 
 def _no_robot(result: Judged) -> str:
     """Return where on the motion the mass matrix of least squares is that of no robot."""
-    q = result.problem.samples.position
-    q = q[:: max(1, len(q) // _POSTURES)]
-    least = np.linalg.eigvalsh(result.wls.model().mass_matrix(q))[:, 0]
-    share = float(np.mean(least <= 0.0))
+    _, least = least_eigenvalues(result)
+    share = float(np.mean(least[LEAST_SQUARES] <= 0.0))
     if not share:
         return ""
     return f", no robot (M < 0 {'all along' if share == 1.0 else f'on {percent(share)} of it'})"
@@ -289,7 +299,7 @@ def _file(result: Judged) -> str | None:
         return None
     where = "fitted" if result.validation_samples is None else "validation"
     return (
-        f"do not use identified.urdf alone for efforts: on the rows in use of the {where} "
+        f"do not use identified.urdf alone for efforts: in motion on the {where} "
         f"recordings it misses {errors}; use {_whole(result)}, which leave nothing out"
     )
 

@@ -26,7 +26,7 @@ _LOST, _NEGLIGIBLE = 2.0, 0.02
 
 @dataclass(frozen=True)
 class Errors:
-    """Norm of the errors of predicted efforts over the norm of the efforts.
+    """Norm of the errors of predicted efforts over the norm of the efforts, in motion.
 
     Attributes
     ----------
@@ -201,6 +201,6 @@ class Written:
             offsets=self.offsets,
         )
         return Errors(
-            validate_dynamics(model, samples, problem).relative,
-            validate(self.estimate, samples).relative,
+            validate_dynamics(model, samples, problem).told.relative,
+            validate(self.estimate, samples).told.relative,
         )

@@ -14,9 +14,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.output.charts.packed import packed, packed_indices
+from sdpid.output.scene.contents import Group, Motion
 from sdpid.output.scene.ellipsoids import Ellipsoid
-from sdpid.output.scene.group import Group
-from sdpid.output.scene.motion import Motion
 from sdpid.output.scene.still import still_picture, view
 from sdpid.output.scene.surfaces import Surface, thinned
 from sdpid.robot.model.model import RobotModel

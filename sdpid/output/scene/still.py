@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.output.scene.contents import Group
 from sdpid.output.scene.ellipsoids import Ellipsoid
-from sdpid.output.scene.group import Group
 from sdpid.output.scene.surfaces import Surface, thinned
 
 # Size of the picture in its own units, some two a pixel, and the share of it that the robot takes.

@@ -18,6 +18,7 @@ from sdpid.output.report.verdict import findings
 from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, arm_theta, identified, moved
+from tests.helpers.runs import arm, recorded
 
 FIRST, LAST = ARM.joint_names
 
@@ -62,7 +63,7 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     found = headline(good)
     errors = urdf_errors(good.estimate, good.validation_samples)
     assert errors is not None
-    assert f"on the rows in use of the validation recordings it misses {errors}" in found.file
+    assert f"in motion on the validation recordings it misses {errors}" in found.file
     assert any("do not use identified.urdf" in line for line in found.lines)
     assert (
         "the links of identified.urdf with identified_friction.py (.hpp) for its friction"
@@ -186,7 +187,7 @@ def test_every_red_box_of_the_report_is_a_line(good: Identification) -> None:
     lines = [line for line in said.lines if line[15:] in said.warnings]
     assert len(lines) == len(said.warnings)
     assert [line.startswith("do not  ") for line in lines] == [True] + [False] * (len(lines) - 1)
-    assert said.log == (flat.line(),)
+    assert said.log == (wrong.line(), flat.line())
     assert not any(line.startswith("log") for line in headline(good).lines)
 
 
@@ -217,3 +218,22 @@ def test_what_the_data_showed_is_told_with_how_to_leave_it_out(good: Identificat
     problem = replace(good.problem, effects=(tilt, asked))
     found = headline(replace(good, problem=problem)).found
     assert found == "a tilted base lowers the cost by 17 % (--effects none leaves it out)"
+
+
+def test_what_was_changed_about_the_log_is_told() -> None:
+    pandas = pytest.importorskip("pandas")
+    log = recorded(1)
+    columns = {"time": np.rint(1e3 * log.time)}
+    for j in (1, 0):
+        columns[f"position_{arm().joint_names[j]}"] = np.degrees(log.position[:, j])
+        columns[f"effort_{arm().joint_names[j]}"] = log.effort[:, j]
+    read = sdpid.read_recording(pandas.DataFrame(columns), units={"position": "deg"})
+    found = sdpid.identify(
+        arm(), read, processing={"effort_delay_s": 0.004}, intervals=False, effects="none"
+    )
+    assert [line for line in found.headline.log if line.startswith("changed: ")] == [
+        "changed: joints are taken in the robot's order, the columns are of b, a",
+        "changed: time: time, taken for ms by the steps of its numbers",
+        "changed: units: position in deg, converted",
+        "changed: effort recorded 4 ms too late: taken on time",
+    ]

@@ -13,8 +13,8 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.page import policy
+from sdpid.output.scene.contents import recorded_motion
 from sdpid.output.scene.identified import identified_scene
-from sdpid.output.scene.motion import recorded_motion
 from sdpid.output.scene.scene import Scene
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel

@@ -21,6 +21,9 @@ CHANNELS = {
     "base": "pose and velocities of the base",
     "contacts": "contacts",
 }
+# What a note on a channel that was moved ends with.
+ON_TIME = ": taken on time"
+
 # A piece must be this many times as long as its longest shift.
 _LEAST_LENGTH = 4.0
 
@@ -41,7 +44,7 @@ def delay_notes(log: Recording, processing: Processing) -> list[str]:
     """Return what is shifted, in words."""
     return [
         f"{CHANNELS[name]} recorded {1e3 * abs(delay):.3g} ms too "
-        f"{'late' if delay > 0.0 else 'early'}: taken on time"
+        f"{'late' if delay > 0.0 else 'early'}{ON_TIME}"
         for name, delay in delayed_channels(log, processing).items()
     ]
 

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.residuals import JointErrors
-from sdpid.assurance.diagnostics.validation import Errors
+from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.friction_curve import joint_curves
 from sdpid.errors import SdpidError
 from sdpid.output.charts.charts import Charts
@@ -51,7 +51,7 @@ def values(result: Judged, errors: tuple[JointErrors, ...], charts: Charts) -> d
 def _fits(result: Judged) -> Iterator[dict[str, Any]]:
     """Yield the errors of every joint, on training and validation data."""
     training, free = result.training, result.training_wls
-    held = None if result.held_out is None else result.held_out.fit.moving
+    held = None if result.held_out is None else result.held_out.fit
     levels = {each.joint: each.level for each in grades_of(result)}
     for j, name in enumerate(training.joint_names):
         if j not in levels:
@@ -79,14 +79,13 @@ def _floating(result: Judged) -> Iterator[dict[str, Any]]:
         yield {"name": name, **sizes}
 
 
-def _errors(fit: Errors, j: int) -> dict[str, float | bool]:
+def _errors(fit: Validation, j: int) -> dict[str, float | bool]:
     """Return a joint's errors, and whether there was no effort of which they are a share."""
-    return {
-        "rmse": float(fit.rmse[j]),
-        "nrmse": float(fit.nrmse[j]),
-        "r2": float(fit.r2[j]),
-        "silent": bool(np.isinf(fit.nrmse[j])),
+    told = fit.moving if fit.moving.rows[j] else fit
+    found: dict[str, float | bool] = {
+        name: float(getattr(told, name)[j]) for name in ("rmse", "nrmse", "r2")
     }
+    return {**found, "silent": bool(np.isinf(told.nrmse[j]))}
 
 
 def _held_title(result: Judged) -> str:

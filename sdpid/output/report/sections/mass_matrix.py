@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
+from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, LEAST_SQUARES, OURS
 from sdpid.assurance.diagnostics.mass_matrix import (
@@ -35,8 +35,7 @@ _ROUNDING = 1e-9
 def values(result: Judged, charts: Charts) -> dict[str, Any]:
     """Return the values of the template."""
     samples = result.problem.samples
-    some = np.unique(np.linspace(0, samples.n_samples - 1, _INSTANTS).astype(np.intp))
-    along = dict(_along(result, samples.position[some]))
+    some, along = least_eigenvalues(result)
     box = _over_the_box(result)
     bound = None if box is None or not box.positive_definite else box.lower_bound
     time = None if samples.time is None else samples.time[some]
@@ -72,18 +71,19 @@ def _linear_to(sizes: list[float]) -> float | None:
     return small if small and max(sizes) >= _RATIO * small else None
 
 
-def _along(result: Judged, position: Array) -> Iterator[tuple[str, Array]]:
-    """Yield the least eigenvalue (K,) at positions of description, least squares and estimate."""
-    problem = result.problem
-    if np.any(problem.robot.prior[:, 0] > 0.0):
-        described = described_dynamics(problem.robot, problem.samples)
-        yield DESCRIPTION, _least(described.mass_matrix, position)
-    yield LEAST_SQUARES, _least(result.wls.model().mass_matrix, position)
-    yield OURS, _least(result.estimate.model().mass_matrix, position)
-
-
-def _least(mass_matrix: Callable[[Array], Array], position: Array) -> Array:
-    return np.asarray(np.linalg.eigvalsh(mass_matrix(position))[:, 0])
+@kept
+def least_eigenvalues(result: Judged) -> tuple[Indices, dict[str, Array]]:
+    """Return samples (K,), and the mass matrix's least eigenvalue (K,) there, model by model."""
+    robot, samples = result.problem.robot, result.problem.samples
+    some = np.unique(np.linspace(0, samples.n_samples - 1, _INSTANTS).astype(np.intp))
+    models = {LEAST_SQUARES: result.wls.model(), OURS: result.estimate.model()}
+    if np.any(robot.prior[:, 0] > 0.0):
+        models = {DESCRIPTION: described_dynamics(robot, samples), **models}
+    position = samples.position[some]
+    return some, {
+        name: np.asarray(np.linalg.eigvalsh(model.mass_matrix(position))[:, 0], dtype=float)
+        for name, model in models.items()
+    }
 
 
 def _over_the_box(result: Judged) -> SmallestMassEigenvalue | None:

@@ -45,10 +45,8 @@ def _beside(result: Judged) -> Iterator[dict[str, Any]]:
         yield {
             "name": name,
             "ours": fit is result.held_out.fit,
-            "moving": fit.moving.relative,
-            "length": float(
-                np.clip(1.0 + np.log10(max(fit.moving.relative, 1e-9)) / 3.0, 0.0, 1.0)
-            ),
+            "moving": fit.told.relative,
+            "length": float(np.clip(1.0 + np.log10(max(fit.told.relative, 1e-9)) / 3.0, 0.0, 1.0)),
             "resting": None if fit.resting is None else fit.resting.relative,
             "rmse": [value if rows else None for value, rows in joints][fit.n_base :],
         }

@@ -1,4 +1,4 @@
-"""The motion that a scene plays: positions on an even grid, and where the links are."""
+"""What a scene shows together, and the motion that it plays."""
 
 from __future__ import annotations
 
@@ -19,6 +19,32 @@ _ROUNDING = 1e-6
 
 # Frames of a recording: its first minute.
 _MOST = 1500
+
+
+@dataclass(frozen=True)
+class Group:
+    """What is shown and hidden together.
+
+    Attributes
+    ----------
+    key : str
+        Short name of letters.
+    name : str
+        What it is called beside the picture; groups without a name have no switch.
+    color : str
+        ``#rrggbb``.
+    opacity : float
+        Of surfaces; below one, what lies within is seen through them.
+    filled : float
+        Opacity of ellipsoids but for their rims, which are dashed in the picture without a player
+        where this is zero.
+    """
+
+    key: str
+    name: str
+    color: str
+    opacity: float = 1.0
+    filled: float = 0.3
 
 
 @dataclass(frozen=True, eq=False)
