@@ -235,5 +235,5 @@ def test_what_was_changed_about_the_log_is_told() -> None:
         "changed: joints are taken in the robot's order, the columns are of b, a",
         "changed: time: time, taken for ms by the steps of its numbers",
         "changed: units: position in deg, converted",
-        "changed: effort recorded 4 ms too late: taken on time",
+        "changed: efforts recorded 4 ms too late: taken on time",
     ]
