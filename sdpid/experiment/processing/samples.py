@@ -15,7 +15,7 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
-from sdpid.experiment.processing.wide_velocity import WideVelocity
+from sdpid.experiment.processing.wide_velocity import WideVelocity, filtered
 from sdpid.experiment.recording.recording import checked_names
 
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
@@ -268,13 +268,11 @@ class Samples:
         start, stop, step = which.indices(self.n_samples)
         if self.wide is None:
             return function(self.velocity[which], self.acceleration[which])
-        found = [
-            wide.filtered(function, key)[max(start - part.start, 0) : stop - part.start]
-            for part, wide in zip(self.parts, self.wide, strict=True)
-            if part.start < stop and part.stop > start
-        ]
-        whole = found[0] if len(found) == 1 else np.concatenate(found)
-        return whole[::step]
+        parts = self.parts
+        seen = [i for i, part in enumerate(parts) if part.start < stop and part.stop > start]
+        found = filtered([self.wide[i] for i in seen], function, key)
+        whole, first = found[0] if len(found) == 1 else np.concatenate(found), parts[seen[0]].start
+        return whole[start - first : stop - first : step]
 
     def between(self, start: int, stop: int) -> Samples:
         """Return the samples from `start` up to `stop`, with their pieces.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -61,32 +61,6 @@ class WideVelocity:
         """Return the fields without the results kept."""
         return {**self.__dict__, "_found": OrderedDict()}
 
-    def filtered(
-        self, function: Callable[[Array, Array], Array], key: Hashable | None = None
-    ) -> Array:
-        """Return values (count, ...) of a function of the velocity, filtered.
-
-        Parameters
-        ----------
-        function : callable
-            Of velocities and accelerations (M, n), to values (M, ...).
-        key : hashable, optional
-            Identifies the function: its result is kept for the next call.
-        """
-        if key is not None and (known := self._found.get(key)) is not None:
-            return known
-        velocity = self.velocity
-        acceleration = np.gradient(velocity, self.step, axis=0)
-        values = function(velocity, acceleration)
-        flat = self.low_pass.apply(values.reshape(len(values), -1))
-        kept = np.ascontiguousarray(flat[self.first :: self.stride][: self.count])
-        result: Array = frozen_view(kept.reshape(self.count, *values.shape[1:]))
-        if key is not None:
-            self._found[key] = result
-            while len(self._found) > _KEPT:
-                self._found.popitem(last=False)
-        return result
-
     def part(self, start: int, stop: int) -> WideVelocity:
         """Return that of neighboring kept samples, from `start` up to `stop`."""
         lead = lead_samples(self.low_pass)
@@ -99,6 +73,44 @@ class WideVelocity:
             count=stop - start,
             _found=OrderedDict(),
         )
+
+
+def filtered(
+    wides: Sequence[WideVelocity],
+    function: Callable[[Array, Array], Array],
+    key: Hashable | None = None,
+) -> list[Array]:
+    """Return values (count, ...) of a function of each piece's velocity, filtered.
+
+    Parameters
+    ----------
+    wides : sequence of WideVelocity
+        The pieces; those of one filter and length pass it side by side.
+    function : callable
+        Of velocities and accelerations (M, n), to values (M, ...).
+    key : hashable, optional
+        Identifies the function: its results are kept for the next call.
+    """
+    found = {i: wide._found[key] for i, wide in enumerate(wides) if key in wide._found}
+    alike = defaultdict(list)
+    for i, wide in enumerate(wides):
+        if i not in found:
+            alike[wide.low_pass, len(wide.velocity)].append(i)
+    for (passed, length), own in alike.items():
+        values = [
+            function(wide.velocity, np.gradient(wide.velocity, wide.step, axis=0))
+            for wide in (wides[i] for i in own)
+        ]
+        flat = passed.apply(np.concatenate([x.reshape(length, -1) for x in values], axis=1))
+        for i, part in zip(own, np.split(flat, len(own), axis=1), strict=True):
+            wide = wides[i]
+            kept = np.ascontiguousarray(part[wide.first :: wide.stride][: wide.count])
+            found[i] = frozen_view(kept.reshape(wide.count, *values[0].shape[1:]))
+            if key is not None:
+                wide._found[key] = found[i]
+                while len(wide._found) > _KEPT:
+                    wide._found.popitem(last=False)
+    return [found[i] for i in range(len(wides))]
 
 
 def wide_velocity(

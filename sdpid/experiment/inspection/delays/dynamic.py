@@ -62,14 +62,10 @@ def regressor(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
 def free_columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
     """Return columns of links, and of friction, rotors and offsets of every joint, (K, n, p)."""
     first, n = robot.n_base, robot.n
-    wide = None if samples.wide is None else samples.wide[0]
     speed, rate = samples.velocity[rows], samples.acceleration[rows]
     signals = [speed, rate, np.ones_like(speed)]
     for width in _WIDTHS:
-        if wide is None:
-            signals.append(np.tanh(speed / width))
-        else:
-            signals.append(wide.filtered(partial(_smooth_sign, width))[rows])
+        signals.append(samples.through_filter(partial(_smooth_sign, width), slice(None))[rows])
     joints = np.arange(first, n)
     friction = np.zeros((len(rows), n, len(signals), n - first))
     for i, signal in enumerate(signals):
