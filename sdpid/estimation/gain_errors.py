@@ -19,7 +19,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.kept import kept
 from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import whiten_rows
+from sdpid.estimation.compression.whitening import apply, weights_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.drive_gains.gains import DriveGains
 
@@ -103,7 +103,7 @@ def _targets(rows: RowSource, sigma: Array, exponent: float) -> Array:
         # The last column of rows may be another: that of a second stage of instruments.
         alone = rows.samples.effort[part][:, :, None] * np.eye(n)
         stacked = np.concatenate([own[:, :, :-1], alone], axis=2)
-        weighted = whiten_rows(rows, part, stacked, sigma, exponent)
+        weighted = apply(*weights_of(rows, part, sigma, exponent), stacked)
         weighted = np.where(mask[:, :, None], weighted, 0.0).reshape(-1, count + n)
         found += weighted[:, :count].T @ weighted[:, count:]
     return found

@@ -23,7 +23,7 @@ number, it is known no better than before: between the limits of the search.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -145,7 +145,7 @@ class NoiseSpectrum:
             size = np.average(believed(_MIDDLES), weights=count + _NOTHING)
         least = np.maximum(bending.deviations, _LEAST_DEVIATION)
         known = np.concatenate([np.zeros(problem.base.count), size / least**2])
-        root = information_root(_rows(bands.values(), known))
+        root = information_root(_rows(list(bands.values()), known))
         for place, (columns, R) in bands.items():
             spent[place] = np.sum((R[:, :-1] @ root[columns]) ** 2)
         room = np.maximum(count - spent, 0.0)
@@ -202,10 +202,9 @@ class NoiseSpectrum:
     @cached_property
     def scores(self) -> Array:
         """Covariance of the fit in the coordinates of `root`, (r, r)."""
-        weights = np.sqrt(self.density)
-        weighted = ((own, w * R) for w, (own, R) in zip(weights, self.groups, strict=True))
         # What is known beforehand is as uncertain as stated.
-        turned = _rows(weighted, self.size * self.known) @ self.whole_root
+        rows = _rows(self.groups, self.size * self.known, np.sqrt(self.density))
+        turned = rows @ self.whole_root
         return np.asarray(turned.T @ turned)
 
     @property
@@ -238,12 +237,14 @@ def _stacked(bands: Iterable[Band]) -> Band:
     return columns, stacked
 
 
-def _rows(bands: Iterable[Band], known: Array) -> Array:
-    """Return the triangle (at most c, c) of rows, and of what is known (c,) beforehand."""
+def _rows(bands: Sequence[Band], known: Array, weights: Array | None = None) -> Array:
+    """Return the triangle (at most c, c) of weighted rows, and of what is known (c,) beforehand."""
     triangle = Triangle(len(known))
     triangle.add(np.diag(np.sqrt(known)))
-    for own, R in bands:
-        triangle.add(R[:, :-1], own)
+    # Short bands first: a few rows of all joints have all columns.
+    for g in np.argsort([len(R) for _, R in bands], kind="stable"):
+        own, R = bands[g]
+        triangle.add(R[:, :-1] if weights is None else weights[g] * R[:, :-1], own)
     return triangle.R
 
 

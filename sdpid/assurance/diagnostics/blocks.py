@@ -20,7 +20,7 @@ from sdpid.errors import SdpidError
 from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
-from sdpid.estimation.compression.whitening import whiten_rows, with_contact_forces
+from sdpid.estimation.compression.whitening import compress, with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
@@ -91,7 +91,7 @@ def held_out_blocks(problem: Problem, count: int = BLOCKS) -> tuple[Block, ...]:
         return ()
     parts = [p for p in rows.samples.parts if p.stop - p.start >= count * _LEAST_GUARDS * guard]
     pieces = [_compressed(rows, problem.sigma, part, count, guard) for part in parts]
-    short = [_folded(rows, problem.sigma, p) for p in rows.samples.parts if p not in parts]
+    short = [compress(rows, problem.sigma, p)[0] for p in rows.samples.parts if p not in parts]
     found = []
     for k in range(count):
         triangle = Triangle(problem.base.count + 1)
@@ -176,25 +176,9 @@ def _compressed(rows: RowSource, sigma: Array, part: slice, count: int, guard: i
     """Cut a recording into blocks and compress their rows."""
     edges = np.linspace(part.start, part.stop, count + 1).round().astype(int).tolist()
     slices = tuple(slice(a, b) for a, b in pairwise(edges))
-    return _Cut(
-        slices,
-        tuple(
-            (
-                _folded(rows, sigma, slice(each.start, each.start + guard)),
-                _folded(rows, sigma, slice(each.start + guard, each.stop - guard)),
-                _folded(rows, sigma, slice(each.stop - guard, each.stop)),
-            )
-            for each in slices
-        ),
-    )
-
-
-def _folded(rows: RowSource, sigma: Array, stretch: slice) -> Triangle:
-    """Return the triangle of the whitened rows of a stretch, efforts last."""
-    columns = rows.base.count + 1
-    triangle = Triangle(columns)
-    for start in range(stretch.start, stretch.stop, rows.chunk_size):
-        part = slice(start, min(start + rows.chunk_size, stretch.stop))
-        whitened = whiten_rows(rows, part, rows.rows(part), sigma)
-        triangle.add(whitened.reshape(-1, columns))
-    return triangle
+    found = []
+    for each in slices:
+        ends = each.start, each.start + guard, each.stop - guard, each.stop
+        head, core, tail = (compress(rows, sigma, slice(*pair))[0] for pair in pairwise(ends))
+        found.append((head, core, tail))
+    return _Cut(slices, tuple(found))

@@ -162,8 +162,10 @@ class JointRows:
     def joined(self, variance: Array) -> Triangle:
         """Return the triangle of all rows over the standard deviations of their joints."""
         joined = Triangle(self.sums.shape[1])
-        for own, triangle, s in zip(self.columns, self.triangles, variance, strict=True):
-            joined.add(triangle.R / np.sqrt(s), own)
+        # First rows first: together they have all columns.
+        for part in (slice(1), slice(1, None)):
+            for own, triangle, s in zip(self.columns, self.triangles, variance, strict=True):
+                joined.add(triangle.R[part] / np.sqrt(s), own)
         return joined
 
     def fit(self, variance: Array) -> tuple[Array, int]:

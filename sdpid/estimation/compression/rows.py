@@ -274,11 +274,12 @@ class RowSource:
         for part in self.parts(size):
             yield part, self.regressor(part), self.effort(part), self.mask(part)
 
-    def parts(self, size: int = 0) -> Iterator[slice]:
-        """Yield the slices of chunks of `size` samples, else of `chunk_size`."""
-        count, size = len(self.samples.effort), size or self.chunk_size
-        for start in range(0, count, size):
-            yield slice(start, min(start + size, count))
+    def parts(self, size: int = 0, within: slice = slice(None)) -> Iterator[slice]:
+        """Yield the slices of chunks of `size` samples, else of `chunk_size`, of some neighbors."""
+        first, stop, _ = within.indices(len(self.samples.effort))
+        size = size or self.chunk_size
+        for start in range(first, stop, size):
+            yield slice(start, min(start + size, stop))
 
     def _fill(self, part: slice, out: Array, effort: Array | None = None) -> Array:
         """Write the regressor, and efforts as last column where they are given."""

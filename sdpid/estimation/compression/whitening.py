@@ -2,7 +2,7 @@
 
 A covariance that is the same for all samples has one square root for each pattern of masked
 joints, not one for each sample. Samples in contact have a weight each (`contact_rows`). Whoever
-whitens rows calls `weights_of` or `whiten_rows`, so that all mean the same.
+whitens rows calls `weights_of`, so that all mean the same.
 """
 
 from __future__ import annotations
@@ -95,21 +95,6 @@ def weights_and_shares(
     return T, np.arange(len(index)), shares
 
 
-def whiten_rows(
-    rows: RowSource,
-    part: slice,
-    values: Array,
-    sigma: Array,
-    exponent: float = -0.5,
-    out: Array | None = None,
-) -> Array:
-    """Return values (k, n, c) of some samples times their weights, in `out` if it is given.
-
-    As for `weights_of`; with a diagonal Sigma and no contacts they are multiplied in place.
-    """
-    return apply(*weights_of(rows, part, sigma, exponent), values, out)
-
-
 def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -> Array:
     """Return the errors of efforts in residuals (k, n, c) ``effort − W @ base`` of some samples.
 
@@ -183,10 +168,10 @@ def whitened_chunks(
     for part in rows.parts(size):
         block = rows.rows(part, None if memory is None else memory[0])
         out = None if memory is None else memory[1][: len(block)]
-        yield part, whiten_rows(rows, part, block, sigma, exponent, out), rows.mask(part)
+        yield part, apply(*weights_of(rows, part, sigma, exponent), block, out), rows.mask(part)
 
 
-def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
+def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tuple[Triangle, int]:
     """Return the triangle of all whitened rows, the efforts last, and how many are independent.
 
     Parameters
@@ -195,24 +180,27 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
         Regressor and efforts.
     sigma : ndarray, shape (n, n) or (K, n, n)
         Effort covariance.
+    within : slice, optional
+        Neighboring samples, by default all.
     """
     columns, n = rows.base.count + 1, rows.robot.n
     triangle, used = Triangle(columns), 0
     branches = rows.branches
     apart = [Triangle(len(own)) for own in branches.columns]
-    count = len(rows.samples.effort)
+    begin, end, _ = within.indices(len(rows.samples.effort))
+    count = end - begin
     step = max(1, count * n // (_FIRST * columns))
     memory = [_memory(rows)]
     # Their order makes no difference but to the speed, and to the last bits.
     size = len(memory[0][0])
-    first = range(0, count, step) if size < count else range(0)
+    first = range(begin, end, step) if size < count else range(0)
     again = slice(0)
     chunks = []
     for start in range(0, len(first), size):
         some = first[start : start + size]
         chunks.append((slice(some.start, some.stop, step), again, 0))
-    for part in rows.parts():
-        done = slice(-part.start % step, None, step) if first else again
+    for part in rows.parts(within=within):
+        done = slice((begin - part.start) % step, None, step) if first else again
         chunks.append((part, done, 1))
     ahead = rows.many and len(chunks) > 2 and threads() > 1
     if ahead:

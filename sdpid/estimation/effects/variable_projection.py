@@ -156,11 +156,12 @@ class VariableProjection:
         self._squares: Array = np.diagonal(own).copy()
         again = np.swapaxes(powers, 1, 2)
         self._gram = (again @ powers)[which]
-        self._loose = _mixed(again[which], self._loose)
         if independent:
             scale = np.diagonal(powers, axis1=1, axis2=2)[which].T[:, :, None]
+            self._loose *= scale
             self._basis = [(s * Q, U) for s, (Q, U) in zip(scale, self._basis, strict=True)]
         else:
+            self._loose = _mixed(again[which], self._loose)
             mixed = _mixed(again[which], np.stack([Q @ U for Q, U in self._basis]))
             self._basis = [(Q, np.eye(mixed.shape[2])) for Q in mixed]
         nonnegative = np.array([p.nonnegative for p in rows.friction.parameters], dtype=bool)
