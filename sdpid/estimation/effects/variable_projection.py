@@ -168,8 +168,7 @@ class VariableProjection:
         self._free = np.flatnonzero(~nonnegative[loose])
         self._lowest = np.where(nonnegative[loose], 0.0, -np.inf)
         self._ridge = _RIDGE * np.eye(len(loose))
-        starts = np.cumsum([0, *(len(place) for place in places)])
-        self._starts = [int(start) for start in starts[:-1]]
+        self._starts = np.cumsum([0, *(len(place) for place in places)])
         self._moved: dict[tuple[int, int], Indices] = {}
         self.cost = float(self._least(self._products[None], self._squares[None])[0])
 
@@ -293,11 +292,10 @@ class VariableProjection:
 
     def _shapes(self, terms: list[FrictionTerm], joint: int) -> Array:
         """Return the columns (K, g) of one joint, as if each term were that of another joint."""
-        (first, *_), same = terms, [joint] * len(terms)
-        assert isinstance(first, JointwiseTerm)
-        speeds = np.stack([self._speeds(term)[:, joint] for term in terms], axis=1)
-        fields = zip(first.speed_fields, map(tuple, speeds.tolist()), strict=True)
-        many = replace(first, **dict(fields))
+        (term, *_), same = terms, [joint] * len(terms)
+        assert isinstance(term, JointwiseTerm)
+        own = np.stack([self._speeds(each)[:, joint] for each in terms], axis=1)
+        many = replace(term, **dict(zip(term.speed_fields, map(tuple, own.tolist()), strict=True)))
         return self._motion.filtered(lambda v, a: many.shape(v[:, same], a[:, same]))
 
     def _least(self, products: Array, squares: Array) -> Array:

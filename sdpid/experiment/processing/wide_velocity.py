@@ -91,26 +91,23 @@ def filtered(
     key : hashable, optional
         Identifies the function: its results are kept for the next call.
     """
-    found = {i: wide._found[key] for i, wide in enumerate(wides) if key in wide._found}
     alike = defaultdict(list)
-    for i, wide in enumerate(wides):
-        if i not in found:
-            alike[wide.low_pass, len(wide.velocity)].append(i)
+    for wide in wides:
+        if key not in wide._found:
+            alike[wide.low_pass, len(wide.velocity)].append(wide)
     for (passed, length), own in alike.items():
-        values = [
-            function(wide.velocity, np.gradient(wide.velocity, wide.step, axis=0))
-            for wide in (wides[i] for i in own)
-        ]
+        rates = (np.gradient(wide.velocity, wide.step, axis=0) for wide in own)
+        values = [function(wide.velocity, rate) for wide, rate in zip(own, rates, strict=True)]
         flat = passed.apply(np.concatenate([x.reshape(length, -1) for x in values], axis=1))
-        for i, part in zip(own, np.split(flat, len(own), axis=1), strict=True):
-            wide = wides[i]
+        for wide, part in zip(own, np.split(flat, len(own), axis=1), strict=True):
             kept = np.ascontiguousarray(part[wide.first :: wide.stride][: wide.count])
-            found[i] = frozen_view(kept.reshape(wide.count, *values[0].shape[1:]))
-            if key is not None:
-                wide._found[key] = found[i]
-                while len(wide._found) > _KEPT:
-                    wide._found.popitem(last=False)
-    return [found[i] for i in range(len(wides))]
+            wide._found[key] = frozen_view(kept.reshape(wide.count, *values[0].shape[1:]))
+    found = [wide._found[key] for wide in wides]
+    for wide in wides:
+        wide._found.pop(None, None)
+        while len(wide._found) > _KEPT:
+            wide._found.popitem(last=False)
+    return found
 
 
 def wide_velocity(
