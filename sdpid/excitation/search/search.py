@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,22 +13,21 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.criterion import Criterion
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.search.ipopt import INTERRUPTED, Rows, minimize
+from sdpid.excitation.search.ipopt import Rows, minimize
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import Space
 
 # Steps of one start: what more of them bring, finer motions bring sooner.
 MOST_STEPS = 40
-# What is better than all starts before goes on with twice and four times the intervals. Deadlines
-# only end this: what a search finds in less time, it finds in more.
+# What is better than all starts before goes on with twice and four times the intervals; after any
+# other start the best so far goes on. Deadlines only end this: what a search finds in less time,
+# it finds in more.
 _LEVELS, _REFINING_STEPS = 2, 60
-# Of several starts about as many are better than all before.
-_REFINED = 2
 
 
 def most_steps(starts: int) -> int:
     """Return the largest number of steps of a search from a number of starts."""
-    return starts * MOST_STEPS + min(starts, _REFINED) * _LEVELS * _REFINING_STEPS
+    return starts * (MOST_STEPS + _LEVELS * _REFINING_STEPS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,7 +167,7 @@ class Search:
         *,
         step: Callable[[], None] = lambda: None,
     ) -> tuple[list[Candidate], bool]:
-        """Search from every start, refine what is better than all before, while there is time.
+        """Search from every start, go on from the best, while there is time.
 
         Parameters
         ----------
@@ -187,12 +186,32 @@ class Search:
             Whether the search was stopped before its end.
         """
         found: list[Candidate] = []
-        stopped = False
+        rows, coarse, gone, stopped = rows_of(self.space), np.inf, None, False
         try:
-            for candidate, ended in self._candidates(starts, rows_of, step):
+            for number, start in enumerate(starts):
+                candidate, stopped = self.improve(start, rows, number=number, step=step)
                 found.append(candidate)
-                stopped = ended
-                if candidate.status == INTERRUPTED:
+                times = _LEVELS
+                if candidate.value < coarse:
+                    coarse = candidate.value
+                else:
+                    candidate = min(found, key=_value)
+                    # What went on in vain would do so again.
+                    gone, times = candidate, int(candidate is not gone)
+                for _ in range(times):
+                    if stopped:
+                        break
+                    space, x = self._onward(candidate)
+                    candidate, stopped = self.on(space).improve(
+                        x,
+                        rows_of(space),
+                        number=candidate.start,
+                        most_steps=_REFINING_STEPS,
+                        step=step,
+                        near=True,
+                    )
+                    found.append(candidate)
+                if stopped:
                     break
         except KeyboardInterrupt:
             if not found:
@@ -200,33 +219,12 @@ class Search:
             stopped = True
         return sorted(found, key=_value), stopped
 
-    def _candidates(
-        self,
-        starts: Iterable[Array],
-        rows_of: Callable[[Space], Rows | None],
-        step: Callable[[], None],
-    ) -> Iterator[tuple[Candidate, bool]]:
-        """Yield the best from every start, and refined; and whether each was stopped."""
-        rows, best = rows_of(self.space), np.inf
-        for number, start in enumerate(starts):
-            candidate, stopped = self.improve(start, rows, number=number, step=step)
-            yield candidate, stopped
-            levels, best = _LEVELS if candidate.value < best else 0, min(candidate.value, best)
-            for _ in range(levels):
-                refined = candidate.space.refined(candidate.x)
-                if stopped or refined is None:
-                    break
-                candidate, stopped = self.on(refined[0]).improve(
-                    refined[1],
-                    rows_of(refined[0]),
-                    number=number,
-                    most_steps=_REFINING_STEPS,
-                    step=step,
-                    near=True,
-                )
-                yield candidate, stopped
-            if stopped:
-                break
+    def _onward(self, candidate: Candidate) -> tuple[Space, Array]:
+        """Return the motions among which a candidate goes on, and its numbers there."""
+        finer = None
+        if candidate.space.size < 2**_LEVELS * self.space.size:
+            finer = candidate.space.refined(candidate.x)
+        return finer or (candidate.space, candidate.x)
 
 
 def _value(candidate: Candidate) -> float:
