@@ -29,7 +29,7 @@ from tests.helpers.arm import ARM
 from tests.helpers.data import FRICTION as LINEAR
 from tests.helpers.data import make_samples, random_theta
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import small_arm
+from tests.helpers.robots import planar_arm, small_arm
 from tests.helpers.small_robots import SMALL, URDFS
 
 TERMS = ("coulomb", "viscous")
@@ -274,7 +274,10 @@ def matrix(rng: np.random.Generator, b: int) -> np.ndarray:
 
 def objective(kind: str, rng: np.random.Generator, b: int) -> Objective:
     functionals = rng.standard_normal((3, b)) if kind == "V" else None
-    return Objective(kind=kind, functionals=functionals, scale=rng.uniform(0.5, 2.0, b))
+    shown = np.linalg.qr(rng.standard_normal((b, b - 1)))[0]
+    return Objective(
+        kind=kind, functionals=functionals, scale=rng.uniform(0.5, 2.0, b), shown=shown
+    )
 
 
 @given(st.sampled_from(KINDS), st.integers(0, 1000))
@@ -300,16 +303,16 @@ def test_more_information_is_never_worse(seed: int) -> None:
         assert made.value(total + more, plain)[0] <= made.value(total, plain)[0] + 1e-9
 
 
-@given(st.integers(0, 1000))
-def test_log_det_does_not_depend_on_the_units(seed: int) -> None:
+@given(st.sampled_from(["D", "mixed", "condition"]), st.integers(0, 1000))
+def test_units_do_not_matter(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    first, second, plain = (matrix(rng, 5) for _ in range(3))
-    units = rng.uniform(0.01, 100.0, 5)
-    made = Objective(kind="D")
-    before = made.value(first, plain)[0] - made.value(second, plain)[0]
-    scaled = [m * np.outer(units, units) for m in (first, second)]
-    after = made.value(scaled[0], plain)[0] - made.value(scaled[1], plain)[0]
-    assert after == pytest.approx(before, abs=1e-9)
+    first, second = (matrix(rng, 5) for _ in range(2))
+    units = 10.0 ** rng.uniform(-2, 2, 5)
+    made = objective(kind, rng, 5)
+    before = made.value(first, first)[0] - made.value(second, second)[0]
+    first, second = (m * np.outer(units, units) for m in (first, second))
+    after = made.value(first, first)[0] - made.value(second, second)[0]
+    assert after == pytest.approx(before, abs=1e-8)
 
 
 def test_the_smooth_condition_number_is_above_the_true_one_and_near_it() -> None:
@@ -317,7 +320,7 @@ def test_the_smooth_condition_number_is_above_the_true_one_and_near_it() -> None
     for _ in range(20):
         plain = matrix(rng, 8)
         smooth = np.exp(Objective(kind="condition").value(plain, plain)[0])
-        true = np.sqrt(np.linalg.cond(plain))
+        true = np.sqrt(np.linalg.cond(scaled(plain, plain)))
         assert true <= smooth <= 8 ** (1 / 32) * true
 
 
@@ -339,15 +342,15 @@ def test_unknown_objectives_are_refused() -> None:
 @pytest.mark.parametrize("friction", [("coulomb", "viscous", "offset"), ("viscous", "tilt"), ()])
 def test_the_gradient_of_a_motion_agrees_with_differences(friction: tuple[str, ...]) -> None:
     robot = sdpid.load_robot("denso_vp6242")
-    rows = BaseRows.of(robot, friction).smooth()
     rng = np.random.default_rng(2)
+    state = list(rng.standard_normal((3, 60, robot.n)))
+    rows = BaseRows.of(robot, friction).smooth(state[1])
     criterion = Criterion(
         rows=rows,
         objective=Objective(),
         rates=rng.uniform(0.5, 2.0, robot.n),
         known=1e-3 * np.eye(rows.count),
     )
-    state = list(rng.standard_normal((3, 60, robot.n)))
     _, slopes = criterion.gradient(*state, 20.0)
     for order in range(3):
         step = rng.standard_normal(state[order].shape)
@@ -358,6 +361,16 @@ def test_the_gradient_of_a_motion_agrees_with_differences(friction: tuple[str, .
             values.append(criterion.value(*moved, 20.0))
         found = (values[0] - values[1]) / 2e-6
         assert found == pytest.approx(float(np.sum(slopes[order] * step)), rel=1e-4, abs=1e-5)
+
+
+@given(st.floats(0.005, 10.0))
+def test_signs_are_told_from_viscous_friction_at_any_speed(speed: float) -> None:
+    v = speed * np.sin(np.linspace(0.0, 10.0, 200))[:, None] * np.array([1.0, 0.5])
+    rows = BaseRows.of(planar_arm(), ("coulomb", "viscous")).smooth(v)
+    W = rows.rows(v, v, v)
+    for j in range(2):
+        sign, viscous = (W[:, j, rows.base.names.index(f"{kind}{j + 1}")] for kind in ("Fs", "Fv"))
+        assert np.corrcoef(sign, viscous)[0, 1] < 0.98
 
 
 def test_rows_are_the_regressor_of_the_base_parameters() -> None:

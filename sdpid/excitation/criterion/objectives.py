@@ -14,15 +14,15 @@ ObjectiveKind = Literal["mixed", "D", "A", "E", "V", "condition"]
 
 # What an objective is called, and what it depends on.
 WORDS: dict[str, str] = {
-    "mixed": "log det of what the data show, without the prior, and condition number in SI units "
-    "(with sliding joints, in units of what moves the efforts as much)",
+    "mixed": "log det of what the data show, without the prior, and condition number of columns of "
+    "unit length; in any units the same",
     "D": "volume of the uncertainty of all parameters, the prior's knowledge included (log det; in "
     "any units the same)",
     "A": "sum of the parameters' variances, each in units of what moves the efforts as much",
     "E": "largest variance of any combination of the parameters, in the same units",
     "V": "mean variance of the efforts, or of what the purpose asks for",
-    "condition": "condition number of the regressor, in SI units (with sliding joints, in units of "
-    "what moves the efforts as much): it depends on the units",
+    "condition": "condition number of the regressor with columns of unit length; in any units the "
+    "same",
 }
 
 # The extreme eigenvalues are replaced by power sums of this power: they differ by at most
@@ -48,8 +48,8 @@ class Objective:
         parameters themselves.
     scale : ndarray, shape (b,), optional
         Size of each base parameter for "A" and "E".
-    columns : ndarray, shape (b,), optional
-        Size of each base parameter for the condition number; by default 1 in SI units.
+    shown : ndarray, shape (b, r), optional
+        Directions of the columns of unit length that the condition number is about; by default all.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class Objective:
     kind: ObjectiveKind = "mixed"
     functionals: Array | None = None
     scale: Array | None = None
-    columns: Array | None = None
+    shown: Array | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(ObjectiveKind):
@@ -99,10 +99,17 @@ class Objective:
         return value + _CONDITION * condition, by_total, _CONDITION * by_plain
 
     def _condition(self, plain: Array) -> tuple[float, Array]:
-        """Return the log of the condition number in its units, and its derivative."""
-        units = 1.0 if self.columns is None else np.outer(self.columns, self.columns)
-        value, slope = _log_condition(plain * units)
-        return value, slope * units
+        """Return the log of the condition number of columns of unit length, and its derivative."""
+        squares = np.diag(plain)
+        length = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        units = np.outer(length, length)
+        unit = plain / units
+        P = np.eye(len(plain)) if self.shown is None else self.shown
+        value, inner = _log_condition(P.T @ unit @ P)
+        by_unit = P @ inner @ P.T
+        # What lengthens a column makes its entries smaller.
+        lengthened = np.diag(np.sum(by_unit * unit, axis=1) / length**2)
+        return value, by_unit / units - lengthened
 
     def _uncertainty(self, total: Array) -> tuple[float, Array]:
         """Return how uncertain the parameters are after the run, and its derivative."""

@@ -16,8 +16,9 @@ from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 
 # Signs of the velocity are this wide while a motion is searched, rad/s (m/s): a step has no
-# derivative that could tell a search where to go.
-SMOOTH_WIDTH = 0.05
+# derivative that could tell a search where to go. Those of joints that are slower than most, such
+# as fingers, are a share of their usual speed wide: wider ones would look like viscous friction.
+SMOOTH_WIDTH, _SMOOTH_SHARE, _SMOOTH_LEAST = 0.05, 0.2, 1e-3
 
 # Steps of differences. Efforts of rigid bodies are quadratic in velocities and linear in
 # accelerations, so that differences over a step of any size are exact; those of positions and of
@@ -81,9 +82,17 @@ class BaseRows:
         """Number b of base parameters."""
         return self.base.count
 
-    def smooth(self) -> BaseRows:
-        """Return the same rows with signs that are smooth enough for a search."""
-        return replace(self, friction=smoothed(self.friction))
+    def smooth(self, velocity: Array) -> BaseRows:
+        """Return the same rows with signs that are smooth enough for a search.
+
+        Parameters
+        ----------
+        velocity : ndarray, shape (K, n)
+            Velocities of usual motions.
+        """
+        usual = np.sqrt(np.mean(velocity**2, axis=0))
+        widths = np.clip(_SMOOTH_SHARE * usual, _SMOOTH_LEAST, SMOOTH_WIDTH)
+        return replace(self, friction=smoothed(self.friction, widths))
 
     def rows(self, q: Array, v: Array, a: Array) -> Array:
         """Return W (K, n, b) at states (K, n), with ``effort = W @ base``."""
@@ -175,18 +184,14 @@ class BaseRows:
         return out[0], out[1], out[2]
 
 
-def smoothed(friction: FrictionModel) -> FrictionModel:
+def smoothed(friction: FrictionModel, widths: Array | float = SMOOTH_WIDTH) -> FrictionModel:
     """Return friction whose signs are smooth enough for a search."""
-    return replace(friction, terms=tuple(_smooth(term) for term in friction.terms))
+    return replace(friction, terms=tuple(_smooth(term, widths) for term in friction.terms))
 
 
-def _smooth(term: FrictionTerm) -> FrictionTerm:
+def _smooth(term: FrictionTerm, widths: Array | float) -> FrictionTerm:
     """Return a term whose signs are at least as wide as a search needs; open widths become that."""
     if "width" not in {field.name for field in fields(term)}:  # type: ignore[arg-type]
         return term
-    width = term.width  # type: ignore[attr-defined]
-    if isinstance(width, tuple):
-        wide: object = tuple(max(w, SMOOTH_WIDTH) for w in width)
-    else:
-        wide = max(width or 0.0, SMOOTH_WIDTH)
-    return replace(term, width=wide)  # type: ignore[type-var]
+    wide = np.maximum(term.width or 0.0, widths)  # type: ignore[attr-defined]
+    return replace(term, width=tuple(wide) if wide.ndim else float(wide))  # type: ignore[type-var]

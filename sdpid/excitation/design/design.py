@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, InfeasibleError
+from sdpid.estimation.information import UNDETERMINED, Excitation
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.earlier import Previous
 from sdpid.excitation.criterion.noise import Given
@@ -48,10 +49,8 @@ STARTS = 4
 _KEPT, _KEPT_SHARE = 2.0, 0.4
 # States, times joints, that are enough for the compiled regressor to be worth its start.
 _STATES = 600
-# An eigenvalue of the information below this share of the largest is rounding.
-_ROUNDING = 1e-15
-# Instants a second of the regressor whose condition number is stated.
-_SCORED_HZ = 100.0
+# Of the trajectory's samples, every so many enter the condition number that is stated.
+_SCORED = 5
 
 
 def design_excitation(
@@ -158,9 +157,8 @@ def design_excitation(
 
     Notes
     -----
-    A change of units changes the optimum of ``condition``, ``A`` and ``E``. ``A`` and ``E`` are in
-    units of what moves the efforts of usual motions by 1 N·m, and so is ``condition`` where a joint
-    slides; else it is in SI units.
+    A change of units changes the optimum of ``A`` and ``E``: they are in units of what moves the
+    efforts of usual motions by 1 N·m.
 
     Examples
     --------
@@ -219,16 +217,17 @@ def design_excitation(
     search = replace(search, deadline=search.deadline + kept / 2.0)
     best, check = mend(task, search, found, inequalities)
     notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
-    W = task.rows.rows(*_scored_states(best)).reshape(-1, task.rows.count)
-    information = W.T @ W / (len(W) / model.n)
-    values = np.linalg.eigvalsh(information)
-    shown = bool(values[0] > _ROUNDING * values[-1])
+    trajectory = task.trajectory(best.space.curve(best.x))
+    scored = (part[::_SCORED] for part in trajectory.sample())
+    W = task.rows.rows(*scored).reshape(-1, task.rows.count)
+    excitation = Excitation.of(W / np.sqrt(len(W) / model.n), task.rows.base.names)
+    lengths, values = excitation.column_norms, excitation.singular_values
+    shown = bool(values[-1] >= UNDETERMINED)
     if not shown:
         notes.append(
             "the motion alone does not show every base parameter: its condition number is "
             "infinite. What stays open is named."
         )
-    trajectory = task.trajectory(best.space.curve(best.x))
     # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
     try:
         expected = expect(
@@ -254,8 +253,8 @@ def design_excitation(
         collision=task.collision,
         names=expected.names,
         standard_errors=expected.standard_errors,
-        condition_number=float(np.sqrt(values[-1] / values[0])) if shown else np.inf,
-        log_det=float(np.log(values).sum()) if shown else -np.inf,
+        condition_number=excitation.condition_number if shown else np.inf,
+        log_det=2.0 * float(np.log(lengths * values).sum()) if shown else -np.inf,
         expected=expected,
         objective=task.criterion.objective.kind,
         purpose=purpose,
@@ -291,13 +290,6 @@ def _starts(task: Task, search: Search, rows: Any, seed: int) -> Iterable[Array]
     first = itertools.islice(drawn, STARTS)
     yield from sorted(first, key=lambda x: search.value_and_gradient(x)[0])
     yield from drawn
-
-
-def _scored_states(candidate: Candidate) -> tuple[Array, Array, Array]:
-    space = candidate.space
-    time, c = space.grid(rate=_SCORED_HZ), space.coefficients(candidate.x)
-    q, v, a = (space.basis(time, order) @ c for order in range(3))
-    return q, v, a
 
 
 def _notes(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
+from sdpid.estimation.information import Excitation
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import prior_information
 from sdpid.excitation.criterion.criterion import Criterion
@@ -38,7 +39,6 @@ from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 Motion = Literal["spline", "fourier", "postures", "one_by_one"]
@@ -69,6 +69,10 @@ _SHARE = 0.95
 # A free number of a joint stands for half of its range, rad (m), and for this at most: only what is
 # smaller, such as the fingers of a gripper, is not moved at all beside the rest.
 _LARGEST = 1.0
+# Directions that random motions show by less than this share of the best do not count for a
+# condition number: no motion shows them nearly as well (the mass of fingers beside the arm's, what
+# a lever of some millimeters tells apart), so that they would rule it. They count for log det.
+_HARDLY = 0.01
 # Random motions from which usual efforts are taken.
 _USUAL = 20
 
@@ -328,15 +332,17 @@ def _criterion(
     usual: Sequence[Array],
 ) -> Criterion:
     """Return what is made small: by default what fits the purpose."""
-    smooth, names = rows.smooth(), rows.robot.joint_names
+    smooth = rows.smooth(usual[1])
     whole = purpose.name == "all"
     kind = objective or ("mixed" if whole else "V" if purpose.kind == "sum" else "D")
     if kind == "mixed":
         # The data are to show every parameter by themselves: descriptions can be wrong.
         known = np.zeros_like(known) if earlier is None else np.array(earlier.information)
     W = smooth.rows(*usual)
-    size = np.sqrt(np.mean(np.sum(W**2, axis=1), axis=0))
+    excitation = Excitation.of(W.reshape(-1, rows.count), rows.base.names)
+    size = excitation.column_norms / np.sqrt(len(W))
     scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    values = excitation.singular_values
     functionals = None if whole else purpose.functionals
     if whole and kind == "V":
         # Mean variance of the efforts of usual motions, each joint in units of its noise.
@@ -348,8 +354,7 @@ def _criterion(
             kind=kind,
             functionals=functionals,
             scale=scale if whole else None,
-            # What moves a finger of 15 g is nothing beside an arm, in SI units.
-            columns=scale if whole and sliding(rows.robot.pin_model, names).any() else None,
+            shown=excitation.directions[values > _HARDLY * values[0]].T if whole else None,
         ),
         rates=1.0 / noise.density,
         known=known,

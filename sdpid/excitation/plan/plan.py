@@ -41,7 +41,7 @@ class Plan(Shown):
     standard_errors : ndarray, shape (b,)
         Expected after the run, prior and earlier runs included.
     condition_number : float
-        Of the stacked regressor of the base parameters, in SI units.
+        Of the stacked regressor of the base parameters, its columns scaled to unit length.
     log_det : float
         ``log det(W^T·W/K)`` of it.
     expected : Expected

@@ -140,6 +140,11 @@ def test_the_search_begins_with_the_best_of_its_random_motions(
         # A finger that slides by centimeters is moved as much of its range as the arm.
         np.testing.assert_allclose(search.space.sizes[:7], 1.0)
         assert search.space.sizes[7] == pytest.approx(0.019)
+        # Its mass, which no motion shows beside the arm's, does not rule the condition number.
+        shown, names = search.criterion.objective.shown, search.criterion.rows.base.names
+        hidden = np.linalg.svd(shown.T)[2][-1]
+        assert shown.shape == (len(names), len(names) - 1)
+        assert {names[k] for k in np.argsort(-np.abs(hidden))[:3]} == {"m8", "m9", "myr4"}
         raise SeenError
 
     monkeypatch.setattr(Search, "run", seen)
