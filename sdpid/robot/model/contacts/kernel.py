@@ -17,10 +17,13 @@ from sdpid.robot.model.regressor_kernel import (
     FLOATING,
     PRISMATIC,
     REVOLUTE,
-    SMALL,
     Tree,
     compiled_loop,
 )
+
+# Bytes from which on Numba is loaded for them: searches ask again and again, and in all take eight
+# times as long without it.
+_SMALL = 1 << 20
 
 
 def jacobians(
@@ -42,7 +45,7 @@ def jacobians(
         Whether to use the compiled loop; by default the size decides.
     """
     shape = (len(q), len(links), 6, tree.n)
-    many = 8 * math.prod(shape) >= SMALL if worth is None else worth
+    many = 8 * math.prod(shape) >= _SMALL if worth is None else worth
     fill = _jacobian_loop() if many else None
     if fill is None:
         return None
