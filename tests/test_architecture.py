@@ -81,7 +81,7 @@ ROOMS = {
     ],
     "assurance": [
         "certificate",
-        "log_proof",
+        "recipe",
         "intervals",
         "diagnostics",
         "tables",

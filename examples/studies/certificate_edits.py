@@ -24,7 +24,7 @@ Data = dict[str, Any]
 Mutation = Callable[[Random, Data, dict[str, Data]], bool]
 
 # What proves something, or is proven; origin and metadata are described elsewhere.
-SECTIONS = ("problem", "theta", "multipliers", "claims", "compression")
+SECTIONS = ("problem", "theta", "multipliers", "claims")
 HUGE = (1e308, -1e308, 1e30, 5e-324, 1e-300, -0.0, 0.0, 2**53 + 1, 10**25)
 
 

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import cvxpy as cp
 import mpmath as mp
 import numpy as np
-from certificate_optimum import UNITS, Optimum, agreed, compression, doubles, interior, repaired
+from certificate_optimum import UNITS, Optimum, agreed, doubles, interior, repaired
 
 mp.mp.dps = 50
 
@@ -105,17 +105,16 @@ class Judge:
     def against_optimum(self, data: dict[str, Any]) -> tuple[Verdict, str]:
         """Judge a claimed bound by the optimum that solvers find."""
         claimed = data["claims"]["lower_bound"]
-        problem, band = data["problem"], compression(data)
-        theta = data["theta"]
+        problem, theta = data["problem"], data["theta"]
         if claimed <= 0.0:
             return "true", "no cost is below zero"
         if any(a > b for a, b in zip(problem["lower"], problem["upper"], strict=True)):
             return "true", "no parameters are within their bounds"
         if theta is not None and feasible(data, strict=True)[0] == "true":
-            cost = least(data, theta)
+            cost = whole(data, theta)
             if claimed > cost + ROUNDING * abs(cost):
                 return "false", f"the parameters themselves cost {mp.nstr(cost, 17)} < {claimed!r}"
-        key = hashlib.sha256(json.dumps([problem, band], sort_keys=True).encode()).hexdigest()
+        key = hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).hexdigest()
         if key not in self.optima:
             self.optima[key] = agreed(data)
         best = self.optima[key]
@@ -169,17 +168,10 @@ def known_costs(data: dict[str, Any], theta: Any) -> tuple[mp.mpf, mp.mpf]:
     return data["costs"] if theta is data["theta"] else costs(data, theta)
 
 
-def least(data: dict[str, Any], theta: Any) -> mp.mpf:
-    """Return the least cost of theta that the compression's error leaves possible."""
-    (delta, epsilon), (own, beside) = compression(data), known_costs(data, theta)
-    # The cost of rows is a sum of squares.
-    return max((1 - mp.mpf(delta)) * own - epsilon, mp.mpf(0)) + beside
-
-
-def most(data: dict[str, Any], theta: Any) -> mp.mpf:
-    """Return the largest one."""
-    (delta, epsilon), (own, beside) = compression(data), known_costs(data, theta)
-    return (1 + mp.mpf(delta)) * own + epsilon + beside
+def whole(data: dict[str, Any], theta: Any) -> mp.mpf:
+    """Return the cost of theta."""
+    own, beside = known_costs(data, theta)
+    return own + beside
 
 
 def sizes(problem: dict[str, Any], theta: Any) -> list[mp.mpf]:
@@ -248,7 +240,7 @@ def feasible(data: dict[str, Any], theta: Any = None, strict: bool = False) -> t
 
 def cost_claim(data: dict[str, Any]) -> tuple[Verdict, str]:
     """Judge: the parameters cost at most as much as claimed."""
-    cost, claimed = most(data, data["theta"]), data["claims"]["cost"]
+    cost, claimed = whole(data, data["theta"]), data["claims"]["cost"]
     if cost > claimed + ROUNDING * abs(cost):
         return "false", f"they cost {mp.nstr(cost, 17)}, not {claimed!r}"
     return "true", mp.nstr(cost, 17)
@@ -277,7 +269,7 @@ def witness(data: dict[str, Any], theta: np.ndarray, claimed: float) -> str | No
         point = repaired(data, theta + share * (inside - theta))
         if point is None or feasible(data, point, strict=True)[0] != "true":
             continue
-        cost = least(data, point)
+        cost = whole(data, point)
         if cost < claimed:
             return str(mp.nstr(cost, 17))
     return None

@@ -360,21 +360,6 @@ def rename(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     return True
 
 
-def compression(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
-    """Claim another error of the compression."""
-    data["compression"] = rng.choice(
-        [
-            None,
-            {"relative": 10.0 ** rng.uniform(-16, 0), "absolute": 10.0 ** rng.uniform(-16, 3)},
-            {"relative": 0.0, "absolute": 0.0},
-            {"relative": rng.choice([-1e-9, 1.0, 2.0]), "absolute": 0.0},
-            {"relative": 0.0, "absolute": -1.0},
-            {"relative": 0.5},
-        ]
-    )
-    return True
-
-
 MUTATIONS: dict[str, Mutation] = {
     **EDITS,
     "drop": drop,
@@ -393,7 +378,6 @@ MUTATIONS: dict[str, Mutation] = {
     "parameters": move,
     "another robot's part": transplant,
     "name": rename,
-    "compression": compression,
 }
 
 

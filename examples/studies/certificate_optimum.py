@@ -81,19 +81,12 @@ def doubles(value: Any, key: str = "") -> Any:
     return float(value) if type(value) is int and key not in ("link", "links") else value
 
 
-def compression(data: dict[str, Any]) -> tuple[float, float]:
-    """Return (relative, absolute): how far the cost of the rows may be from the compressed one."""
-    band = data.get("compression") or data["problem"].get("compression")
-    return (band["relative"], band["absolute"]) if band else (0.0, 0.0)
-
-
 def model(data: dict[str, Any]) -> tuple[Any, list[Any], Any]:
     """Return the least possible cost less its constant, the constraints, and theta."""
-    problem, (delta, _) = data["problem"], compression(data)
+    problem = data["problem"]
     x = cp.Variable(len(problem["lower"]))
-    share = float(np.sqrt(max(1.0 - delta, 0.0)))
     G = np.array(problem["A"]).reshape(-1, len(problem["rhs"])) @ np.array(problem["base_matrix"])
-    matrices, sides = [share * G], [share * np.array(problem["rhs"])]
+    matrices, sides = [G], [np.array(problem["rhs"])]
     if problem["prior_matrix"]:
         matrices.append(np.array(problem["prior_matrix"]))
         sides.append(np.array(problem["prior_rhs"]))
@@ -161,11 +154,9 @@ def agreed(data: dict[str, Any]) -> Optimum:
 
 def optimum(data: dict[str, Any], solver: str, options: dict[str, Any]) -> Optimum:
     """Return the optimum of the least possible cost."""
-    delta, epsilon = compression(data)
-    constant = (1.0 - delta) * data["problem"]["floor"] - epsilon
     cost, demands, x = model(data)
     found = solved(cp.Problem(cp.Minimize(cost), demands), x, solver, options)
-    return replace(found, cost=found.cost + constant)
+    return replace(found, cost=found.cost + data["problem"]["floor"])
 
 
 def solved(program: Any, x: Any, solver: str, options: dict[str, Any]) -> Optimum:

@@ -31,7 +31,7 @@ from random import Random
 from typing import Any
 
 import mpmath as mp
-from certificate_judge import Judge, compression, costs, doubles
+from certificate_judge import Judge, costs, doubles
 from certificate_mutations import MUTATIONS, Data
 from certificate_zoo import made
 
@@ -192,8 +192,7 @@ def wrong_shares(result: Any, data: Data) -> Iterator[str]:
         return
     data = doubles(data)
     own, beside = costs(data, data["theta"])
-    delta, epsilon = map(mp.mpf, compression(data))
-    least = max((1 - delta) * data["problem"]["floor"] - epsilon, mp.mpf(0))
+    least = mp.mpf(data["problem"]["floor"])
     wanted = re.fullmatch(
         r"Of it at most (\S+) is on the data(?: and (\S+) for the prior)?; no numbers at all, "
         r"feasible or not, cost less than (\S+) on the data.",
@@ -204,7 +203,7 @@ def wrong_shares(result: Any, data: Data) -> Iterator[str]:
         return
     # Decimals stand for doubles in the text, too.
     stated = [mp.mpf(float(number or 0)) for number in wanted.groups()]
-    true = [(1 + delta) * own + epsilon, beside, -least]
+    true = [own, beside, -least]
     for given, share in zip([*stated[:2], -stated[2]], true, strict=True):
         if given < share:
             yield f"{said} But there are {mp.nstr(share, 17)} for {mp.nstr(given, 17)}"

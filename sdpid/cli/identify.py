@@ -69,7 +69,7 @@ def identify(
     ] = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
-    from sdpid.assurance.log_proof.inputs import file_entry
+    from sdpid.assurance.recipe.inputs import file_entry
     from sdpid.workflow.results_folder import require_writable
 
     config = printing.config

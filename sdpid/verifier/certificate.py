@@ -4,14 +4,10 @@ What its numbers prove is in `sdpid.verifier.bound`; here claims are compared wi
 into words. The file is a JSON object with the keys of `KEYS`, described in
 docs/guides/certificate.md.
 
-The rows of a log are compressed to A, rhs and floor. A certificate may claim how well, as
-``compression``: with f_c = ‖A·(B·theta) − rhs‖² + floor and f_rows the same cost summed over the
-rows, all theta within the bounds have
-
-    (1 − relative)·f_c − absolute ≤ f_rows ≤ (1 + relative)·f_c + absolute.
-
-All other parts of the cost are at least zero and the same in both, so that bounds on the one cost
-are bounds on the other. That this holds cannot be seen without the log.
+Cost and bound are of the cost that the file states. Whether that is the cost of some log cannot be
+seen without the log. Files of versions 4 and 5 also state how near the two are (``compression``),
+what the samples touch (``contacts``) and what the prior believes of pairs (``alike``): they are
+read, and this is not used.
 """
 
 from __future__ import annotations
@@ -19,10 +15,8 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from .alike import in_words
 from .bodies import has_margin
 from .bound import Recomputed
-from .contacts import contacts
 from .exact import above
 from .reading import (
     REFUSED,
@@ -39,10 +33,9 @@ from .reading import (
 )
 from .result import Result
 
-# Certificates of version 4 say nothing of contacts.
-SCHEMA, VERSION, WITHOUT_CONTACTS = "sdpid-certificate", 5, 4
+SCHEMA, VERSION, WITH_CONTACTS, WITH_COMPRESSION = "sdpid-certificate", 6, 5, 4
 KEYS = (
-    *("schema", "version", "metadata", "origin", "problem", "compression"),
+    *("schema", "version", "metadata", "origin", "problem"),
     *("theta", "multipliers", "claims", "sha256"),
 )
 _METADATA = ("software", "method", "status", "message")
@@ -50,7 +43,6 @@ _ORIGIN = (
     *("robot", "links", "joints", "weighting", "loss", "theta_names", "base_names"),
     *("samples", "rows", "rows_sha256"),
 )
-_COMPRESSION = ("relative", "absolute")
 _CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
 
 # Violations of rows and cones, relative to their size, that are a solver's rounding: some 1e-9 in
@@ -63,73 +55,47 @@ _MOST_NAMES = 60
 # More rows than any log has.
 _MOST = 10**15
 
-_CONTACTS = "that contacts, their flags and the units of errors are those of the rows"
-
 _MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
 
 
 def load(content: bytes) -> dict[str, Any]:
     """Parse a certificate; MalformedError where it is none of this version."""
     data = parse(content)
-    require_schema(data, SCHEMA, VERSION, WITHOUT_CONTACTS)
-    require_keys(data, KEYS, "the certificate")
+    require_schema(data, SCHEMA, VERSION, WITH_CONTACTS, WITH_COMPRESSION)
+    more = () if data["version"] == VERSION else ("compression",)
+    require_keys(data, (*KEYS, *more), "the certificate")
     return data
 
 
 class Proof(Recomputed):
-    """What the numbers of a certificate prove of the rows, as far as its compression holds.
+    """What the numbers of a certificate prove of the cost that it states.
 
     Attributes
     ----------
-    outside : bool
-        Whether theta is outside its bounds, where nothing is known of the compression.
     names, link_names : list of str
         Of the parameters and links, in quotes.
-    compressed_cost : Fraction
-        Cost of theta without what the compression adds.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
         super().__init__(data)
-        known = (*_ORIGIN, "contacts") if data["version"] == VERSION else _ORIGIN
+        known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
         origin = require_keys(data["origin"], known, "origin")
         self.names = list(map(shown, names(origin["theta_names"], len(self.c), "theta_names")))
         self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
-        box = zip(self.lower, self.theta or [], self.upper, strict=False)
-        self.outside = not all(low <= value <= high for low, value, high in box)
-        self.compressed_cost = self.cost
-        self.relative = self.absolute = Fraction(0)
-        if (given := data["compression"]) is not None:
-            require_keys(given, _COMPRESSION, "compression")
-            self.relative, self.absolute = (Fraction(numbers(given[k])) for k in _COMPRESSION)
-            if not (0 <= self.relative < 1 and self.absolute >= 0):
-                raise MalformedError("the compression's error is negative, or 1 and more")
-            self.lower_bound = (1 - self.relative) * self.lower_bound - self.absolute
-            self.data_cost = (1 + self.relative) * self.data_cost + self.absolute
         # Squares and divergences are never below zero.
-        self.floor = max((1 - self.relative) * self.floor - self.absolute, Fraction(0))
         self.lower_bound = max(self.lower_bound, self.floor)
-
-
-def examine(data: dict[str, Any]) -> tuple[Result, Proof]:
-    """Check the digest and every claim, and return what the numbers prove, too.
-
-    MalformedError where the data make no sense.
-    """
-    try:
-        proof = Proof(data)
-        result = prove(data, proof)
-        sealed = digest(data) == text(data["sha256"], "sha256")
-    except REFUSED as cause:
-        raise MalformedError(str(cause) or repr(cause)) from cause
-    if sealed:
-        return result, proof
-    return Result(problems=("the digest is another: something was changed",)) + result, proof
 
 
 def check(data: dict[str, Any]) -> Result:
     """Check the digest and every claim; MalformedError where the data make no sense."""
-    return examine(data)[0]
+    try:
+        result = prove(data, Proof(data))
+        sealed = digest(data) == text(data["sha256"], "sha256")
+    except REFUSED as cause:
+        raise MalformedError(str(cause) or repr(cause)) from cause
+    if sealed:
+        return result
+    return Result(problems=("the digest is another: something was changed",)) + result
 
 
 def claimed(data: dict[str, Any]) -> dict[str, float | None]:
@@ -155,13 +121,13 @@ def prove(data: dict[str, Any], proof: Proof) -> Result:
         if any(claims[key] is not None for key in _CLAIMS[1:]):
             raise MalformedError("claims on parameters that are not given")
         problems.append("no parameters are given: none are shown to be feasible")
-        return Result(described + tuple(said), tuple(problems), unchecked(data, proof))
+        return Result(described + tuple(said), tuple(problems), unchecked(data))
     wrong = infeasible(proof, claims)
     if not wrong:
         said.append(f"The given parameters are feasible: {_feasible(proof, claims)}.")
     said_of_cost, wrong_of_cost = _cost(proof, claims, not (problems or wrong))
     statements = (*described, *said, *said_of_cost)
-    return Result(statements, (*problems, *wrong_of_cost, *wrong), unchecked(data, proof))
+    return Result(statements, (*problems, *wrong_of_cost, *wrong), unchecked(data))
 
 
 def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[str], list[str]]:
@@ -172,8 +138,6 @@ def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[st
     said, problems = [], []
     if cost < proof.cost:
         problems.append(f"the cost is {float(proof.cost)!r}, above {cost!r}")
-    elif proof.outside:
-        said.append("Outside its bounds nothing is known of the cost of the given parameters.")
     elif not proof.broken:
         said += [f"They cost at most {cost!r}.", _shares(proof)]
     # Without a division, so that data without errors (cost 0) are no exception.
@@ -260,14 +224,13 @@ def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
         f"{p - 10 * links} of them friction and drives, {b} base parameters; "
         f"weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
     )
-    touching = contacts(origin, _MOST)
     open_ = (
         f"The rows show {b} combinations of the {p} parameters, the base parameters, and no single "
         "masses: these are what prior and constraints leave, and of equals those of a rule, which "
         "only --data with --robot compares.",
     )
     feasible = f"Feasible are parameters with {_constraints(proof)}."
-    return first, *touching, feasible, *(open_ if b < p else ())
+    return first, feasible, *(open_ if b < p else ())
 
 
 def _listed(words: list[str]) -> str:
@@ -303,8 +266,7 @@ def _constraints(proof: Proof) -> str:
         demands.append(f"{count}, {_listed(further)}")
     prior = []
     if problem["prior_rhs"]:
-        beliefs = in_words(problem, proof.link_names)
-        prior.append(f"a prior of {len(problem['prior_rhs'])} rows{beliefs}")
+        prior.append(f"a prior of {len(problem['prior_rhs'])} rows")
     if problem["entropic_prior"] is not None:
         of = len(problem["entropic_prior"]["links"])
         prior.append(f"a log-det prior of {of} links")
@@ -325,26 +287,14 @@ def _bounds(proof: Proof) -> str:
     )
 
 
-def unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
+def unchecked(data: dict[str, Any]) -> tuple[str, ...]:
     """Return what the certificate says of the log and cannot prove."""
     origin = data["origin"]
     samples, rows = (index(origin[key], _MOST) for key in ("samples", "rows"))
     given = origin["rows_sha256"]
-    if given is not None:
-        text(given, "rows_sha256")
-    sealed = "" if given is None else f", SHA-256 {shown(given)}"
-    of = f"the {rows} rows of {samples} samples{sealed}"
-    if data["compression"] is None:
-        first = f"how near the compressed cost is to {of}: nothing is claimed"
-    else:
-        first = (
-            f"that A, rhs and floor stand for {of}, to within {float(proof.relative)!r} of the "
-            f"cost plus {float(proof.absolute)!r}, for every theta; that needs the log"
-        )
-    of_contacts = () if origin.get("contacts") is None else (_CONTACTS,)
+    sealed = "" if given is None else f", SHA-256 {shown(text(given, 'rows_sha256'))}"
     return (
-        first,
-        *of_contacts,
-        "that rows and base matrix are those of this robot and of its log",
+        f"that A, rhs, floor and base matrix stand for the {rows} rows of {samples} samples of "
+        f"this robot and its log{sealed}: that needs the log",
         "that bounds, margin, rows, cones and prior are what you would ask for",
     )

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from . import certificate, tables
+from . import certificate, folder, manifest, tables
 from .reading import REFUSED, MalformedError, parse, read_bytes, shown
 from .result import Result
-from .results import folder, manifest
 
 # By schema: how a file is read and checked, and the numbers that it claims.
 CHECKS = {

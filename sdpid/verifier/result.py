@@ -19,6 +19,8 @@ class Result:
         What a reader may take for proven and was not checked here.
     """
 
+    KINDS = ("statements", "problems", "unchecked")
+
     statements: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     unchecked: tuple[str, ...] = ()

@@ -17,8 +17,8 @@ from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
-from sdpid.assurance.log_proof.inputs import input_files
-from sdpid.assurance.log_proof.recipe import recipe_or_reason
+from sdpid.assurance.recipe.inputs import input_files
+from sdpid.assurance.recipe.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
@@ -213,7 +213,7 @@ def identify(
     with progress(1, "choosing the model and compressing its rows"):
         problem = formulate(model, prepared, **formulation)
     if intervals is not False:
-        problem, unknown = _with_motion_bias(problem, prepared)
+        problem, unknown = with_motion_bias_of(problem, prepared)
         notes += unknown
     notes += [each.words for each in problem.effects]
     if (alike := in_words(collinear_friction(problem))) is not None:
@@ -295,7 +295,7 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
         return None, f"no intervals of the parameters ({method}): {reason}"
 
 
-def _with_motion_bias(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
+def with_motion_bias_of(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
     """Return a problem that knows its biases by noise in the motion and all else, or why not.
 
     Robots that are fixed to the ground have a test in place of it (`check_bias`).

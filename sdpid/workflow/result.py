@@ -20,7 +20,7 @@ from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.judged import Judged, grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
-from sdpid.output.tables.intervals_shown import ends_of, in_words
+from sdpid.output.tables.intervals_shown import in_words, intervals_dict
 from sdpid.robot.friction.curve import JointCurve
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.results_folder import save as save_results
@@ -224,7 +224,7 @@ class Identification(Judged, Shown):
                 None if self.cross_validation is None else self.cross_validation.to_dict()
             ),
             "rollouts": [each.to_dict() for each in self.rollouts],
-            "intervals": None if self.intervals is None else _intervals(self.intervals),
+            "intervals": None if self.intervals is None else intervals_dict(self.intervals),
             "bias": None if self.bias is None else self.bias.to_dict(),
             "bias_note": self.bias_note,
         }
@@ -314,12 +314,3 @@ class Identification(Judged, Shown):
             intervals=self.intervals if intervals is None else intervals,
             exported=exported,
         )
-
-
-def _intervals(intervals: Intervals) -> dict[str, Any]:
-    """Return intervals as plain values, with the ends that tables show."""
-    ends = ends_of(intervals)
-    content = intervals.to_dict()
-    for entry in content["parameters"]:
-        entry["lower"], entry["upper"], _ = ends[entry["name"]]
-    return content

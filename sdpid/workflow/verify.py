@@ -3,44 +3,55 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
-from sdpid.verifier import certificate, tables
+from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
+from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
 from sdpid.verifier.reading import REFUSED, parse, read_bytes
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
-from sdpid.verifier.results import manifest
-from sdpid.verifier.results.folder import CERTIFICATE, ELSEWHERE
+from sdpid.workflow.replay.links import told
+from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, TABLES, check_numbers
 
 if TYPE_CHECKING:
-    from sdpid.assurance.log_proof.chain.links import LogProof
     from sdpid.experiment.preparation.several import Logs
     from sdpid.robot.model.model import RobotModel
+    from sdpid.workflow.replay.links import Link, Replay
 
+# Links that show a cost and a base matrix to be those of a robot and its log.
+_OF_ROWS = {"log", "robot", "base parameters", "rows"}
 
-# Links that show rows and base matrix to be those of a robot and its log.
-_OF_ROWS = {"log", "robot", "base parameters", "compression", "rows"}
+# What of files is of other recordings or in words.
+_OF_WORDS = {
+    "result.json": "what was held out or validated, tests of bias, findings and words",
+    "parameters.json": "the words of effects",
+}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Verification(Shown):
-    """Result of checking a proof, recomputed from the numbers in its files.
+    """Result of checking a proof, and of making again what lies beside it.
+
+    What is proven is recomputed in exact arithmetic from the numbers of a certificate. What is made
+    again was computed anew from the log, the robot and the recipe, as the run did it, and is the
+    same but for rounding.
 
     Attributes
     ----------
     passed : bool
-        Whether everything that is claimed is proven.
+        Whether everything that is claimed is proven or, where logs were given, made again.
     statements : tuple of str
         What is proven, in words.
+    made_again : tuple of str
+        What is the same as what was made again.
     problems : tuple of str
-        What is claimed and not proven.
+        What is claimed and not proven, or other than what was made again.
     unchecked : tuple of str
         What a reader may take for proven and was not checked.
     sha256 : str
@@ -54,7 +65,7 @@ class Verification(Shown):
         The one above the other, relative to the cost (see `Certificate.gap`).
     margin : float or None
         The worst link's margin.
-    log : LogProof or None
+    log : Replay or None
         What the logs show, link by link, where they were given.
 
     Examples
@@ -69,6 +80,7 @@ class Verification(Shown):
 
     passed: bool
     statements: tuple[str, ...]
+    made_again: tuple[str, ...]
     problems: tuple[str, ...]
     unchecked: tuple[str, ...]
     sha256: str
@@ -76,9 +88,9 @@ class Verification(Shown):
     lower_bound: float | None = None
     gap: float | None = None
     margin: float | None = None
-    log: LogProof | None = None
+    log: Replay | None = None
 
-    _facts = ("passed", "statements", "problems", "unchecked", "gap", "sha256")
+    _facts = ("passed", "statements", "made_again", "problems", "unchecked", "gap", "sha256")
 
     def _tables(self) -> Iterator[Table]:
         yield Table(("lines",), tuple((each,) for each in self.lines))
@@ -86,7 +98,18 @@ class Verification(Shown):
     @property
     def lines(self) -> tuple[str, ...]:
         """All sentences, and the verdict last."""
-        return Result(self.statements, self.problems, self.unchecked).lines
+        lines = Result(self.statements, self.problems, self.unchecked).lines
+        again = tuple(f"made again: {each}" for each in self.made_again)
+        at = len(self.statements)
+        return (*lines[:at], *again, *lines[at:-1], self.verdict)
+
+    @property
+    def verdict(self) -> str:
+        """Whether everything that is claimed holds, and what of it is proven, in a word."""
+        found = Result(problems=self.problems, unchecked=self.unchecked).verdict
+        if self.log is None or not self.passed:
+            return found
+        return found.replace("PROVEN", "PROVEN, and what follows from the log MADE AGAIN", 1)
 
 
 def verify(
@@ -95,13 +118,13 @@ def verify(
     data: Logs | None = None,
     robot: RobotModel | str | os.PathLike[str] | None = None,
 ) -> Verification:
-    """Check a proof in exact arithmetic, from the numbers in its files, or from the log on.
+    """Check a proof in exact arithmetic, and with `data` all that lies beside it.
 
-    Proofs and tables are checked as by ``python sdpid/verifier FILE_OR_FOLDER``, the stand-alone
-    checker; robots and friction of a folder are read and compared with the certified parameters.
-    With `data` samples, rows and their compression are made of the logs again, as the folder's
-    recipe says, every link from file to bound is proven or named, and robots are compared with the
-    one that was loaded.
+    Proofs are checked as by ``python sdpid/verifier FILE_OR_FOLDER``, the stand-alone checker; the
+    files of parameters in a folder are compared with the certificate. With `data` the folder's
+    recipe is run again from the logs, and everything that follows from it (rows and their cost,
+    bounds and prior, the choice of parameters, intervals, tables, robots and friction code) is
+    compared with what the folder holds.
 
     Parameters
     ----------
@@ -133,7 +156,7 @@ def verify(
     >>> verification = sdpid.verify("certificate.json")
     >>> verification.passed, verification.problems
     (True, ())
-    >>> print(verification.lines[-1])
+    >>> print(verification.verdict)
     PROVEN, but for what was not checked.
     """
     try:
@@ -143,32 +166,44 @@ def verify(
         raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
-    result, log = checked.result, None
+    result, log, again = checked.result, None, tuple[str, ...]()
     if robot is not None and question is not None:
         result = _of_robot(result, question, robot)
-    if data is not None:
-        # Files alone are checked without waiting for the libraries that rows need.
-        from sdpid.assurance.log_proof.chain.check import check_log
-
-        log = check_log(path, data, robot=robot)
-        known = set(_covered(Path(path), log))
-        left = tuple(each for each in result.unchecked if each not in known)
-        result = Result(result.statements, result.problems, left) + log.result
     if Path(path).is_dir():
-        from sdpid.workflow.written_files import check_files
+        folder = Path(path)
+        sealed = manifest.load(read_bytes(folder / manifest.NAME))
+        proof = certificate.load(read_bytes(folder / CERTIFICATE))
+        holds = not any(each.startswith(CERTIFICATE) for each in result.problems)
+        numbers = check_numbers(folder, sealed["files"], proof, holds)
+        result += Result(told(numbers, "made again"), told(numbers, "not made again"))
+        links: tuple[Link, ...] = ()
+        if data is not None:
+            # Files alone are checked without waiting for the libraries that rows need.
+            from sdpid.workflow.replay.replay import replay
 
-        given = log is not None and "robot" in log.roles
-        found = check_files(Path(path), None if log is None else log.problem, described=given)
-        left = tuple(each for each in result.unchecked if not each.endswith(ELSEWHERE))
-        result = Result(result.statements, result.problems, left) + found
+            log = replay(path, data, robot=robot)
+            links = log.links
+        known = set() if log is None else set(_covered(sealed, proof, log))
+        left = [each for each in result.unchecked if each not in known]
+        left += _left(sealed["files"], with_log=log is not None)
+        again, wrong, more = (
+            told(links, state) for state in ("made again", "not made again", "not checked")
+        )
+        others = tuple(each for each in left if not each.endswith(ELSEWHERE))
+        result = Result(result.statements, result.problems + wrong, others + more)
+    elif data is not None:
+        raise CertificateError(
+            f"{path}: is no folder; a log is checked against the whole folder that "
+            "'sdpid identify' wrote."
+        )
     return Verification(
         passed=result.passed,
         statements=result.statements,
+        made_again=again,
         problems=result.problems,
         unchecked=result.unchecked,
         sha256=checked.sha256,
-        # The problem served to check files; JSON has no words for a model.
-        log=None if log is None else replace(log, problem=None),
+        log=log,
         **checked.claims,
     )
 
@@ -196,18 +231,32 @@ def _of_robot(
     return Result(result.statements, result.problems, left) + found
 
 
-def _covered(folder: Path, log: LogProof) -> Iterator[str]:
+def _covered(sealed: Mapping[str, Any], proof: Mapping[str, Any], log: Replay) -> Iterator[str]:
     """Yield what a folder alone cannot show, and its logs have shown."""
-    sealed = manifest.load(read_bytes(folder / manifest.NAME))
-    data = certificate.load(read_bytes(folder / CERTIFICATE))
-    shown = log.proven
+    shown = log.complete
     inputs = [e for e in sealed["inputs"] if e["role"] in log.roles and e["role"] in shown]
     yield from manifest.given({"inputs": inputs})
-    # The sentences need no more of a proof than what it claims of its compression.
-    claimed: Any = SimpleNamespace(**(data["compression"] or {"relative": 0.0, "absolute": 0.0}))
-    of_rows, *others = certificate.unchecked(data, claimed)
-    if "compression" in shown:
+    of_rows, of_demands = certificate.unchecked(dict(proof))
+    if shown >= _OF_ROWS:
         yield f"{CERTIFICATE}: {of_rows}"
-    for needed, sentence in zip((_OF_ROWS, {"problem"}), others, strict=False):
-        if needed <= shown:
-            yield f"{CERTIFICATE}: {sentence}"
+    if "problem" in shown:
+        yield f"{CERTIFICATE}: {of_demands}"
+
+
+def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
+    """Yield what of the files is compared with nothing."""
+    robots = [name for name in files if name.startswith("identified")]
+    if robots and not with_log:
+        yield f"{manifest.listed(robots)}: what they hold (--data LOG writes them again)"
+    tables = [name for name in (PARAMETERS, *TABLES) if name in files]
+    if tables and not with_log:
+        yield (
+            f"{', '.join(tables)}: intervals, standard errors and shares (--data LOG makes them "
+            "again)"
+        )
+    for name, what in _OF_WORDS.items():
+        if name in files:
+            yield f"{name}: {what}"
+    compared = {CERTIFICATE, RESULT, *tables, *robots}
+    if others := sorted(files.keys() - compared):
+        yield f"{manifest.listed(others)}: sealed, and not derivable"

@@ -1,11 +1,6 @@
 """The prior: its definition and invariance, its strength, and what it does to a problem."""
 
-import copy
-import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +10,7 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid import Constraints, DhTable, Prior, Samples, certify, load_robot, solve_sdp, solve_wls
 from sdpid.constraints import Layout, MirrorPair, mirror_pairs
-from sdpid.errors import CertificateError, DataError, IdentifiabilityError, ModelError
+from sdpid.errors import DataError, IdentifiabilityError, ModelError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local.slsqp import solve_slsqp
@@ -31,8 +26,7 @@ from sdpid.estimation.prior.prior import prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia, transform
-from sdpid.verifier.reading import digest
-from sdpid.workflow.verify import Verification, verify
+from sdpid.workflow.verify import verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
 from tests.helpers.data import random_links, row_source
 from tests.helpers.refusals import refuses
@@ -803,67 +797,3 @@ def test_what_a_prior_says_and_refuses() -> None:
     other = MirrorPair(FIRST, "tail", reflection=REFLECTION)
     with pytest.raises(ModelError, match="no link 'tail'"):
         arm_problem(prior=sdpid.Prior(bodies=BODIES, alike=other))  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def stated() -> dict[str, Any]:
-    """A certificate of an estimate that believes in two pairs."""
-    pairs = (PAIR, MirrorPair(LAST, FIRST, reflection=REFLECTION))
-    problem = arm_problem(prior=sdpid.Prior(bodies=BODIES, alike=pairs, within=0.3))
-    return sdpid.certify(sdpid.solve_sdp(problem)).to_dict()
-
-
-def verified(data: dict[str, Any], folder: Path) -> Verification:
-    """Seal a certificate anew and check it."""
-    (folder / "c.json").write_text(json.dumps({**data, "sha256": digest(data)}))
-    return sdpid.verify(folder / "c.json")
-
-
-def edited(data: dict[str, Any], way: tuple[Any, ...], change: Callable[[Any], Any]) -> Any:
-    """Return a certificate with one number of its problem changed."""
-    data = copy.deepcopy(data)
-    place: Any = data["problem"]
-    for key in way[:-1]:
-        place = place[key]
-    place[way[-1]] = change(place[way[-1]])
-    return data
-
-
-def test_a_certificate_states_what_is_believed(stated: dict[str, Any], tmp_path: Path) -> None:
-    found = verified(stated, tmp_path)
-    assert found.passed, found.problems
-    words = "the last 20 of which believe links to be mirror images within 30 %: 'link_2' of"
-    assert any(words in text for text in found.statements)
-
-
-@pytest.mark.parametrize(
-    ("way", "change"),
-    [
-        (("alike", 0, "within"), lambda _: 0.31),
-        (("alike", 1, "inverse", 0, 0), lambda x: 1.001 * x),
-        (("alike", 0, "reflection", 0, 3), lambda x: x + 1e-3),
-        (("prior_matrix", -1, 12), lambda x: x + 1e-3),
-        (("prior_rhs", -1), lambda _: 1e-3),
-    ],
-)
-def test_beliefs_that_the_rows_do_not_have_are_rejected(
-    stated: dict[str, Any], tmp_path: Path, way: tuple[Any, ...], change: Callable[[Any], Any]
-) -> None:
-    found = verified(edited(stated, way, change), tmp_path)
-    assert not found.passed
-    assert any("are not belief" in text for text in found.problems), found.problems
-
-
-@pytest.mark.parametrize(
-    ("way", "value", "message"),
-    [
-        (("alike", 0, "first"), 1, "belief 1 is about one link"),
-        (("alike", 0, "reflection", 1, 1), 1.0, "the reflection of belief 1 is none"),
-        (("alike", 1, "within"), -0.3, "the share of belief 2 is not positive"),
-        (("alike", 1, "inverse", 0, 0), -1.0, "the inverse of belief 2 is not symmetric and"),
-    ],
-)
-def test_beliefs_that_make_no_sense_are_rejected(
-    stated: dict[str, Any], tmp_path: Path, way: tuple[Any, ...], value: float, message: str
-) -> None:
-    refuses(CertificateError, message, verified, edited(stated, way, lambda _: value), tmp_path)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sdpid
-from sdpid.assurance.log_proof.inputs import recording_digest
+from sdpid.assurance.recipe.inputs import recording_digest
 from sdpid.assurance.rollouts import setting
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.preparation.twin import Twin

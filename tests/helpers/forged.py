@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sdpid._common.staging import digest
+from sdpid.verifier.manifest import sealed
 from sdpid.verifier.reading import digest as digest_of
-from sdpid.verifier.results.manifest import sealed
 
 
 def edit(path: Path, change: Callable[[str], str]) -> None:

@@ -40,6 +40,7 @@ from sdpid.friction import (
     Viscous,
 )
 from sdpid.output.robots.export_report import Errors, Written
+from sdpid.output.robots.friction_code import cpp, python
 from sdpid.output.robots.friction_files import friction_data, write_friction
 from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
 from sdpid.output.robots.places import Kind
@@ -55,7 +56,6 @@ from sdpid.robot.inertia import margin, point_masses, second_moment_from_inertia
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.results.friction_code import cpp, python
 from tests.helpers import legged
 from tests.helpers.arm import ARM as FRICTION_ARM
 from tests.helpers.data import friction_model, full_regressor, random_links, random_theta

@@ -61,7 +61,7 @@ def test_a_chain_is_proven_from_the_log(
     result.save(tmp_path / "run", figures=False)
     found = sdpid.verify(tmp_path / "run", data=log, robot=sdpid.load_robot(path))
     assert found.passed, found.problems
-    assert {"robot", "contacts", "compression", "rows"} <= found.log.proven
+    assert {"robot", "contacts", "weights", "rows"} <= found.log.complete
 
 
 def test_an_mjcf_of_the_result_closes(

@@ -23,11 +23,9 @@ sys.path.append(str(Path(__file__).resolve().parents[3]))
 
 import chain
 import commands
-import compression_proof
 import contacts
 import didim
 import fleet
-import from_log
 import kernels
 import peers
 import resolves
@@ -46,12 +44,10 @@ PARTS: dict[str, Callable[[Bench], Iterable[Row] | Table]] = {
     "import": chain.importing,
     "processing": chain.processing,
     "kernels": kernels.measure,
-    "compression": compression_proof.measure,
     "contacts": contacts.measure,
     "solvers": solvers.measure,
     "resolves": resolves.measure,
     "didim": didim.measure,
-    "log": from_log.measure,
     "simulation": simulation.measure,
     "job": whole_job.measure,
     "commands": commands.measure,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -18,11 +18,8 @@ import numpy as np
 from sdpid import __version__
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
-from sdpid._common.kept import kept
 from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
-from sdpid.assurance.certificate.compression import prove_compression
-from sdpid.assurance.certificate.contact_record import contact_record
 from sdpid.assurance.certificate.plain_conditions import plain_conditions
 from sdpid.assurance.certificate.rounding import (
     downward,
@@ -109,10 +106,7 @@ class Certificate(Shown):
 
     @cached_property
     def _stated(self) -> tuple[dict[str, Any], checker.Proof]:
-        """Everything that the certificate states, and its exact evaluation.
-
-        The rows of the problem are gone through for the error of their compression.
-        """
+        """Everything that the certificate states, and its exact evaluation."""
         problem, estimate, dual = self.problem, self.estimate, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
         limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
@@ -136,10 +130,8 @@ class Certificate(Shown):
                 "samples": problem.n_samples,
                 "rows": problem.n_rows,
                 "rows_sha256": rows_digest(problem),
-                "contacts": contact_record(problem.rows, problem.sigma),
             },
-            "problem": _problem(problem),
-            "compression": _compression(problem),
+            "problem": problem_dict(problem),
             "theta": None if theta is None else theta.tolist(),
             "multipliers": {
                 "y": dual.y.tolist(),
@@ -248,16 +240,6 @@ def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
     return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
 
 
-# Several estimates of a problem may be certified.
-_proven = kept(prove_compression)
-
-
-def _compression(problem: Problem) -> dict[str, float] | None:
-    """Return how well the rows are compressed, None where that is not proven."""
-    found = _proven(problem)
-    return None if found is None else asdict(found)
-
-
 def _loss(problem: Problem) -> str | None:
     """Return what the rows are where they are not the log's own, None where they are."""
     if not problem.constant:
@@ -265,11 +247,10 @@ def _loss(problem: Problem) -> str | None:
     return f"robust: rows are weighted by it, and it adds {problem.constant!r} to the floor"
 
 
-def _problem(problem: Problem) -> dict[str, Any]:
-    """Return the problem as plain values."""
+def problem_dict(problem: Problem) -> dict[str, Any]:
+    """Return the problem as a certificate states it, as plain values."""
     feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
     prior_rows = slice(problem.base.count, None)
-    alike = () if problem.prior is None else problem.prior.alike
     return {
         "consistency": problem.consistency,
         "margin": float(problem.constraints.margin),
@@ -290,8 +271,6 @@ def _problem(problem: Problem) -> dict[str, Any]:
             "inverses": semidefinite(log_det.inverses).tolist(),
             "strength": float(log_det.strength),
         },
-        # Not there where nothing is believed of pairs: as in certificates before there were any.
-        **({"alike": [each.to_dict() for each in alike]} if alike else {}),
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
@@ -70,21 +69,14 @@ class Alike:
     ----------
     first, second : int
         The links.
-    reflection : ndarray, shape (4, 4)
-        Maps the first link's joint frame to the second's.
-    inverse : ndarray, shape (4, 4)
-        Inverse of the mean believed pseudo-inertia L·L^T, in the second link's frame.
-    within : float
-        Standard deviation of the difference, as a share of the body.
     rows : ndarray, shape (10, p)
-        Their squared norm is ``‖L^(-1)·(P_2 − M·P_1·M^T)·L^(-T)‖²/within²``, twice the nats.
+        Their squared norm is ``‖L^(-1)·(P_2 − M·P_1·M^T)·L^(-T)‖²/within²``, twice the nats: M maps
+        the first link's joint frame to the second's, L·L^T is the mean believed pseudo-inertia
+        there, within the standard deviation of the difference, as a share of the body.
     """
 
     first: int
     second: int
-    reflection: Array
-    inverse: Array
-    within: float
     rows: Array
 
     @classmethod
@@ -108,7 +100,7 @@ class Alike:
             When the robot has no such link.
         """
         difference = np.stack([row.coefficients for row in pair.compile(layout)])
-        two, M = layout.link(pair.second), pair.between(layout)
+        two = layout.link(pair.second)
         theta = np.zeros(layout.count)
         theta[: bodies.size] = bodies.ravel()
         # The image of the first is the second less the difference: their mean is a body, too.
@@ -116,25 +108,7 @@ class Alike:
         inverse = np.linalg.inv(np.linalg.cholesky(mean))
         units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
         block = np.einsum("aij,kij->ak", symmetric_basis(4), units) / within
-        return cls(
-            first=layout.link(pair.first),
-            second=two,
-            reflection=frozen(M),
-            inverse=frozen(inverse.T @ inverse),
-            within=within,
-            rows=frozen(block @ difference),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what a certificate states beside the rows, as plain values."""
-        inverse = 0.5 * (self.inverse + self.inverse.T)
-        return {
-            "first": self.first,
-            "second": self.second,
-            "reflection": self.reflection.tolist(),
-            "inverse": inverse.tolist(),
-            "within": self.within,
-        }
+        return cls(first=layout.link(pair.first), second=two, rows=frozen(block @ difference))
 
 
 def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:

@@ -34,8 +34,8 @@ from sdpid.output.report.judged import (
 from sdpid.output.report.prediction_verdict import resting_share
 from sdpid.output.report.sections.mass_matrix import least_eigenvalues
 from sdpid.output.report.verdict import findings
+from sdpid.output.robots.friction_terms import KINDS
 from sdpid.robot.description.level import LINK
-from sdpid.verifier.results.friction_terms import KINDS
 
 # Beside the two that have all terms in one.
 _CODE = ", or the links of identified.urdf with identified_friction.py (.hpp) for its friction"

@@ -16,7 +16,7 @@ from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut
 from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
-from sdpid.assurance.log_proof.recipe import Recipe
+from sdpid.assurance.recipe.recipe import Recipe
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection.finding import Finding

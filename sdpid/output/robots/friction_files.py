@@ -12,14 +12,14 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
+from sdpid.output.robots.friction_code import WRITERS
+from sdpid.output.robots.friction_terms import KINDS, SCHEMA, VERSION
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.stored import term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.verifier.results.friction_code import WRITERS
-from sdpid.verifier.results.friction_terms import KINDS, SCHEMA, VERSION
 
 
 def write_friction(

@@ -17,10 +17,10 @@ from sdpid.experiment.plant.mujoco_model import joint_axis
 from sdpid.output.robots.principal_axes import principal_axes
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import possible, possible_body
+from sdpid.robot.description.inertials import central, rounded
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.results.inertials import central, rounded
 
 # Of two balls that stand for a pin one is this share of the robot's reach along its axis.
 _ALONG = 0.1

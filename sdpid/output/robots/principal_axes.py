@@ -8,8 +8,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from sdpid.robot.description.inertials import tensor
 from sdpid.robot.description.mjcf import quaternion_of
-from sdpid.verifier.results.inertials import tensor
 
 Matrix = list[list[Fraction]]
 

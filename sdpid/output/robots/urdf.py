@@ -25,12 +25,12 @@ from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
     possible_body,
-    readable,
     require_consistent,
     require_same_efforts,
     rest_of,
     standard_parameters,
 )
+from sdpid.robot.description.inertials import exists, rounded
 from sdpid.robot.description.level import LINK, base_turn, stand_on_level, without_level
 from sdpid.robot.description.urdf import inertial_values, written_values
 from sdpid.robot.description.xacro import expand_xacro
@@ -39,8 +39,6 @@ from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.results.inertials import exists, rounded
-from sdpid.verifier.results.urdf import Urdf
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
@@ -139,7 +137,7 @@ def write_urdf(
                 write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
                 changed.append(child.name)
         rests.append(body if rest is None else rest)
-    readable(lambda text: list(Urdf(text).odd(links)), document.text(), what)
+    tree.require_unambiguous(links, what)
     for link, own in zip(links, rests, strict=True):
         written = rounded(possible_body([*map(Fraction, own.tolist())], consistency, link, what))
         if not exists(written.mass, written.moments, "pseudo_inertia"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sdpid._common.arrays import Array
@@ -10,6 +11,9 @@ from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.urdf import check_urdf
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.model.model import RobotModel
+
+# What a joint has once; of two, readers might take either.
+_OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +112,40 @@ class UrdfTree:
             theta = body.theta if body.described else None
             children.append(FixedChild(body.name, theta, body.placement))
         return children
+
+    def require_unambiguous(self, links: Sequence[str], what: str) -> None:
+        """Refuse a URDF in which readers might see different joints or bodies.
+
+        Raises
+        ------
+        ExportError
+            Naming what it has several of.
+        """
+        root = self.document.root
+        several = [
+            f"its {tag}s have the same name"
+            for tag, found in (("link", self.links), ("joint", self.joints))
+            if len(found) < len(root.find_all(tag))
+        ]
+        for name, joint in self.joints.items():
+            several += _several(joint, f"<joint> '{name}'", _OF_JOINTS)
+        family = [name for link in links for name in (link, *self._fixed_to(link))]
+        for name in family:
+            several += _several(self.links[name], f"<link> '{name}'", ("inertial",))
+            for inertial in self.links[name].find_all("inertial"):
+                tags = {child.name for child in inertial.children}
+                several += _several(inertial, f"<inertial> of '{name}'", sorted(tags))
+        if several:
+            raise ExportError(f"{what}: readers may differ on the source: {several[0]}.")
+
+    def _fixed_to(self, link: str) -> list[str]:
+        """Return the names of the links fixed to a link."""
+        return [body.name for body in self.bodies if body.carrier == link and body.name != link]
+
+
+def _several(element: Element, what: str, tags: Iterable[str]) -> list[str]:
+    """Return what an element has several of: readers might take either."""
+    return [f"{what} has several <{tag}>" for tag in tags if len(element.find_all(tag)) > 1]
 
 
 def _end(joint: Element, which: str) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
-from typing import TypeVar
 
 import numpy as np
 
@@ -12,16 +11,13 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.urdf_tree import FixedChild
+from sdpid.robot.description.inertials import inside
 from sdpid.robot.inertia import (
     Consistency,
     margin,
     transform,
 )
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.reading import REFUSED
-from sdpid.verifier.results.inertials import inside
-
-_File = TypeVar("_File")
 
 # Rounding in the inertia about the center of mass, as a fraction of the size of the inertia that
 # it is the difference of. A margin negative by no more than this is not negative.
@@ -142,17 +138,3 @@ def possible_body(
             "positive Constraints.margin if the solver stopped just outside."
         )
     return found
-
-
-def readable(read: Callable[[str], _File], text: str, what: str) -> _File:
-    """Return a robot's text as the verifier reads it.
-
-    Raises
-    ------
-    ExportError
-        When readers might see different robots in it.
-    """
-    try:
-        return read(text)
-    except REFUSED as cause:
-        raise ExportError(f"{what}: readers may differ on the source: {cause}.") from None

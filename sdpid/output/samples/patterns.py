@@ -25,10 +25,10 @@ from sdpid.output.robots.places import Kind
 from sdpid.output.robots.urdf import read_back, source_text, write_dynamics, write_inertial
 from sdpid.output.robots.urdf_errors import PLACES as URDF_PLACES
 from sdpid.output.robots.urdf_tree import UrdfTree
+from sdpid.robot.description.inertials import Inertial, tensor
 from sdpid.robot.description.mjcf import compiled, quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.description.urdf import inertial_values, written_values
-from sdpid.verifier.results.inertials import Inertial, tensor
 
 # What the joints of one robot have: numbers by attribute, by joint.
 Joints = Mapping[str, Mapping[str, float]]

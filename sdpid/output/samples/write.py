@@ -26,8 +26,8 @@ from sdpid.output.samples.drawn_friction import drawn_attributes
 from sdpid.output.samples.patterns import Joints, MjcfPattern, Pattern, UrdfPattern
 from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
 from sdpid.robot.description.bodies import DescribedBody, exact_decimal
+from sdpid.robot.description.inertials import Inertial, rounded
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
-from sdpid.verifier.results.inertials import Inertial, rounded
 
 RobotKind = Literal["urdf", "mjcf"]
 KINDS: tuple[RobotKind, ...] = ("urdf", "mjcf")

@@ -35,6 +35,15 @@ def ends_of(intervals: Intervals | None) -> dict[str, Ends]:
     }
 
 
+def intervals_dict(intervals: Intervals) -> dict[str, Any]:
+    """Return intervals as plain values, with the ends that tables show."""
+    ends = ends_of(intervals)
+    content = intervals.to_dict()
+    for entry in content["parameters"]:
+        entry["lower"], entry["upper"], _ = ends[entry["name"]]
+    return content
+
+
 def in_words(intervals: Intervals | None) -> str | None:
     """Return level and meaning of intervals in words; None for an unknown method."""
     method = getattr(intervals, "method", None)

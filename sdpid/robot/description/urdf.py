@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid.errors import ModelError
+from sdpid.robot.description.inertials import Inertial, rounded
 from sdpid.robot.description.origin import LARGEST, numbers
 from sdpid.robot.description.quiet import Caught, caught_stderr
 from sdpid.robot.description.xml import parse_xml, undeclared
-from sdpid.verifier.results.inertials import Inertial, rounded
 
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000

@@ -1,1 +1,0 @@
-"""The chain from a log to a bound: its links, checked one by one."""

@@ -1,1 +1,0 @@
-"""Contacts: Jacobians of their points, enclosed, and what their errors do to a cost."""

@@ -1,1 +1,0 @@
-"""Check a results folder: manifest, tables of parameters, and robots in URDF and MJCF."""

@@ -1,0 +1,307 @@
+"""Write the files of a folder again, from the parameters and what was made of the log."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Table, plain_dict
+from sdpid.assurance.diagnostics.validation import validate
+from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
+from sdpid.errors import MissingExtraError, SdpidError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.wls import solve_wls
+from sdpid.output.robots.export_report import ExportReport
+from sdpid.output.robots.friction_code import NAMES, WRITERS
+from sdpid.output.robots.friction_files import terms_data
+from sdpid.output.robots.friction_terms import SCHEMA, VERSION
+from sdpid.output.robots.mjcf import write_mjcf
+from sdpid.output.robots.urdf import write_urdf
+from sdpid.output.tables.intervals_shown import intervals_dict
+from sdpid.output.tables.parameter_tables import base_table, theta_table
+from sdpid.output.tables.parameters_file import parameters_dict
+from sdpid.robot.description.xml import decode_xml
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.posed import LoadFriction
+from sdpid.robot.model.digest import close
+from sdpid.verifier.exact import product
+from sdpid.verifier.reading import REFUSED, parse, read_bytes, text
+from sdpid.workflow.replay.compare import (
+    LIMIT,
+    MOST,
+    differences,
+    table_differences,
+    text_differences,
+)
+from sdpid.workflow.replay.folder import Sealed
+from sdpid.workflow.replay.links import Link, by_file
+from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, reason
+
+URDF, MJCF = "identified.urdf", "identified.xml"
+
+# Descriptions of robots may be larger than proofs.
+_LARGEST = 64 * 2**20
+
+# Extremes over feasible parameters, and quantiles of draws, are found to a solver's accuracy.
+_SOLVED = 1e-2
+
+# Friction by the package's own terms and by the code, relative to the size of the efforts.
+_SAME = 1e-12
+
+# Of parameters.json: who solved and with which words, which is of no number here.
+_OF_THE_RUN = ("made_by", "method", "status", "cost_at_most", "certificate", "effects")
+
+# What solving took.
+_OF_INTERVALS = ("seconds", "solves")
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """The files of a folder, and what they are written again from.
+
+    Attributes
+    ----------
+    sealed : Sealed
+        The folder.
+    problem : Problem
+        Made again of the logs.
+    biased : callable
+        Returns the problem with what is known to move the fit beside noise, as intervals need it.
+    described : bool
+        Whether the robot has the bodies of the run's description, which stand for a prior where
+        there is none.
+    """
+
+    sealed: Sealed
+    problem: Problem
+    biased: Callable[[Problem], Problem]
+    described: bool
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The certified parameters."""
+        theta, B = self.sealed.data["theta"], self.sealed.data["problem"]["base_matrix"]
+        base = frozen([float(each) for each in product(B, theta)])
+        problem = self.problem if self._method is None else self.biased(self.problem)
+        of_theta = Estimate.of_theta(problem, theta, method="sdp", status="optimal", message="")
+        return replace(of_theta, base=base)
+
+    @cached_property
+    def wls(self) -> Estimate:
+        """The unconstrained fit."""
+        return solve_wls(replace(self.estimate.problem, prior=None))
+
+    @cached_property
+    def _parameters(self) -> dict[str, Any]:
+        return parse(read_bytes(self.sealed.folder / PARAMETERS))
+
+    @property
+    def _method(self) -> Method | None:
+        """How the intervals were made that the folder has."""
+        method: Method | None = self._parameters["interval_method"]
+        if method is not None and method not in get_args(Method):
+            raise ValueError("interval_method is not known")
+        return method
+
+    @cached_property
+    def intervals(self) -> Intervals | None:
+        """The intervals, by the method and the level that the folder names."""
+        if self._method is None:
+            return None
+        level = float(self._parameters["interval_level"])
+        return confidence_intervals(self.estimate, method=self._method, level=level)
+
+    @property
+    def _within(self) -> float:
+        """How near intervals are to those that were made again."""
+        return LIMIT if self._method in (None, "gauss_markov") else _SOLVED
+
+    def check(self) -> list[Link]:
+        """Return whether each file is as written again."""
+        checks: dict[str, Callable[[str], Iterator[str]]] = {
+            PARAMETERS: self._of_parameters,
+            RESULT: self._of_result,
+            "parameters.csv": lambda name: self._of_table(
+                name, theta_table(self.estimate, self.intervals)
+            ),
+            "base_parameters.csv": lambda name: self._of_table(
+                name, base_table(self.estimate, self.wls, self.intervals)
+            ),
+            URDF: lambda name: self._of_robot(name, write_urdf),
+            MJCF: lambda name: self._of_robot(name, write_mjcf),
+        }
+        texts = {
+            URDF: "written again from the description and the parameters, it is the same: numbers "
+            f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter",
+            RESULT: "errors in training, of the unconstrained fit too, and intervals are those of "
+            f"these rows, to {self._within:g} of their size",
+        }
+        texts[MJCF] = texts[URDF]
+        other = (
+            "written again from parameters and rows, with intervals, standard errors and shares, "
+            f"it is the same, to {self._within:g} of the numbers of a row"
+        )
+        found, unsaid = [], self.sealed.recipe.profiled is None
+        for name, check in checks.items():
+            if name not in self.sealed.files:
+                continue
+            if unsaid and name not in (URDF, MJCF):
+                text = "intervals: the recipe does not say which numbers of terms the data chose"
+                found.append(Link(name, "not checked", text))
+                continue
+            found += checked(name, check, texts.get(name, other))
+        return by_file(found)
+
+    def _of_table(self, name: str, table: Table) -> Iterator[str]:
+        return table_differences(
+            self._read(name), table, within=self._within, without=self._without
+        )
+
+    @property
+    def _without(self) -> tuple[str, ...]:
+        """What cannot be made again: shares without prior and description."""
+        known = self.described or self.problem.prior is not None
+        return () if known else ("shares", "data", "physics", "prior")
+
+    def _of_parameters(self, name: str) -> Iterator[str]:
+        made = parameters_dict(self.estimate, intervals=self.intervals)
+        found, wanted = (
+            {key: value for key, value in each.items() if key not in _OF_THE_RUN}
+            for each in (self._parameters, made)
+        )
+        for entry in (*found["standard"].values(), *wanted["standard"].values()):
+            for key in {*entry} & {*self._without}:
+                del entry[key]
+        return differences(found, wanted, within=self._within)
+
+    def _of_result(self, name: str) -> Iterator[str]:
+        data, intervals = parse(self._read(name)), self.intervals
+        made = plain_dict(
+            {
+                "training": validate(self.estimate).to_dict(),
+                "training_unconstrained": validate(self.wls).to_dict(),
+                "cost_unconstrained": self.wls.cost,
+                "worst_margin": self.estimate.worst_margin,
+                "intervals": None if intervals is None else intervals_dict(intervals),
+            }
+        )
+        found = {key: data[key] for key in made}
+        for each in (found["intervals"], made["intervals"]):
+            for key in _OF_INTERVALS if each is not None else ():
+                del each[key]
+        return differences(found, made, within=self._within)
+
+    def _of_robot(self, name: str, write: Callable[..., ExportReport]) -> Iterator[str]:
+        """Yield what of a robot's file, and of its entry in result.json, is other."""
+        content = read_bytes(self.sealed.folder / name, _LARGEST)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            report = write(self.estimate, target=path).to_dict()
+            found, wanted = (decode_xml(each, name) for each in (content, path.read_bytes()))
+        yield from text_differences(found, wanted)
+        entries = [each for each in parse(self._read(RESULT))["exports"] if each["file"] == name]
+        for each in (*entries, report):
+            # Of a recording that is not here.
+            del each["validation"]
+        yield from differences(entries, [report], where=f"its entry in {RESULT}")
+
+    def _read(self, name: str) -> bytes:
+        return read_bytes(self.sealed.folder / name)
+
+
+def checked(name: str, check: Callable[[str], Iterator[str]], said: str) -> list[Link]:
+    """Return the links of a file: what is wrong, or what is said where nothing is."""
+    try:
+        wrong = list(check(name))
+    except MissingExtraError as missing:
+        return [Link(name, "not checked", f"what it holds ({missing})")]
+    except SdpidError as cause:
+        wrong = [f"cannot be written again: {cause}"]
+    except (OSError, *REFUSED) as cause:
+        wrong = [f"cannot be compared: {reason(cause)}"]
+    if not wrong:
+        return [Link(name, "made again", said)]
+    if len(wrong) > MOST:
+        wrong[MOST:] = [f"{len(wrong) - MOST} other differences"]
+    return [Link(name, "not made again", each) for each in wrong]
+
+
+def check_friction(sealed: Sealed, first: int) -> list[Link]:
+    """Return whether files of friction are what follows from recipe and parameters, to the byte.
+
+    What the code computes is compared with the package's own terms: the writer is no check of
+    itself. `first` is how many coordinates the base has.
+    """
+    said = (
+        "the parameters are the certificate's, widths, speeds and exponents the recipe's, the code "
+        "is what follows from these to the byte, and it computes what the package's own terms do"
+    )
+    names = [name for name in NAMES if name in sealed.files]
+    return by_file(
+        link
+        for name in names
+        for link in checked(name, lambda n: _friction(sealed, first, n), said)
+    )
+
+
+def _friction(sealed: Sealed, first: int, name: str) -> Iterator[str]:
+    """Yield what of a file of friction is not of the recipe's terms and the parameters."""
+    data, origin = sealed.data, sealed.data["origin"]
+    terms, links = sealed.recipe.friction, len(origin["links"])
+    model = FrictionModel.from_terms(terms, origin["joints"], first=first)
+    values = data["theta"][10 * links :]
+    if [each.name for each in model.parameters] != origin["theta_names"][10 * links :]:
+        yield "the recipe's terms have other parameters than the certificate"
+        return
+    numbers = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "software": text(data["metadata"]["software"], "software"),
+        "certificate": data["sha256"],
+        "robot": origin["robot"],
+        **terms_data(model, values),
+    }
+    found = read_bytes(sealed.folder / name)
+    wanted = WRITERS[NAMES[name]](numbers).encode("ascii")
+    if found != wanted:
+        pairs = zip(found.split(b"\n"), wanted.split(b"\n"), strict=False)
+        line = next((k for k, (one, two) in enumerate(pairs, 1) if one != two), None)
+        where = "behind its end" if line is None else f"first in line {line}"
+        yield f"it is not what follows from recipe and certificate, {where}"
+    for what, own, computed in _computed(numbers, model, np.array(values)):
+        size = max(1.0, float(np.abs(own).max(initial=0.0)))
+        if not close(computed / size, own / size, _SAME):
+            yield f"its {what} is not that of the recipe's terms"
+
+
+def _computed(
+    data: Mapping[str, Any], model: FrictionModel, values: Array
+) -> Iterator[tuple[str, Array, Array]]:
+    """Yield efforts by the package's own terms, and by the code that follows from numbers."""
+    rng, n = np.random.default_rng(0), len(model.joint_names)
+    speeds = 10.0 ** rng.uniform(-4.0, 1.0, (90, n)) * rng.choice([-1.0, 1.0], (90, n))
+    bends = model.characteristic_speeds()
+    v = np.vstack([np.zeros(n), speeds, bends, -2.0 * bends])
+    a, load = rng.standard_normal((2, *v.shape))
+    # No code needs the names of others: what is run here is made of numbers alone.
+    plain = {"robot": "", "software": "", "certificate": None, "joints": list(map(str, range(n)))}
+    code: dict[str, Any] = {}
+    exec(WRITERS[".py"]({**data, **plain}), code)
+    every, none, held, at = replace(model, first=0), np.zeros_like(v), np.zeros_like(v), 0
+    for term in model.terms:
+        count = len(term.parameters(model.joint_names))
+        if isinstance(term, LoadFriction):
+            held += values[at : at + count] * np.abs(load) * term.sign(v, a)
+        at += count
+    rest = every.columns(none, none) @ values
+    yield "friction", every.columns(v, none) @ values, code["friction"](v)
+    yield "effort of drives", every.columns(none, a) @ values - rest, code["drive_inertia"](a)
+    yield "friction of the load", held, code["load_friction"](v, load)
