@@ -277,6 +277,11 @@ class TimeLine:
             begin = float(shifted[-1][-1])
         return cls(np.concatenate(shifted), f"{label}, recordings behind each other", breaks)
 
+    @property
+    def instants(self) -> Array:
+        """Where the samples are on the axis, (K,)."""
+        return np.delete(self.time, np.add(self._breaks, range(len(self._breaks))).astype(int))
+
     def broken(self, y: Array) -> Array:
         """Return values (K,) with a break in every gap."""
         return np.insert(y, self._breaks, np.nan) if self._breaks else y

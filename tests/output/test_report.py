@@ -487,6 +487,13 @@ FORESTS_SEEN = """
 """
 
 
+# The instant that the first chart names, and that at which the robot is shown.
+AT_CURSOR = """
+[document.querySelector("#joints .u-value").textContent,
+ document.getElementById("scene-time").value].map(Number)
+"""
+
+
 def test_a_browser_shows_it(page: str, tmp_path: Path) -> None:
     """At the width of a desk and of a phone, from a file, with all charts, and it can be zoomed."""
     (tmp_path / "report.html").write_text(page, encoding="utf-8")
@@ -509,6 +516,12 @@ def test_a_browser_shows_it(page: str, tmp_path: Path) -> None:
         place = "document.querySelector('#joints .u-over').getBoundingClientRect()"
         x, y = await tab.value(f"[{place}.left, {place}.top]")
         whole = await tab.value(seen)
+        # The cursor shows the robot at its instant, beside the charts where it is out of sight.
+        await tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + 80, y=y + 50)
+        await tab.until("document.getElementById('scene').classList.contains('beside')")
+        instant, shown = await tab.value(AT_CURSOR)
+        assert instant > 0.0
+        assert shown == pytest.approx(instant, abs=0.1)
         for kind, right, held in (("Pressed", 80, 1), ("Moved", 160, 1), ("Released", 160, 0)):
             event = {"type": f"mouse{kind}", "x": x + right, "y": y + 50, "buttons": held}
             button = {} if kind == "Moved" else {"button": "left", "clickCount": 1}

@@ -74,6 +74,7 @@
         sync: look.linked ? { key: "time", scales: ["x", null], filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } : {} },
       hooks: {
         drawAxes: [(u) => shade(u, chart.shaded, logarithmic)],
+        setCursor: look.linked ? [instant] : [],
         setScale: look.linked ? [(u, key) => { if (key === "x") together(u); }] : [],
         ready: [pinch],
       } }, data];
@@ -96,6 +97,12 @@
       ctx.fillRect(box.left, zero, box.width, 1);
     }
     ctx.restore();
+  }
+
+  // What else the page shows may follow the cursor.
+  function instant(u) {
+    const detail = u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null;
+    dispatchEvent(new CustomEvent("chart-time", { detail }));
   }
 
   // One zoom for all charts over time.

@@ -14,7 +14,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.charts.charts import Charts, scripts, style
-from sdpid.output.report.judged import Judged, errors_of
+from sdpid.output.report.judged import Judged, errors_of, judged
 from sdpid.output.report.page import page
 from sdpid.output.report.sections import (
     gait,
@@ -28,6 +28,7 @@ from sdpid.output.report.sections import (
 )
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
+from sdpid.plots.figures import TimeLine
 
 
 def write_report(
@@ -93,8 +94,10 @@ def report_html(
     result, charts = identification, Charts()
     problem, errors = result.problem, errors_of(result)
     states = constraint_states(result.estimate)
-    # The robot along the motion that was recorded, with its inertia ellipsoids.
-    scene = identified_scene(problem.robot, problem.samples, result.estimate.theta)
+    # The robot along the motion that charts show, with its inertia ellipsoids.
+    samples, _ = judged(result)
+    line = TimeLine.of(samples.time, samples.n_samples, samples.starts)
+    scene = identified_scene(problem.robot, samples, result.estimate.theta, line.instants)
     return page(
         "sdpid.output.report",
         "report.html.j2",

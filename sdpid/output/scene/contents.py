@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -59,11 +59,14 @@ class Motion:
         Joint positions, configurations with a floating base; F is at least one.
     note : str
         What part of a recording it is, a sentence; may be empty.
+    sample : ndarray of int, shape (F,), optional
+        The recorded sample that each frame is.
     """
 
     rate_hz: float
     position: Array
     note: str = ""
+    sample: Indices | None = None
 
     def placements(self, robot: RobotModel) -> Array:
         """Return the placements of the links' joint frames, shape (F, links, 4, 4)."""
@@ -77,7 +80,7 @@ def recorded_motion(samples: Samples) -> Motion:
         told = f"The recording has no stamps: {FRAME_RATE:g} samples are played a second"
         if len(position) < samples.n_samples:
             told += f", the first {len(position):,} of {samples.n_samples:,}"
-        return Motion(FRAME_RATE, position, f"{told}.")
+        return Motion(FRAME_RATE, position, f"{told}.", np.arange(len(position)))
     # Seconds of play: pieces follow each other without a break.
     steps = np.diff(samples.time, prepend=samples.time[0])
     usual = float(np.median(steps[1:])) if len(steps) > 1 else 1.0 / FRAME_RATE
@@ -91,4 +94,4 @@ def recorded_motion(samples: Samples) -> Motion:
     told = ""
     if len(frames) > _MOST:
         told = f"The first {seconds:.0f} s of {played[-1]:.0f} s are played."
-    return Motion(rate, samples.position[nearest], told)
+    return Motion(rate, samples.position[nearest], told, nearest)

@@ -31,7 +31,9 @@ _MEANING = (
 )
 
 
-def identified_scene(robot: RobotModel, samples: Samples, theta: Array | None) -> Scene:
+def identified_scene(
+    robot: RobotModel, samples: Samples, theta: Array | None, instants: Array | None = None
+) -> Scene:
     """Return the robot along its recorded motion, with inertia ellipsoids of its links.
 
     Parameters
@@ -42,6 +44,8 @@ def identified_scene(robot: RobotModel, samples: Samples, theta: Array | None) -
         The recorded motion.
     theta : ndarray, shape (p,), optional
         Identified parameters, link by link, friction last.
+    instants : ndarray, shape (K,), optional
+        Where the samples are on the charts of the page.
     """
     surfaces, notes = described_surfaces(robot)
     motion = recorded_motion(samples)
@@ -60,6 +64,7 @@ def identified_scene(robot: RobotModel, samples: Samples, theta: Array | None) -
         surfaces,
         label=_label(robot, list(bodies)),
         ellipsoids=drawn,
+        instants=None if instants is None else instants[motion.sample],
         lines=[] if robot.free_flyer else [grid(np.zeros(3), 0.7 * reach * np.eye(3)[:2])],
         notes=[*told, *(each for each in (*notes, motion.note, _MEANING) if each)],
     )

@@ -18,6 +18,7 @@
   const { rate, count } = scene.frames, poses = unpacked(scene.frames.poses);
   const q = unpacked(scene.frames.q), links = poses.length / (7 * count);
   const width = q.length / count, duration = (count - 1) / rate;
+  const instants = scene.frames.instants && unpacked(scene.frames.instants);
   const groups = Object.fromEntries(scene.groups.map((each) => [each.key, { ...each, shown: true }]));
   const paint = (color) => [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
 
@@ -347,6 +348,18 @@
     groups[box.dataset.group].shown = box.checked;
     wanted = true;
   }));
+  // The cursor of a chart over time shows the robot at that instant, beside the chart.
+  window.addEventListener("chart-time", ({ detail: instant }) => {
+    let frame = instant === null ? -1 : instant * rate;
+    if (instants && frame >= 0) frame = instants.findIndex((each) => each >= instant);
+    const { top, bottom } = canvas.parentElement.getBoundingClientRect();
+    const beside = frame >= 0 && frame <= count - 1 && (bottom < 0 || top > window.innerHeight);
+    if (whole.classList.toggle("beside", beside) !== (canvas.clientWidth < canvas.parentElement.clientWidth)) fit();
+    if (frame < 0 || frame > count - 1) return;
+    play(false);
+    time = frame / rate;
+    wanted = true;
+  });
   canvas.addEventListener("webglcontextlost", () => whole.classList.remove("live"));
   window.addEventListener("resize", fit);
   // Out of sight nothing moves.

@@ -84,6 +84,7 @@ def robot_scene(
     ellipsoids: Sequence[tuple[int, str, Ellipsoid]] = (),
     lines: Sequence[Line] = (),
     distances: dict[str, Any] | None = None,
+    instants: Array | None = None,
     notes: Sequence[str] = (),
 ) -> Scene:
     """Return a robot that moves, as a part of a page that loads nothing.
@@ -106,6 +107,8 @@ def robot_scene(
         Lines that stand still.
     distances : dict, optional
         ``pairs``: names; ``frames``: for each frame the nearest pair and its distance, m.
+    instants : ndarray, shape (F,), optional
+        Where each frame is on the charts of the page; by default they begin at zero.
     notes : sequence of str
         Sentences below the picture.
 
@@ -159,6 +162,7 @@ def robot_scene(
             "count": len(placements),
             "poses": packed(_poses(placements[:, :-1])),
             "q": packed(motion.position),
+            "instants": None if instants is None else packed(instants[:, None]),
         },
         "distances": distances,
     }

@@ -162,6 +162,6 @@ def test_it_plays_in_a_browser(tmp_path: Path) -> None:
         assert all(url.startswith(("file:", "data:")) for url in asked)
         await tab.call("Emulation.setEmulatedMedia", media="print")
         seen = "getComputedStyle(document.querySelector('.scene %s')).display"
-        assert [await tab.value(seen % each) for each in ("img", "canvas")] == ["block", "none"]
+        assert [await tab.value(seen % each) for each in ("img", ".stage")] == ["block", "none"]
 
     look(tmp_path / "page.html", tmp_path / "profile", visit)
