@@ -47,9 +47,12 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
     log = subject.log
     for note in log.notes:
         if not note.startswith("time:"):
-            # Else of who made the recording, such as a simulator.
-            kind = "units" if note.startswith("units:") else "recording"
-            yield Finding(severity="note", kind=kind, message=note)
+            yield Finding(
+                severity="note",
+                # Else of who made the recording, such as a simulator.
+                kind="units" if note.startswith("units:") else "recording",
+                message=note,
+            )
             continue
         yield Finding(
             severity="note",
