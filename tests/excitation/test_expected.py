@@ -15,7 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.earlier import EarlierInformation
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.expected.expect import Known, _posterior, expect
+from sdpid.excitation.expected.expect import Known, _kept_above, _posterior, expect
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.open_directions import Asked, OpenDirection, open_directions
 from sdpid.excitation.expected.rehearsal import rehearse
@@ -278,3 +278,10 @@ def test_without_beliefs_weak_directions_are_open() -> None:
     directions = found(np.array([1.5, 1.5, 1e-5]), believed=0.0)
     assert directions
     assert all("nothing was known before" in each.words for each in directions)
+
+
+def test_rounding_of_what_is_hardly_shown_is_no_error() -> None:
+    # Nearly one direction, and by rounding a negative eigenvalue of -1e-8.
+    covariance = np.array([[1.0, -1.0 - 1e-8], [-1.0 - 1e-8, 1.0]])
+    kept = _kept_above(np.array([-1.0, -1.0]), covariance)
+    assert np.all(np.diag(kept) < 1.0)

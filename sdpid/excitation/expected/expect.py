@@ -298,7 +298,9 @@ def _kept_above(least: Array, covariance: Array) -> Array:
         return covariance
     size, limit = size[near], least[near] / size[near]
     own = covariance[np.ix_(near, near)] / np.outer(size, size)
-    root = np.linalg.cholesky(own + _RIDGE * np.eye(len(near)))
+    # Where a short search shows next to nothing, rounding alone makes eigenvalues negative.
+    ridge = _RIDGE - 2.0 * min(0.0, np.linalg.eigvalsh(own)[0])
+    root = np.linalg.cholesky(own + ridge * np.eye(len(near)))
     whiten = np.linalg.inv(root)
     drawn = generator(_RANDOM).standard_normal((_DRAWN, len(near)))
     moved = np.array([nnls(whiten, each - whiten @ limit)[0] for each in drawn]) + limit
