@@ -370,11 +370,6 @@ def _separate(problem: Problem, names: Iterable[str]) -> Indices:
                 f"{', '.join(BY_NAME)}."
             )
         kinds.append(BY_NAME[name])
-    joints, at = problem.friction.joint_names, 10 * problem.robot.n_links
-    out: list[int] = []
-    for term in problem.friction.terms:
-        count = len(term.parameters(joints))
-        if isinstance(term, tuple(kinds)):
-            out += range(at, at + count)
-        at += count
-    return np.array(out, dtype=np.intp)
+    places = np.arange(problem.n_theta)[10 * problem.robot.n_links :]
+    out = [places[own] for term, own in problem.friction.placed if isinstance(term, tuple(kinds))]
+    return np.concatenate([places[:0], *out])

@@ -118,14 +118,11 @@ def _check_posed(model: FrictionModel, base: BaseParameters) -> None:
 
     On arms, tilt and friction of the load stand by themselves; the tilt of a single link does not.
     """
-    first, at = len(base.theta_names) - len(model.parameters), 0
-    for term in model.terms:
-        count = len(term.parameters(model.joint_names))
-        columns = slice(first + at, first + at + count)
-        at += count
+    friction = base.matrix[:, len(base.theta_names) - len(model.parameters) :]
+    for term, own in model.placed:
         if not isinstance(term, PosedTerm) or term.bodies is not None:
             continue
-        used = np.any(base.matrix[:, columns] != 0.0, axis=1)
+        used = np.any(friction[:, own] != 0.0, axis=1)
         for k in np.flatnonzero(used & (np.count_nonzero(base.matrix, axis=1) > 1)):
             kind = type(term).__name__
             raise DataError(

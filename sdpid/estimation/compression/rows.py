@@ -188,14 +188,12 @@ class RowSource:
     def reached(self) -> Mask:
         """At which columns of `rows` the row of each joint may not be zero, (n, b + 1)."""
         tree, friction = self.robot.tree, self.friction
-        standard = np.repeat(moved(tree), 10, axis=1)
-        for term in friction.terms:
-            names = friction.joint_names
-            own = np.ones((self.robot.n, len(term.parameters(names))), dtype=bool)
-            own[: friction.first] = False
+        terms = np.ones((self.robot.n, len(friction.parameters)), dtype=bool)
+        terms[: friction.first] = False
+        for term, place in friction.placed:
             if _is_diagonal(term):
-                own[friction.first :] = np.eye(len(names), dtype=bool)
-            standard = np.concatenate([standard, own], axis=1)
+                terms[friction.first :, place] = np.eye(len(friction.joint_names), dtype=bool)
+        standard = np.concatenate([np.repeat(moved(tree), 10, axis=1), terms], axis=1)
         reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
         reached[:, :-1] = standard[:, self.base.kept]
         return reached
@@ -310,13 +308,11 @@ class RowSource:
     ) -> tuple[list[Entries], list[tuple[Indices, Array]]]:
         """Return the entries of terms that have one a row, and the columns of others."""
         friction = self.friction
-        names, first, start = friction.joint_names, friction.first, 0
+        names, first = friction.joint_names, friction.first
         entries: list[Entries] = []
         columns: list[tuple[Indices, Array]] = []
-        for term in friction.terms:
-            count = len(term.parameters(names))
-            to = places[start : start + count]
-            start += count
+        for term, place in friction.placed:
+            to = places[place]
             kept = np.flatnonzero(to >= 0)
             if isinstance(term, JointwiseTerm) and _is_diagonal(term):
                 entries.append((term.shape_in(motion)[:, kept], first + kept, to[kept]))

@@ -50,11 +50,8 @@ class Bending:
     def of(cls, friction: FrictionModel, profiled: Sequence[Profiled], values: Array) -> Bending:
         """Build from closed terms, what was chosen of them, and their parameters' values."""
         names, moved, deviations = friction.joint_names, [], []
-        start = 0
-        for term in friction.terms:
-            parameters = term.parameters(names)
-            own = values[start : start + len(parameters)]
-            start += len(parameters)
+        for term, place in friction.placed:
+            parameters, own = friction.parameters[place], values[place]
             chosen = [each for each in profiled if each.term == type(term).__name__]
             fields = dict.fromkeys(each.name.rstrip("0123456789") for each in chosen)
             for field in (each for each in fields if hasattr(term, each)):

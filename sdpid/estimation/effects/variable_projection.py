@@ -128,18 +128,18 @@ class VariableProjection:
         self._opened, self._friction = opened, rows.friction
         self._motion = rows.motion(slice(None))
         powers, which = weights_of(rows, slice(None), sigma)
-        ends = np.cumsum([0, *(len(t.parameters(self._names)) for t in rows.friction.terms)])
-        places = [np.arange(ends[each.place], ends[each.place + 1]) for each in opened]
+        every, count = rows.with_every_column(), rows.n_samples
+        placed, number = rows.friction.placed, len(rows.friction.parameters)
+        places = [np.arange(number)[placed[each.place][1]] for each in opened]
         loose = np.concatenate(places)
         # The links' columns, those of friction and the effort.
-        every = rows.with_every_column()
-        apart = [*(every.base.count - ends[-1] + loose), every.base.count]
+        apart = [*(every.base.count - number + loose), every.base.count]
         independent = are_diagonal(powers)
         reached = every.reached | (not independent)
         reached[:, apart] = False
         # Columns of fixed shape, those that a joint has, (K, own); then the c open columns, and the
         # effort as the last one.
-        owns, count = [np.flatnonzero(each) for each in reached], rows.n_samples
+        owns = [np.flatnonzero(each) for each in reached]
         fixed = [np.empty((count, len(own))) for own in owns]
         self._loose = np.empty((len(reached), count, len(apart)))
         for part in every.parts(_TOGETHER):

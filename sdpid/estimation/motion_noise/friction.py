@@ -71,8 +71,8 @@ def friction_bias(problem: Problem, rows: RowSource) -> Array | None:
     plain, own = _fit(R[:, :b], R[:, -1])
     rich, others = _fit(R[:, :-1], R[:, -1])
     inertia = [np.ones(10 * rows.robot.n_links, dtype=bool)]
-    for term in rows.friction.terms:
-        inertia.append(np.full(len(term.parameters(names)), isinstance(term, RotorInertia)))
+    for term, place in rows.friction.placed:
+        inertia.append(np.full(place.stop - place.start, isinstance(term, RotorInertia)))
     compared = np.concatenate(inertia)[rows.base.kept]
     moved = np.where(compared, plain - rich[:b], 0.0)
     return beyond(moved, np.where(compared, own, 0.0), others[:b])

@@ -239,12 +239,10 @@ class TorqueModel:
     @cached_property
     def load(self) -> Array:
         """Shares (n,) of the load that friction takes."""
-        terms, at, out = self.dynamics.terms, 0, np.zeros(self.robot.n)
-        for term in terms.terms:
-            count = len(term.parameters(terms.joint_names))
+        out = np.zeros(self.robot.n)
+        for term, own in self.dynamics.terms.placed:
             if isinstance(term, LoadFriction):
-                out += self.coefficients[at : at + count]
-            at += count
+                out += self.coefficients[own]
         return out
 
     @cached_property

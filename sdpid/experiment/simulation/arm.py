@@ -59,12 +59,11 @@ class SimulatedArm:
         require_open_chain(robot, "simulation")
         tree = robot.tree
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
-        friction, at = FrictionArrays(robot.n), 10 * robot.n_links
+        friction, coefficients = FrictionArrays(robot.n), model.theta[10 * robot.n_links :]
         gravity, none = np.array(robot.gravity), np.zeros((0, 10))
         tilted, tilt, loaded = none, np.zeros(3), none
-        for term in terms.terms:
-            values = model.theta[at : at + len(term.parameters(terms.joint_names))]
-            at += len(values)
+        for term, own_values in terms.placed:
+            values = coefficients[own_values]
             friction.add(term, values, terms.joint_names)
             if isinstance(term, PosedTerm):
                 own = robot.prior if term.bodies is None else np.array(term.bodies)

@@ -101,14 +101,12 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
     ExportError
         For a term that the files have no form of.
     """
-    names, terms, left_out, at = model.joint_names, [], [], 0
-    for term in model.terms:
-        count = len(term.parameters(names))
+    names, terms, left_out = model.joint_names, [], []
+    for term, own in model.placed:
         if type(term) is Tilt:
             left_out.append(type(term).__name__)
         else:
-            terms.append(_plain(term, names, values[at : at + count]))
-        at += count
+            terms.append(_plain(term, names, values[own]))
     return {"joints": list(names), "terms": terms, "left_out": left_out}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -163,13 +164,17 @@ class FrictionModel:
     @property
     def alike(self) -> tuple[tuple[int, int], ...]:
         """Pairs of parameters, by index, that are believed to be alike."""
-        pairs: list[tuple[int, int]] = []
-        start = 0
-        for term in self.terms:
-            own = term.alike(self.joint_names)
-            pairs += [(start + i, start + j) for i, j in own]
-            start += len(term.parameters(self.joint_names))
-        return tuple(pairs)
+        return tuple(
+            (own.start + i, own.start + j)
+            for term, own in self.placed
+            for i, j in term.alike(self.joint_names)
+        )
+
+    @cached_property
+    def placed(self) -> tuple[tuple[FrictionTerm, slice], ...]:
+        """Each term, and where its parameters are among all."""
+        ends = np.cumsum([0, *(len(term.parameters(self.joint_names)) for term in self.terms)])
+        return tuple(zip(self.terms, map(slice, ends[:-1], ends[1:]), strict=True))
 
     def characteristic_speeds(self) -> Array:
         """Return speeds (k, joints) at which the columns of each joint bend, such as widths."""

@@ -366,12 +366,9 @@ class RobotDynamics:
 
     def _posed(self) -> Iterator[tuple[FrictionTerm, Array]]:
         """Yield the terms that depend on the position, and their values."""
-        at = 10 * self.robot.n_links
-        for term in self.terms.terms:
-            count = len(term.parameters(self.terms.joint_names))
+        for term, own in self.terms.placed:
             if term.posed:
-                yield term, self.theta[at : at + count]
-            at += count
+                yield term, self.theta[10 * self.robot.n_links :][own]
 
     def _of_coordinates(self, matrices: Array) -> Array:
         """Return matrices (K, nv, nv) in the n coordinates of the robot."""
