@@ -223,6 +223,6 @@ def test_a_time_limit_is_that_of_the_whole_command(
         run("excite", folder / "arm.urdf", "--out", folder / "other", "--time-limit", limit)
     long, short, wrong = given
     # Starting and the plan's files take some of it.
-    assert 20.0 < long <= 60.0 - 3.5
-    assert 2.0 <= short <= 10.0 - 3.5
+    assert 20.0 < long <= 60.0 - 2.5
+    assert 2.0 <= short <= 10.0 - 2.5
     assert wrong == -1.0

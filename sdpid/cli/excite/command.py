@@ -62,7 +62,7 @@ _motion = functools.partial(typer.Option, rich_help_panel="Motion and search")
 
 # Of a time limit, s, what starting takes at most and what is kept for the plan's files; and the
 # least share of it that is searched.
-_STARTING, _WRITING, _SHARE = 5.0, 2.0, 0.2
+_STARTING, _WRITING, _SHARE = 5.0, 1.2, 0.2
 
 # Of the whole command with --quick, s: an arm of seven joints is ready within ten.
 _QUICK = 7.0
