@@ -46,6 +46,7 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
 from sdpid.workflow.formulate import check_kinds, formulate, tuple_of_terms
+from sdpid.workflow.remedies import tried_remedies
 from sdpid.workflow.result import Identification
 from sdpid.workflow.spoiled import spoiling_effort
 
@@ -271,11 +272,11 @@ def identify(
         recipe=recipe,
         recipe_note=no_recipe,
     )
-    if "effort_spoils" in kinds:
-        return result
-    spoils = spoiling_effort(result, prepared, formulation)
+    spoils = None
+    if "effort_spoils" not in kinds:
+        spoils = spoiling_effort(result, prepared, formulation)
     if spoils is None or spoils.joint is None:
-        return result
+        return replace(result, remedies=tried_remedies(result, prepared, formulation))
     formulation |= {"without_effort": (*prepared.without_effort, spoils.joint), "accept": kinds}
     more: dict[str, Any] = {"intervals": intervals, "folds": folds, "rollout": rollout}
     more |= {"validation": validation, "processing": processing, "gains": known}

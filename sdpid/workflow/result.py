@@ -56,6 +56,9 @@ class Identification(Judged, Shown):
     held_out : HeldOut or None
         Errors on what was not trained on, beside baselines: on the validation recording, else on
         blocks of the training recording held out in turn. None where neither can be.
+    remedies : tuple of Remedy
+        Other choices that were tried where something that costs less predicts better what was held
+        out, and the errors with them.
     intervals : Intervals or None
         Confidence intervals of the parameters; None where they were not asked for, or the data do
         not allow them (see `intervals_note`).
@@ -220,6 +223,7 @@ class Identification(Judged, Shown):
             "training_unconstrained": self.training_wls.to_dict(),
             "validation": None if self.validation is None else self.validation.to_dict(),
             "held_out": None if self.held_out is None else self.held_out.to_dict(),
+            "remedies": list(self.remedies),
             "cross_validation": (
                 None if self.cross_validation is None else self.cross_validation.to_dict()
             ),

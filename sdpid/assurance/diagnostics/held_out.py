@@ -111,6 +111,40 @@ class HeldOut:
         return plain_dict({"by": self.by, "blocks": self.blocks or None, **every})
 
 
+@dataclass(frozen=True, kw_only=True)
+class Remedy:
+    """What was tried where something that costs less predicts better, and what it gives.
+
+    Attributes
+    ----------
+    cause : str
+        What would be wrong, in words.
+    option : str
+        What was changed: an option of ``sdpid identify``.
+    before, error : float
+        Relative residual in motion on what was held out, without and with it.
+    of : str
+        Of which joints, in words; empty for all.
+    """
+
+    cause: str
+    option: str
+    before: float
+    error: float
+    of: str = ""
+
+    @property
+    def helps(self) -> bool:
+        """Whether the error falls by more than another motion makes of it."""
+        return self.before > BEATEN * self.error
+
+    @property
+    def words(self) -> str:
+        """What was tried, and what it gives."""
+        both = f"{100.0 * self.error:.3g} % in place of {100.0 * self.before:.3g} %"
+        return f"{self.option}: {both}{self.of}{'' if self.helps else ', no remedy'}"
+
+
 def hold_out(
     estimate: Estimate, wls: Estimate, fresh: Samples | None, fit: Validation | None = None
 ) -> HeldOut | None:

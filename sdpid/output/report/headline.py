@@ -60,6 +60,8 @@ class Headline:
         The one thing to do next.
     baseline : str or None
         The error beside those of the description and of least squares, on the same rows.
+    tried : str or None
+        What was tried where one of these predicts better, and the error that it gives.
     file : str or None
         What identified.urdf misses, and what to use in its place where that is clearly more than
         the estimate misses.
@@ -81,6 +83,7 @@ class Headline:
     worst: str
     step: str
     baseline: str | None
+    tried: str | None = None
     file: str | None = None
     tilt: str | None = None
     title: str = ""
@@ -94,6 +97,7 @@ class Headline:
         """The lines as they are printed; one with nothing to say is absent."""
         rows = (
             ("missed effort", (self.baseline or self.error,)),
+            ("tried", (self.tried,)),
             ("found", (self.found,)),
             ("worst joint", (self.worst,)),
             ("do not", self.warnings),
@@ -122,6 +126,7 @@ def headline(result: Judged) -> Headline:
         worst=_joint(result, worst, causes),
         step=_step(result, worst, causes),
         baseline=_beside(result),
+        tried=" | ".join(each.words for each in result.remedies) or None,
         file=_file(result),
         tilt=_tilt(result),
         title=_title(result),
@@ -252,6 +257,9 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
             f"let {' and '.join(missing)} friction in, which every joint has: --friction +TERM "
             "adds a term to the default ones, --friction TERM replaces them"
         )
+    helping = min(result.remedies, key=lambda each: each.error / each.before, default=None)
+    if helping is not None and helping.helps:
+        yield f"identify again with {helping.option}: {helping.cause}"
     if name in held_of(result) and name not in causes:
         yield held_of(result)[name].step
     # The cause that explains most of the whole error, or else that of the worst joint.
@@ -270,8 +278,6 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
         yield "train on both recordings: the first shows too little of what the other needs"
     if worst is not None and worst.level != "good":
         yield "record a motion that asks more of the worst joint: its error hides its dynamics"
-    if held_out is not None and held_out.beaten_by is not None:
-        yield f"do not use it: {held_out.beaten_by} predicts better what was held out"
     good = errors_of_urdf(result) is not None and _file(result) is None
     what = "identified.urdf" if good else _whole(result)
     yield f"none: use {what}, and validate again when the load or the temperature changes"
@@ -336,7 +342,4 @@ def _beside(result: Judged) -> str | None:
         + (_no_robot(result) if name == LEAST_SQUARES else "")
         for name, fit in held_out.every.items()
     ]
-    told = f"{' | '.join(errors)} in motion"
-    if (better := held_out.beaten_by) is None:
-        return told
-    return f"{told}: worse than {words.get(better, better)} on what was held out, do not use it"
+    return f"{' | '.join(errors)} in motion"

@@ -22,6 +22,7 @@ COVERED = 0.9
 def held_out_findings(result: Judged) -> Iterator[Finding]:
     """Yield how the error on what was held out compares, and what the bands hold of it."""
     yield from _held_out(result)
+    yield from _beaten(result)
     yield from _bands(result)
     yield from _crossed(result)
 
@@ -74,6 +75,21 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             "temperature).",
             f"trust it on other motion: {ratio:.1f} times the error on recordings not fitted",
         )
+
+
+def _beaten(result: Judged) -> Iterator[Finding]:
+    """Say what costs less and predicts better, and what was tried against it."""
+    held_out = result.held_out
+    if held_out is None or (better := held_out.beaten_by) is None:
+        return
+    own, other = (each.told.relative for each in (held_out.fit, held_out.baselines[better]))
+    tried = "; ".join(each.words for each in result.remedies)
+    yield Finding(
+        "bad",
+        f"What costs less predicts better what was held out: {better} misses {percent(other)}, "
+        f"this estimate {percent(own)}." + f" Tried: {tried}." * bool(tried),
+        f"use it: {better} predicts better what was held out",
+    )
 
 
 def _bands(result: Judged) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ from sdpid._common.kept import kept
 from sdpid._common.tables import Table
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.causes import Cause, find_causes
-from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut
+from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut, Remedy
 from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
@@ -128,6 +128,7 @@ class Judged(ABC):
     validation: Validation | None = None
     validation_samples: Samples | None = None
     held_out: HeldOut | None = None
+    remedies: tuple[Remedy, ...] = ()
     intervals: Intervals | None = None
     cross_validation: Crossed | None = None
     rollouts: Sequence[Rolled] = ()
