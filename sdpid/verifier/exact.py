@@ -102,11 +102,6 @@ def root_above(value: Fraction) -> Fraction:
     return Fraction(root + 1, unit)
 
 
-def root_below(value: Fraction) -> Fraction:
-    """Return a rational just below the square root of value ≥ 0, to 80 binary digits."""
-    return Fraction(*_root(value))
-
-
 def _root(value: Fraction) -> tuple[int, int]:
     """Return n and d with n/d ≤ √value < (n + 1)/d."""
     small = value.denominator.bit_length() - value.numerator.bit_length()

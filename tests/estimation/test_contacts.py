@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid import RobotModel, Samples
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.rows_digest import samples_digest
+from sdpid.assurance.certificate.rows_digest import rows_digest
 from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
 from sdpid.assurance.diagnostics.blocks import Block, predicted_by
 from sdpid.errors import DataError
@@ -359,7 +359,7 @@ def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
     assert sdpid.verify(tmp_path / "certificate.json").passed
     assert certificate.passed
     other = changed(noisy, down=~noisy.contacts.down)  # type: ignore[union-attr]
-    assert samples_digest(other) != samples_digest(noisy)
+    assert rows_digest(problem(other)) != rows_digest(found)
     errors = sdpid.validate(estimate, gait(200, seed=8).noisy(9))
     # Forces explain a part of the noise of every row.
     assert 0.4 < errors.floating.force / (np.sqrt(3.0) * 0.4) < 1.0

@@ -126,6 +126,30 @@ def test_the_robots_description_counts_where_it_is_given(run: Path) -> None:
     assert states(proof)["identified.urdf"] == "not checked"
 
 
+@pytest.mark.parametrize(
+    ("options", "unchecked"),
+    [
+        ({"without_effort": ("a",)}, {"identified.urdf"}),
+        ({"prior": False}, {"identified.urdf", "choice"}),
+        ({"accept": ("effort_scale",)}, {"identified.urdf", "identified.xml"}),
+    ],
+    ids=("effort", "prior", "tool"),
+)
+def test_what_the_description_alone_can_show(
+    options: dict[str, Any], unchecked: set[str], tmp_path: Path
+) -> None:
+    """Without it nothing is said to be wrong: of no prior, of a tool that a link took over."""
+    robot, log = tmp_path / "arm.urdf", recorded(1)
+    robot.write_text(ARM_URDF.replace('<mass value="0.4"/>', '<mass value="6.0"/>'))
+    if "accept" not in options:
+        robot.write_text(ARM_URDF)
+    result = sdpid.identify(robot, log, intervals=False, effects="none", **options)
+    folder = saved(result, tmp_path / "results")
+    proof = replay(folder, log)
+    assert {name for name, state in states(proof).items() if state != "made again"} == unchecked
+    assert {*states(replay(folder, log, robot=robot)).values()} == {"made again"}
+
+
 def test_a_log_edited_by_one_digit_is_named(run: Path, tmp_path: Path) -> None:
     lines = (run / "run.csv").read_text().splitlines()
     fields = lines[200].split(",")

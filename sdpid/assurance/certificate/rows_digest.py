@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
@@ -19,17 +18,12 @@ _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance
 
 
 def rows_digest(problem: Problem) -> str | None:
-    """Return the SHA-256 of the samples; None where the rows were not kept."""
-    return None if problem.rows is None else _joined(problem.rows.map(_of_rows))
+    """Return the SHA-256 of the samples: shape and little-endian doubles of each array.
 
-
-def samples_digest(samples: Samples, hashed: Sequence[Array] = ()) -> str:
-    """Return the SHA-256 of samples: shape and little-endian doubles of each array.
-
-    Of several pieces it is that of their digests, one behind the other; `hashed` are numbers that
-    rows are made of beside the samples.
+    Of several pieces it is that of their digests, one behind the other; None where the rows were
+    not kept.
     """
-    return _joined([_with(_of_piece(piece), hashed) for piece in samples.pieces])
+    return None if problem.rows is None else _joined(problem.rows.map(_of_rows))
 
 
 def _joined(digests: Sequence[str]) -> str:
@@ -39,15 +33,12 @@ def _joined(digests: Sequence[str]) -> str:
 
 
 def _of_rows(rows: RowSource) -> str:
-    return _with(_of_piece(rows.samples), rows.hashed)
-
-
-def _with(digest: str, hashed: Sequence[Array]) -> str:
-    """Return the digest of samples and of further numbers."""
-    if not hashed:
+    """Return the digest of samples and of further numbers that rows are made of."""
+    digest = _of_piece(rows.samples)
+    if not rows.hashed:
         return digest
     found = hashlib.sha256(digest.encode())
-    for array in hashed:
+    for array in rows.hashed:
         found.update(np.ascontiguousarray(array, dtype="<f8").data)
     return found.hexdigest()
 

@@ -161,6 +161,11 @@ class _Run:
         self.robot, link, self.of_folder = find_robot(self.sealed, robot)
         if self.robot is not None and self.robot.source is not None and not self.of_folder:
             self.roles = ("log", "robot")
+        asked = self.sealed.recipe.problem
+        bodies = None if asked is None or asked.prior is None else asked.prior.bodies
+        if self.robot is not None and self.of_folder and bodies is not None:
+            # Those that the run's description had, unless others were given.
+            self.robot = replace(self.robot, prior=frozen(bodies))
         self.say(link.name, link.state, link.text, stop=self.robot is None)
 
     def prepare(self) -> None:

@@ -157,6 +157,11 @@ class Files:
                 text = "intervals: the recipe does not say which numbers of terms the data chose"
                 found.append(Link(name, "not checked", text))
                 continue
+            if name == MJCF and not self.described and self._lumped:
+                # Of the folder's URDF they have none any more.
+                text = "what it holds: bodies fixed to links stand in the description (--robot)"
+                found.append(Link(name, "not checked", text))
+                continue
             found += checked(name, check, texts.get(name, other))
         return by_file(found)
 
@@ -207,11 +212,23 @@ class Files:
             report = write(self.estimate, target=path).to_dict()
             found, wanted = (decode_xml(each, name) for each in (content, path.read_bytes()))
         yield from text_differences(found, wanted)
-        entries = [each for each in parse(self._read(RESULT))["exports"] if each["file"] == name]
+        entries = [each for each in self._exports if each["file"] == name]
         for each in (*entries, report):
-            # Of a recording that is not here.
-            del each["validation"]
+            # Of a recording that is not here; and of a description, which may not be.
+            for key in ("validation", *(() if self.described else ("lumped",))):
+                del each[key]
         yield from differences(entries, [report], where=f"its entry in {RESULT}")
+
+    @property
+    def _exports(self) -> list[dict[str, Any]]:
+        """What result.json says of the robots that were written."""
+        found: list[dict[str, Any]] = parse(self._read(RESULT))["exports"]
+        return found
+
+    @property
+    def _lumped(self) -> bool:
+        """Whether the folder says that links took over the bodies fixed to them."""
+        return any(each["lumped"] for each in self._exports)
 
     def _read(self, name: str) -> bytes:
         return read_bytes(self.sealed.folder / name)
