@@ -13,11 +13,8 @@ from sdpid.plots.joints import plot_joint, plot_joint_errors
 from sdpid.plots.mass_matrix import plot_mass_matrix
 from sdpid.plots.motion import (
     plot_against_limits,
-    plot_distances,
     plot_motion,
-    plot_over_duration,
     plot_rollout,
-    plot_spectrum,
 )
 from sdpid.plots.parameters import plot_parameters
 from sdpid.plots.reconstruction import plot_fit, plot_reconstruction
@@ -26,7 +23,6 @@ from sdpid.plots.signals import plot_signals
 __all__ = [
     "plot_against_limits",
     "plot_convergence",
-    "plot_distances",
     "plot_fit",
     "plot_forest",
     "plot_friction_curve",
@@ -34,11 +30,9 @@ __all__ = [
     "plot_joint_errors",
     "plot_mass_matrix",
     "plot_motion",
-    "plot_over_duration",
     "plot_parameters",
     "plot_reconstruction",
     "plot_rollout",
     "plot_signals",
-    "plot_spectrum",
     "save_figure",
 ]

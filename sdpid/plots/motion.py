@@ -1,9 +1,9 @@
-"""Figures of a motion: joints against limits, distances, spectrum, errors over duration."""
+"""Figures of a motion: joints against limits, rollouts, a base that stands."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,10 +29,10 @@ from sdpid.plots.figures import (
     legend,
     new_figure,
 )
-from sdpid.plots.panels import Panel, logarithmic, stacked
+from sdpid.plots.panels import Panel, stacked
 
 # Heights of panels, points.
-_SMALL, _LARGE, _STANDING = 52.0, 130.0, 90.0
+_SMALL, _STANDING = 52.0, 90.0
 
 # A limit beyond so many times the motion is not drawn: the motion would be a flat line.
 _FAR = 4.0
@@ -40,34 +40,12 @@ _FAR = 4.0
 # Points of a line.
 _POINTS = 800
 
-# Amplitudes below this share of the highest are not shown.
-_FLOOR = 1e-3
-
-# More room than this is not shown, mm.
-_ROOM = 500.0
-
 # Of lines in one panel; red is left to limits.
 COLORS = (BLUE, GREEN, ORANGE, PURPLE, SKY, GRAY, INK)
 
 
 # Of models beside the one that is judged, which is blue.
 _OTHERS = (RED, ORANGE, PURPLE, GREEN, GRAY, SKY)
-
-
-class Motion(Protocol):
-    """A motion on an even grid of instants."""
-
-    @property
-    def time(self) -> Array:
-        """Seconds, (K,)."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-
-    @property
-    def acceleration(self) -> Array:
-        """Of each joint, rad/s² (m/s² where a joint slides), (K, n)."""
 
 
 def plot_against_limits(
@@ -168,109 +146,6 @@ def plot_motion(
         for axis in column:
             axis.yaxis.label.set_fontsize(SMALL)
     return axes
-
-
-def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
-    """Show how far the nearest pairs stay from their least distances over time.
-
-    Parameters
-    ----------
-    time : ndarray, shape (K,)
-        In s.
-    room : ndarray, shape (K, P)
-        Distances of P pairs less what is asked of each, m.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; by default in a figure of its own.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        The nearest pairs, as many as there are colors.
-
-    Examples
-    --------
-    >>> time = np.linspace(0.0, 5.0, 100)
-    >>> room = np.column_stack([0.2 + 0.1 * np.sin(time), 0.3 + 0.0 * time])
-    >>> axes = sdpid.plots.plot_distances(time, room)
-    >>> axes.get_xlabel()
-    'time [s]'
-    """
-    (axis,) = stacked([Panel(_LARGE, "room left [mm]", x="time [s]")], axes)
-    axis.margins(x=0.0)
-    for color, pair in zip(COLORS, np.argsort(room.min(axis=0)), strict=False):
-        _line(axis, time, 1e3 * room[:, pair], color=color, linewidth=1.0)
-    axis.axhline(0.0, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
-    axis.set_ylim(min(0.0, 1e3 * float(room.min())), min(_ROOM, 1.05e3 * float(room.max())))
-    return axis
-
-
-def plot_spectrum(motion: Motion, *, axes: Any = None) -> Any:
-    """Show the amplitude spectrum of each joint's acceleration.
-
-    Parameters
-    ----------
-    motion : Motion
-        Time, rate and accelerations.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; by default in a figure of its own.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace
-    >>> run = SimpleNamespace(
-    ...     time=samples.time, rate_hz=100.0, acceleration=samples.acceleration)
-    >>> axes = sdpid.plots.plot_spectrum(run)
-    >>> axes.get_xlabel()
-    'frequency [Hz]'
-    """
-    (axis,) = stacked([Panel(_LARGE, "acceleration [rad/s²]", x="frequency [Hz]")], axes)
-    count = len(motion.time)
-    frequency = np.fft.rfftfreq(count, 1.0 / motion.rate_hz)[1:]
-    amplitude = 2.0 / count * np.abs(np.fft.rfft(motion.acceleration, axis=0))[1:]
-    top = float(amplitude.max()) or 1.0
-    seen = np.flatnonzero((amplitude > _FLOOR * top).any(axis=1))
-    last = int(seen[-1]) + 1 if len(seen) else count // 2
-    logarithmic(axis, (float(frequency[0]), float(frequency[last - 1])), (_FLOOR * top, 2.0 * top))
-    for j in range(amplitude.shape[1]):
-        color = COLORS[j % len(COLORS)]
-        _line(axis, frequency[:last], amplitude[:last, j], color=color, linewidth=0.9)
-    return axis
-
-
-def plot_over_duration(seconds: Array, shares: Sequence[Array], *, axes: Any = None) -> Any:
-    """Show how the half widths of expected intervals fall with the duration of the run.
-
-    Parameters
-    ----------
-    seconds : ndarray, shape (D,)
-        Durations.
-    shares : sequence of ndarray, shape (D,)
-        Half widths as shares of the values; in the order of `COLORS`.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; by default in a figure of its own.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Examples
-    --------
-    >>> seconds = np.array([10.0, 20.0, 40.0, 80.0])
-    >>> axes = sdpid.plots.plot_over_duration(seconds, [0.1 / np.sqrt(seconds)])
-    >>> axes.get_xlabel()
-    'duration [s]'
-    """
-    (axis,) = stacked([Panel(_LARGE, "95 % interval, ± [%]", x="duration [s]")], axes)
-    values = 100.0 * np.stack(list(shares))
-    ends = 0.8 * float(values.min()), 1.25 * float(values.max())
-    logarithmic(axis, (0.95 * float(seconds.min()), 1.1 * float(seconds.max())), ends)
-    for color, each in zip(COLORS, values, strict=False):
-        axis.plot(seconds, each, color=color, marker="o", markersize=3.0, linewidth=1.0)
-    return axis
 
 
 def _line(axis: Any, x: ArrayLike, y: ArrayLike, **style: Any) -> None:

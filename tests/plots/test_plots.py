@@ -18,11 +18,9 @@ from sdpid.estimation.estimate import Step
 from sdpid.plots import (
     plot_against_limits,
     plot_convergence,
-    plot_distances,
     plot_joint,
     plot_joint_errors,
     plot_motion,
-    plot_over_duration,
     plot_parameters,
     plot_reconstruction,
     plot_signals,
@@ -140,8 +138,6 @@ INTO: dict[str, tuple[int, Any]] = {
         4,
         lambda a: plot_motion(TIME, {"a": [("x", TIME, None, 2.0)] * 4}, axes=a, title="four"),
     ),
-    "distances": (1, lambda a: plot_distances(TIME, ONES, axes=a)),
-    "duration": (1, lambda a: plot_over_duration(1.0 + TIME, [1.0 + TIME], axes=a)),
 }
 
 
