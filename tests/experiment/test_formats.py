@@ -218,8 +218,7 @@ def test_missing_packages_are_named_with_what_installs_them(
         monkeypatch.setitem(sys.modules, module, None)
     file = tmp_path / f"log{suffix}"
     file.write_bytes(b"0")
-    with pytest.raises(MissingExtraError, match=rf"with: pip install .*'{wanted}>="):
-        LOADERS[suffix](file)
+    refuses(MissingExtraError, rf"with: pip install .*'{wanted}>=", LOADERS[suffix], file)
 
 
 def test_several_logs_at_once(tmp_path: Path):

@@ -656,7 +656,7 @@ def test_too_few_samples_say_nothing() -> None:
 
 def test_noise_of_positions_is_no_scale() -> None:
     log = moving()
-    rate = np.sqrt(np.mean(log.velocity[:, 1] ** 2))  # type: ignore[index]
+    rate = np.sqrt(np.mean(log.velocity[:, 1] ** 2))
     # As much noise as makes the slope of the velocity over the rate 1 / (1 + 0.4²) = 0.86.
     noise = 0.4 * rate / (np.sqrt(2.0) * log.rate_hz)
     noisy = log.position + noise * np.random.default_rng(0).standard_normal(log.position.shape)

@@ -190,7 +190,7 @@ def test_records_with_periods_say_their_covariance() -> None:
     log, _ = sweep(noise=1e-5)
     for periods, covariance in ((8, "period"), (2, "pooled"), (1, None)):
         choice = choose_processing(replace(log, period=5.0, start=0.0, periods=periods))
-        assert choice.processing == sdpid.Processing(covariance=covariance)  # type: ignore[arg-type]
+        assert choice.processing == sdpid.Processing(covariance=covariance)
         assert choice.motion_hz is None
         assert choice.reasons[0].startswith(f"covariance {covariance}: {periods} period")
 
@@ -623,7 +623,7 @@ def test_parts_and_joins_keep_contacts() -> None:
     whole = samples(forces=forces, force_covariance=covariance)
     # Points transmit no moments, whatever is given.
     assert not whole.contacts.forces[:, :, 3:].any()
-    assert not whole.contacts.force_covariance[:, 3:].any()  # type: ignore[index]
+    assert not whole.contacts.force_covariance[:, 3:].any()
     parts = [whole.between(0, 5), whole.between(5, 12)]
     joined = Samples.join(parts)
     assert joined.contacts.forces is not None
@@ -845,7 +845,7 @@ def test_what_a_sensor_shows_of_a_foot_in_the_air_is_left_out() -> None:
         prepare(walk.robot, walk.log(forces=each), processing).contacts
         for each in (walk.forces, shown)
     )
-    assert np.array_equal(plain.forces, offset.forces)  # type: ignore[arg-type]
+    assert np.array_equal(plain.forces, offset.forces)
 
 
 def test_a_time_around_landings_is_left_out() -> None:
@@ -948,9 +948,7 @@ def test_angular_velocities_are_those_of_pinocchio() -> None:
 @pytest.mark.parametrize(
     ("pose", "velocity"), [(3e-5, 3e-2), (3e-4, 1e-3), (1e-6, 1e-2), (1e-3, 1e-2)]
 )
-def test_accelerations_come_from_what_has_the_less_noise(
-    frame: str, pose: float, velocity: float
-) -> None:
+def test_accelerations_come_from_what_has_the_less_noise(frame: str, pose: float, velocity: float):
     walk, random = crawl(), np.random.default_rng(1)
     log = walk.log(frame)
 

@@ -332,11 +332,11 @@ class OwnController(Controller):
     def n(self) -> int:
         return self.law.n
 
-    def effort(self, *states: ArrayLike | None) -> Array:  # type: ignore[override]
-        return self.law.effort(*states)  # type: ignore[arg-type]
+    def effort(self, *states: ArrayLike | None) -> Array:
+        return self.law.effort(*states)
 
-    def slopes(self, *states: ArrayLike | None) -> tuple[Array, Array]:  # type: ignore[override]
-        return self.law.slopes(*states)  # type: ignore[arg-type]
+    def slopes(self, *states: ArrayLike | None) -> tuple[Array, Array]:
+        return self.law.slopes(*states)
 
 
 def test_the_integral_of_a_sample_ends_at_the_sample() -> None:
@@ -425,8 +425,7 @@ def test_what_does_not_fit_is_told_before_the_simulation() -> None:
         ((told, law), {"rate_hz": RATE, "step": -1.0}, "step is -1.0"),
         ((told, law), {"rate_hz": RATE, "start": ([0.0], [0.0])}, "start: shapes"),
     ):
-        with pytest.raises(DataError, match=message):
-            simulate_closed_loop(model(), *arguments, **options)  # type: ignore[arg-type]
+        refuses(DataError, message, simulate_closed_loop, model(), *arguments, **options)
     silent = sdpid.Recording(time=TIMES, position=told[0], effort=told[0])
     refuses(DataError, "no commanded positions", simulate_closed_loop, model(), silent, law)
 

@@ -206,8 +206,7 @@ def test_bad_values_are_refused_as_they_are_read(case: str, tmp_path: Path):
     changes, message = BAD[case]
     file = tmp_path / "log.parquet"
     write_columns(file, **changes)
-    with pytest.raises(DataError, match=message):
-        process(read_recording(file, stored=True), QUICK)
+    refuses(DataError, message, process, read_recording(file, stored=True), QUICK)
     write_columns(file)
     process(read_recording(file, stored=True), QUICK)
 
@@ -416,9 +415,7 @@ cuts = st.lists(st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=
 
 @settings(max_examples=25, deadline=None)
 @given(cuts=cuts, seed=st.integers(0, 9), velocity=st.sampled_from(["differentiated", "measured"]))
-def test_gaps_part_a_record_into_records(
-    cuts: list[tuple[int, int]], seed: int, velocity: str
-) -> None:
+def test_gaps_part_a_record_into_records(cuts: list[tuple[int, int]], seed: int, velocity: str):
     log = without(record(seed=seed), *cuts)
     setting = replace(SETTING, velocity=velocity)
     ends = np.flatnonzero(np.diff(log.time) > 5.5 / GAP_RATE) + 1

@@ -72,9 +72,7 @@ def inside(edges: Array, cells: int = 30) -> tuple[Array, Array]:
     derivative=st.integers(0, HIGHEST),
     inner=st.lists(st.floats(0.0, 1.0), max_size=12),
 )
-def test_bounds_hold_at_every_instant(
-    kind: str, seed: int, derivative: int, inner: list[float]
-) -> None:
+def test_bounds_hold_at_every_instant(kind: str, seed: int, derivative: int, inner: list[float]):
     curve = curve_of(kind, seed)
     edges = np.unique(np.concatenate([[0.0, 1.0], inner])) * curve.duration
     edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9])]
@@ -336,11 +334,10 @@ def test_no_harmonic_below_the_limit() -> None:
     ],
 )
 def test_bad_timing(arguments: dict[str, float], message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        paper_excitation(ROBOT, 0, **({"period": 10.0} | arguments))  # type: ignore[arg-type]
+    refuses(DataError, message, paper_excitation, ROBOT, 0, **{"period": 10.0} | arguments)
 
 
-def test_missing_folder(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_missing_folder(tmp_path) -> None:
     refuses(DataError, "cannot read", paper_excitation, tmp_path, 0)
     (tmp_path / "excitation.toml").write_text("sinusoids = 3\n")
     refuses(DataError, "axis", paper_excitation, tmp_path, 0)
@@ -386,10 +383,8 @@ def test_series_refuses_what_is_no_series() -> None:
         ({"phases": [[0.0]]}, "do not fit"),
         ({"period": 0.0}, "period"),
     ):
-        with pytest.raises(DataError, match=message):
-            FourierSeries(**(good | change))  # type: ignore[arg-type]
-    with pytest.raises(DataError, match="too few"):
-        FourierSeries(**good).one_period(4)  # type: ignore[arg-type]
+        refuses(DataError, message, FourierSeries, **good | change)
+    refuses(DataError, "too few", FourierSeries(**good).one_period, 4)
 
 
 def test_quintic_meets_both_ends() -> None:

@@ -140,7 +140,7 @@ def test_an_estimate_gives_its_model(solve: object) -> None:
     robot = small_arm(3)
     rng = np.random.default_rng(5)
     samples = make_samples(robot, random_theta(robot, rng, TERMS), rng, noise=0.01, friction=TERMS)
-    estimate = solve(sdpid.build_problem(robot, samples, friction=TERMS))  # type: ignore[operator]
+    estimate = solve(sdpid.build_problem(robot, samples, friction=TERMS))
     model = estimate.model()
     predicted = sdpid.validate(estimate).effort_predicted
     found = model.inverse_dynamics(samples.position, samples.velocity, samples.acceleration)
@@ -171,8 +171,7 @@ def test_what_does_not_fit_is_refused() -> None:
     refuses(DataError, "velocity: 3 columns, the robot has 4 joints", model.friction, np.zeros(3))
     refuses(DataError, "velocity: 2 states, the positions have 3", model.coriolis, q, q[:2])
     refuses(DataError, "tau: 1 states, the positions have 3", model.forward_dynamics, q, q, q[0])
-    with pytest.raises(DataError, match="not a rectangular array"):
-        model.gravity([[0.0], [0.0, 1.0]])  # type: ignore[list-item]
+    refuses(DataError, "not a rectangular array", model.gravity, [[0.0], [0.0, 1.0]])
     axis = np.eye(10)[0]  # a point mass at the joint, which turns without effort
     bare = RobotDynamics(robot=ROBOTS["pendulum"], terms=friction_model(pendulum(), ()), theta=axis)
     refuses(ModelError, "mass matrix is singular", bare.forward_dynamics, [0.0], [0.0], [1.0])

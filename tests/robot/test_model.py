@@ -95,7 +95,7 @@ def check_against_pinocchio(robot: RobotModel, rng: np.random.Generator, count: 
 
 @given(dh_tables(), SEEDS)
 def test_serial_arms(table: object, seed: int) -> None:
-    check_against_pinocchio(RobotModel.from_mdh(table), np.random.default_rng(seed))  # type: ignore[arg-type]
+    check_against_pinocchio(RobotModel.from_mdh(table), np.random.default_rng(seed))
 
 
 @given(SEEDS)
@@ -178,7 +178,7 @@ def test_a_floating_base_takes_a_mimic_joint_without_offset() -> None:
 @given(dh_tables(prismatic=False), SEEDS)
 @settings(max_examples=10)
 def test_consistent_links_have_a_positive_definite_mass_matrix(table: object, seed: int) -> None:
-    robot = RobotModel.from_mdh(table)  # type: ignore[arg-type]
+    robot = RobotModel.from_mdh(table)
     rng = np.random.default_rng(seed)
     theta = random_links(rng, robot.n_links)
     q = rng.uniform(-np.pi, np.pi, (10, robot.n))
@@ -393,9 +393,7 @@ def test_a_robot_shows_itself_in_a_line() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-be"])
-def test_descriptions_are_read_in_the_encoding_that_they_declare(
-    tmp_path: Path, encoding: str
-) -> None:
+def test_descriptions_are_read_in_the_encoding_that_they_declare(tmp_path: Path, encoding: str):
     declared = {"latin-1": "ISO-8859-1", "utf-16-be": "UTF-16"}.get(encoding, encoding[:6])
     text = f'<?xml version="1.0" encoding="{declared}"?>\n' + urdf().replace('"b"', '"größe"')
     path = tmp_path / "robot.urdf"
@@ -481,8 +479,7 @@ def test_bad_sources_are_model_errors(source: Any, says: str) -> None:
 
 
 def test_bad_options_are_model_errors() -> None:
-    with pytest.raises(ModelError, match="root is 'fixed'"):
-        load_robot(TREE, root="fixed")  # type: ignore[arg-type]
+    refuses(ModelError, "root is 'fixed'", load_robot, TREE, root="fixed")
     with pytest.raises(ModelError, match="already has its root"):
         load_robot(load_robot(TREE).pin_model, root="free_flyer")
     refuses(ModelError, "gravity", load_robot, TREE, gravity=(0.0, 0.0))
@@ -771,9 +768,7 @@ def test_denso_eliminates_what_the_paper_eliminates(table_iv: BaseParameters) ->
         ("Fs3", "Fs3"),
     ],
 )
-def test_denso_regroupings_are_khalils(
-    table_iv: BaseParameters, name: str, expression: str
-) -> None:
+def test_denso_regroupings_are_khalils(table_iv: BaseParameters, name: str, expression: str):
     assert table_iv.expression(name) == expression
 
 
@@ -868,7 +863,7 @@ def test_regrouping_holds_at_fresh_states(table: DhTable, seed: int) -> None:
     ],
 )
 def test_trees_floating_bases_and_humanoids(source: str, root: str | None) -> None:
-    robot = load_robot(source, root=root)  # type: ignore[arg-type]
+    robot = load_robot(source, root=root)
     terms = ("coulomb", "rotor_inertia")
     base = base_of(robot, *terms)
     if root is None:
@@ -984,9 +979,7 @@ def test_zeros_are_exact(table_iv: BaseParameters) -> None:
     assert np.count_nonzero(table_iv.matrix) < 0.05 * table_iv.matrix.size
 
 
-def test_invisible_changes_leave_the_effort_alone(
-    denso: RobotModel, table_iv: BaseParameters
-) -> None:
+def test_invisible_changes_leave_the_effort_alone(denso: RobotModel, table_iv: BaseParameters):
     rng = np.random.default_rng(8)
     theta = np.concatenate([random_links(rng, 6).ravel(), np.ones(12)])
     _, _, rows = np.linalg.svd(table_iv.matrix)

@@ -97,8 +97,7 @@ def test_joints_are_taken_by_name() -> None:
 )
 def test_what_are_no_gains_is_told(changed: dict[str, object], said: str) -> None:
     given = {"joint_names": ("a", "b"), "gains": [1.0, 2.0], **changed}
-    with pytest.raises(DataError, match=said):
-        sdpid.DriveGains(**given)  # type: ignore[arg-type]
+    refuses(DataError, said, sdpid.DriveGains, **given)
 
 
 @pytest.mark.parametrize(

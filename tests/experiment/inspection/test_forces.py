@@ -79,9 +79,7 @@ def test_right_forces_are_left_alone(motion: str) -> None:
 @pytest.mark.parametrize(
     ("forced", "driven", "likely"), [(1.0, 1.05, "torques"), (0.95, 1.0, "forces")]
 )
-def test_scale_of_forces_against_torques(
-    motion: str, forced: float, driven: float, likely: str
-) -> None:
+def test_scale_of_forces_against_torques(motion: str, forced: float, driven: float, likely: str):
     recording = with_feet(motion, forces=forced * forces(motion))
     (finding,) = found(replace(recording, effort=driven * np.array(recording.effort)))
     assert finding.kind == "forces_scale"

@@ -72,9 +72,7 @@ def test_place_and_axes_are_found_together(motion: str, gyroscope: bool) -> None
         ("gyroscope", 1.05, [0.0, 0.0, 0.0], "imu_scale"),
     ],
 )
-def test_biases_and_scales_are_named(
-    channel: str, factor: float, bias: list[float], kind: str
-) -> None:
+def test_biases_and_scales_are_named(channel: str, factor: float, bias: list[float], kind: str):
     values = factor * np.array(getattr(log("stand").base.imu, channel)) + bias
     (finding,) = found(with_imu("stand", **{channel: values}))
     assert finding.kind == kind

@@ -228,8 +228,7 @@ def test_files_and_names_are_read(log: Recording, robot: sdpid.RobotModel, tmp_p
     np.savez(path, **arrays, joint_names=np.array(log.names))
     told = inspect_recording(path, "ur_description/ur5_robot").findings
     assert told == inspect_recording(wrong, robot).findings
-    with pytest.raises(DataError, match=r"log: is int 3; give a Recording, the path of a log"):
-        inspect_recording(3)  # type: ignore[arg-type]
+    refuses(DataError, r"log: is int 3; give a Recording, the path of a log", inspect_recording, 3)
     refuses(SdpidError, r"no_arm\.urdf", inspect_recording, log, tmp_path / "no_arm.urdf")
 
 

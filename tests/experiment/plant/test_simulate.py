@@ -199,7 +199,7 @@ def test_mass_matrix_of_the_bundled_robot(robot: RobotModel, theta: Array) -> No
         np.testing.assert_allclose(M, robot.mass_matrix(theta, q), atol=1e-10)
 
 
-def test_other_robots_run(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_other_robots_run(tmp_path) -> None:
     robot = load_robot(TREE)
     rows = "".join(
         f'[[axis]]\nname = "{name}"\nrange_deg = [-20, 20]\nvelocity_deg_s = 60\nlimit_hz = 0.5\n'
@@ -250,9 +250,7 @@ def test_seeds_decide(robot: RobotModel, theta: Array) -> None:
     assert np.abs(first.effort - other.effort).max() > 0.01
 
 
-def test_settled_periods_repeat(
-    robot: RobotModel, theta: Array, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_settled_periods_repeat(robot: RobotModel, theta: Array, monkeypatch: pytest.MonkeyPatch):
     """Repeating a settled period gives what computing every one gives."""
     trajectory = paper_excitation(NAME, 2, period=20.0, periods=4)
     repeated = simulate(robot, trajectory, theta=theta, noise=False)

@@ -88,10 +88,10 @@ def test_names_of_robot_descriptions(
     (tmp_path / "tree.urdf").write_text(TREE)
     catalog, plain, macro = (ModuleType(f"robot_descriptions{end}") for end in ("", ".a", ".b"))
     names = ("plain_description", "macro_description", "gone_description")
-    catalog.DESCRIPTIONS = dict.fromkeys(names)  # type: ignore[attr-defined]
+    catalog.DESCRIPTIONS = dict.fromkeys(names)
     catalog.__path__ = []
-    plain.URDF_PATH = str(tmp_path / "tree.urdf")  # type: ignore[attr-defined]
-    macro.XACRO_PATH = str(package / "arm.urdf.xacro")  # type: ignore[attr-defined]
+    plain.URDF_PATH = str(tmp_path / "tree.urdf")
+    macro.XACRO_PATH = str(package / "arm.urdf.xacro")
     monkeypatch.setitem(sys.modules, "robot_descriptions", catalog)
     monkeypatch.setitem(sys.modules, "robot_descriptions.plain_description", plain)
     monkeypatch.setitem(sys.modules, "robot_descriptions.macro_description", macro)

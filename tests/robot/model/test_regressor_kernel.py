@@ -89,7 +89,7 @@ def test_robots_of_example_robot_data(name: str, root: Any) -> None:
 def test_every_robot_of_example_robot_data(name: str) -> None:
     for root in (None, "free_flyer"):
         try:
-            robot = load_robot(name, root=root)  # type: ignore[arg-type]
+            robot = load_robot(name, root=root)
         except SdpidError:
             continue
         check(robot, 2)
@@ -169,7 +169,7 @@ def test_read_only_configurations_are_not_compiled_for_anew() -> None:
     for x in arrays:
         x.setflags(write=False)
     np.testing.assert_array_equal(robot.regressor(*arrays), whole)
-    assert len(kernels.compiled().signatures) == 1  # type: ignore[union-attr]
+    assert len(kernels.compiled().signatures) == 1
 
 
 def test_uncompiled_the_loop_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
