@@ -1,4 +1,4 @@
-"""The command ``sdpid verify``: proofs, checked from their files alone."""
+"""The command ``sdpid verify``: proofs, and what is made again from a log beside them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _shortened(verification: Verification, *, needs_log: bool) -> tuple[str, ...
     """Return the lines with all that was not checked told in one, before the verdict."""
     listed = tuple(f"not checked: {each}" for each in verification.unchecked)
     *lines, verdict = (line for line in verification.lines if line not in listed)
-    log = "; --data LOG checks that the rows are those of the robot and its log" * needs_log
+    log = "; --data LOG makes again what follows from the log" * needs_log
     told = f"not checked: {len(listed)} things beside these (-v lists them){log}"
     return (*lines, told, verdict)
 
@@ -40,8 +40,8 @@ def verify(
         list[Path] | None,
         typer.Option(
             metavar="LOG",
-            help="Log that the folder's result was made of: samples, rows and compression are "
-            "made of it again. Repeat for several, in the order of the run.",
+            help="Log that the folder's result was made of: the recipe is run again, and all that "
+            "is in the folder compared. Repeat for several, in the order of the run.",
         ),
     ] = None,
     robot: Annotated[
@@ -60,7 +60,8 @@ def verify(
 ) -> None:
     """Check a folder of results, or one proof, in exact arithmetic, from its own numbers.
 
-    Ends with status 1 when the proof does not hold.
+    With --data, make again what lies before and beside the proof, and compare it.
+    Ends with status 1 when something does not hold.
     """
     from sdpid.workflow.verify import verify as run
 
