@@ -63,6 +63,9 @@ def identify(
     figures: Annotated[
         bool, typer.Option(help="Write training.png and validation.png too; needs matplotlib.")
     ] = False,
+    offsets: Annotated[
+        bool, typer.Option(help="Write offsets into identified.xml, as constant actuators.")
+    ] = False,
     verbose: Annotated[
         bool,
         typer.Option("--verbose", "-v", help="Print notes, tables and the whole verdict too."),
@@ -111,6 +114,7 @@ def identify(
     saved = result.save(
         out,
         figures=figures,
+        offsets=offsets,
         report=notes.append,
         command=command_line(ctx),
         config=config_text(ctx, out),

@@ -269,6 +269,7 @@ class Identification(Judged, Shown):
         folder: str | os.PathLike[str],
         *,
         figures: bool = False,
+        offsets: bool = False,
         report: Callable[[str], None] | None = None,
         command: str | None = None,
         config: str | None = None,
@@ -286,6 +287,8 @@ class Identification(Judged, Shown):
             Created when it is not there.
         figures : bool, optional
             Write training.png and validation.png too (extra ``plot``).
+        offsets : bool, optional
+            Write offsets into identified.xml, as actuators with a constant force.
         report : callable, optional
             Called with a sentence for all that the files leave out of the estimate (see
             `ExportReport`), and for every file that is not written.
@@ -312,6 +315,7 @@ class Identification(Judged, Shown):
             self,
             folder,
             figures=figures,
+            offsets=offsets,
             report=report,
             command=command,
             config=config,

@@ -63,6 +63,7 @@ def save(
     folder: str | os.PathLike[str],
     *,
     figures: bool = False,
+    offsets: bool = False,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
@@ -76,7 +77,7 @@ def save(
     exports: list[ExportReport] = []
 
     def fill(stage: Path) -> dict[str, Any]:
-        writer = _Writer(result, stage, intervals, note, exports)
+        writer = _Writer(result, stage, intervals, note, exports, offsets)
         writer.write(figures=figures, command=command, config=config)
         recipe = None if result.recipe is None else result.recipe.to_dict()
         software = f"sdpid {__version__}"
@@ -101,6 +102,7 @@ class _Writer:
     intervals: Intervals | None
     note: Callable[[str], None]
     exports: list[ExportReport]
+    offsets: bool
 
     def write(self, *, figures: bool, command: str | None, config: str | None) -> None:
         """Write all files but the manifest."""
@@ -154,7 +156,7 @@ class _Writer:
             exports.append(write_urdf(estimate, target=self.folder / "identified.urdf"))
         mjcf, missing = self.folder / "identified.xml", None
         try:
-            exports.append(write_mjcf(estimate, target=mjcf))
+            exports.append(write_mjcf(estimate, target=mjcf, offsets=self.offsets))
         except MissingExtraError:
             missing = f"mujoco is not installed ({installation('sim')})"
         except Exception as reason:

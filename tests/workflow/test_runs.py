@@ -304,7 +304,7 @@ def test_runs_of_one_log_are_judged_by_what_they_held_out(runs: dict[str, Path])
 
 def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:
     made = sdpid.identify(sdpid.load_robot(ARM_URDF), recorded(1), effects="tilt", intervals=True)
-    made.save(tmp_path / "there")
+    made.save(tmp_path / "there", offsets=True)
     (tmp_path / "there").rename(tmp_path / "here")
     found = sdpid.load(tmp_path / "here")
     own, model = made.model(), found.model()
@@ -321,6 +321,11 @@ def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:
     assert {"Gx", "m_1"} <= set(found.to_frame("standard").index)
     assert found.plot() is not None
     assert "certified=True" in repr(found)
+    # Its tilted URDF has the robot's kinematics, and its MJCF is written again with offsets.
+    assert (tmp_path / "here" / "identified.xml").read_text().count("<general ") == 2
+    checked = sdpid.verify(tmp_path / "here", data=recorded(1))
+    assert checked.passed, checked.problems
+    assert any("identified.urdf, identified.xml: written again" in x for x in checked.made_again)
     # The file of MuJoCo has the same kinematics.
     (tmp_path / "here" / "identified.urdf").unlink()
     again = sdpid.load(tmp_path / "here").model()

@@ -136,7 +136,7 @@ class Files:
                 name, base_table(self.estimate, self.wls, self.intervals)
             ),
             URDF: lambda name: self._of_robot(name, write_urdf),
-            MJCF: lambda name: self._of_robot(name, write_mjcf),
+            MJCF: lambda name: self._of_robot(name, self._write_mjcf),
         }
         texts = {
             URDF: "written again from the description and the parameters, it is the same: numbers "
@@ -203,6 +203,11 @@ class Files:
             for key in _OF_INTERVALS if each is not None else ():
                 del each[key]
         return differences(found, made, within=self._within)
+
+    def _write_mjcf(self, estimate: Estimate, *, target: Path) -> ExportReport:
+        """Write an MJCF again, with offsets where that of the folder was asked to have them."""
+        asked = b"<actuator>" in read_bytes(self.sealed.folder / MJCF, _LARGEST)
+        return write_mjcf(estimate, target=target, offsets=asked)
 
     def _of_robot(self, name: str, write: Callable[..., ExportReport]) -> Iterator[str]:
         """Yield what of a robot's file, and of its entry in result.json, is other."""

@@ -35,7 +35,9 @@ OURS = "this estimate"
 
 # Options that say where files go or what is printed, not what is computed; the logs and the robot
 # are told apart by their hashes.
-_NOT_COMPUTED = frozenset({"out", "figures", "verbose", "json", "quiet", "log", "validation"})
+_NOT_COMPUTED = frozenset(
+    {"out", "figures", "offsets", "verbose", "json", "quiet", "log", "validation"}
+)
 
 
 @dataclass(frozen=True)
