@@ -173,8 +173,8 @@ def test_ur10(data_folder: Path, tmp_path: Path) -> None:
         written = sdpid.load_robot(tmp_path / export["file"], gravity=(0.0, 0.0, -9.81))
         fit = validate_robot(written, found.problem.samples)
         assert export["training"]["file"] == pytest.approx(fit.told.relative, rel=1e-6)
-        assert export["training"]["estimate"] == pytest.approx(found.training.relative)
-        assert any(f"efforts by {100.0 * fit.relative:.2f} %" in note for note in notes)
+        assert export["training"]["estimate"] == pytest.approx(found.training.told.relative)
+        assert any(f"efforts by {100.0 * fit.told.relative:.2f} %" in note for note in notes)
 
 
 def test_panda_with_other_joint_names(data_folder: Path, tmp_path: Path) -> None:
