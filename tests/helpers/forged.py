@@ -25,8 +25,8 @@ def edit_json(path: Path, change: Callable[[Any], object]) -> None:
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
-def reseal(folder: Path, *, without: str = "") -> None:
-    """Make every digest right, and list all files that are there but one."""
+def reseal(folder: Path, *, without: str = "") -> str:
+    """Make every digest right, list all files that are there but one; return the certificate's."""
     path, certificate = folder / "manifest.json", folder / "certificate.json"
     manifest, proof = (json.loads(file.read_text(encoding="utf-8")) for file in (path, certificate))
     edit_json(certificate, lambda data: data.update(sha256=digest_of(data)))
@@ -38,3 +38,5 @@ def reseal(folder: Path, *, without: str = "") -> None:
     }
     del manifest["sha256"]
     path.write_text(json.dumps(sealed(manifest)), encoding="utf-8")
+    digest_of_proof: str = manifest["certificate"]
+    return digest_of_proof

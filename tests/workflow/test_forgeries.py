@@ -270,6 +270,35 @@ TABLE_FORGERIES = {
 }
 
 
+def earlier(data: Any) -> None:
+    """Make a certificate one of version 5."""
+    data.update(version=5, compression={"relative": 1e-9, "absolute": 1e-9})
+    data["origin"]["contacts"] = None
+
+
+def test_a_folder_of_before_is_made_again_but_for_intervals(run: Path, results: Path) -> None:
+    """Its recipe does not say which numbers the data chose; one of this version has to."""
+    recipe(results, lambda given: given.pop("profiled"))
+    edit(
+        results / "parameters.csv", lambda text: re.sub(r"(m_2,kg,[^,]*,)[^,]*", r"\g<1>-9.0", text)
+    )
+    refused(run, results, "parameters.csv")
+    edit_json(results / "certificate.json", earlier)
+    digest = reseal(results)
+    for name in ("parameters.json", "result.json", *FRICTION):
+        path = results / name
+        path.write_text(
+            re.sub(r"(certificate\W+)[0-9a-f]{64}", rf"\g<1>{digest}", path.read_text())
+        )
+    reseal(results)
+    found = verified(run, results)
+    assert not [each for each in found.problems if "identified_friction" not in each], (
+        found.problems
+    )
+    said = "intervals: the recipe does not say which numbers of terms the data chose"
+    assert any(said in each for each in found.log.unchecked)
+
+
 @pytest.mark.parametrize("kind", TABLE_FORGERIES)
 def test_other_numbers(run: Path, results: Path, kind: str) -> None:
     name, change = TABLE_FORGERIES[kind]

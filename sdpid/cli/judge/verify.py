@@ -19,8 +19,13 @@ _FEW = 3  # things not checked that are listed without --verbose
 
 
 def _shortened(verification: Verification, *, needs_log: bool) -> tuple[str, ...]:
-    """Return the lines with all that was not checked told in one, before the verdict."""
-    listed = tuple(f"not checked: {each}" for each in verification.unchecked)
+    """Return the lines with all that was not checked told in one, before the verdict.
+
+    What was to be made again of the log and was not is listed all the same.
+    """
+    missing = () if verification.log is None else verification.log.unchecked
+    others = (each for each in verification.unchecked if each not in missing)
+    listed = tuple(f"not checked: {each}" for each in others)
     *lines, verdict = (line for line in verification.lines if line not in listed)
     log = "; --data LOG makes again what follows from the log" * needs_log
     told = f"not checked: {len(listed)} things beside these (-v lists them){log}"

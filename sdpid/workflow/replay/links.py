@@ -53,6 +53,11 @@ class Replay:
     roles: tuple[str, ...] = ("log",)
 
     @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What was not made again, for want of something, in words."""
+        return told(self.links, "not checked")
+
+    @property
     def complete(self) -> set[str]:
         """Names of the links that were made again, all that was said of them."""
         wrong = {each.name for each in self.links if each.state == "not made again"}
