@@ -494,7 +494,7 @@ def test_bad_terms_are_model_errors(terms: Any, says: str) -> None:
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
 def test_bad_widths_are_model_errors(field: str, value: float) -> None:
     for term in (Coulomb, AsymmetricCoulomb):
-        refuses(ModelError, f"{field} is {value}", of, term(**{field: value}))
+        refuses(ModelError, f"{field} is {value}", term, **{field: value})
 
 
 @pytest.mark.parametrize(
