@@ -222,9 +222,8 @@ def test_parquet_failures_are_data_errors(tmp_path: Path):
     refuses(DataError, "not a readable Parquet file", read_recording, file)
     pq.write_table(pa.table({"time": [0.0], "position_1": [0.0]}), file)
     refuses(DataError, "effort is missing", read_recording, file)
-    pq.write_table(
-        pa.table({"time": [0.0, 1.0], "position_1": [0, None], "effort_1": [0, 1]}), file
-    )
+    table = pa.table({"time": [0.0, 1.0], "position_1": [0, None], "effort_1": [0, 1]})
+    pq.write_table(table, file)
     refuses(DataError, "row 2: position: 'position_1' has no value", read_recording, file)
     pq.write_table(pa.table({"time": ["a"], "position_1": [0], "effort_1": [0]}), file)
     refuses(DataError, "time: holds object, expected numbers", read_recording, file)

@@ -83,11 +83,9 @@ def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
 
 
 def test_the_page_in_the_docs(data_folder: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "guides" / "processing.md").read_text(
-        encoding="utf-8"
-    )
+    page = Path(__file__).parents[2] / "docs" / "guides" / "processing.md"
     log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
-    assert "\n".join(choose_processing(log).reasons) in page
+    assert "\n".join(choose_processing(log).reasons) in page.read_text(encoding="utf-8")
 
 
 def test_the_choice_says_why() -> None:
@@ -103,9 +101,8 @@ def test_the_choice_says_why() -> None:
     slow = replace(log, time=10.0 * log.time)
     fast = choose_processing(sweep(rate=20.0)[0])
     assert fast.processing.cutoff_hz == pytest.approx(20.0 / 7.5)
-    assert fast.reasons[0].startswith(
-        "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 25 × motion"
-    )
+    bound = "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 25 × motion"
+    assert fast.reasons[0].startswith(bound)
     assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
     # They end up in the notes of the samples.
     assert sdpid.process(log, choice.processing).notes[:2] == choice.reasons
@@ -199,7 +196,8 @@ def test_what_cannot_be_chosen() -> None:
     log, _ = sweep()
     refuses(DataError, "cutoff_hz", choose_processing, log, cutoff_hz=-1.0)
     still = replace(log, position=np.ones_like(log.position))
-    refuses(DataError, "no joint moves", choose_processing, still)
+    for choose in (choose_processing, default_processing):
+        refuses(DataError, "no joint moves", choose, still)
 
 
 def test_the_overview_shows_the_choice() -> None:
@@ -566,16 +564,14 @@ def test_parts_are_those_of_the_whole() -> None:
         np.testing.assert_array_equal(joined.through_filter(steep, which, "steep"), whole[which])
     # The memory of the filter is cut off after 20 time constants, 2e-9 of a step.
     part = joined.between(400, one.n_samples + 500)
-    np.testing.assert_allclose(
-        part.through_filter(steep, slice(None)), whole[400 : one.n_samples + 500], atol=1e-8
-    )
+    friction = part.through_filter(steep, slice(None))
+    np.testing.assert_allclose(friction, whole[400 : one.n_samples + 500], atol=1e-8)
     assert part.starts == (0, one.n_samples - 400)
     thin = joined.every(3)
     assert thin.time is not None
     places = np.searchsorted(one.time, thin.pieces[1].time)
-    np.testing.assert_allclose(
-        thin.pieces[1].through_filter(steep, slice(None)), whole[places], atol=1e-8
-    )
+    friction = thin.pieces[1].through_filter(steep, slice(None))
+    np.testing.assert_allclose(friction, whole[places], atol=1e-8)
     refuses(DataError, "none from 9000", joined.between, 9000, 9100)
 
 
@@ -662,14 +658,8 @@ def test_refuses(given: dict[str, Any], said: str) -> None:
 def test_refuses_other_contacts_in_one_join() -> None:
     with pytest.raises(DataError, match="contacts: those of piece 2"):
         Samples.join([samples(), samples(offset=(0.0, 0.0, -0.02))])
-    with pytest.raises(DataError, match="contacts: are of 12 samples, expected 5"):
-        Samples(
-            position=np.zeros((5, 9)),
-            velocity=np.zeros((5, 8)),
-            acceleration=np.zeros((5, 8)),
-            effort=np.zeros((5, 8)),
-            contacts=contacts(),
-        )
+    words = "contacts: are of 12 samples, expected 5"
+    refuses(DataError, words, replace, samples(5), contacts=contacts())
 
 
 # Channels that were recorded late are taken at their time.
@@ -716,10 +706,10 @@ def test_channels_are_those_of_a_recording_without_delays() -> None:
     rows = slice(2, 995)
     np.testing.assert_array_equal(found.position, wanted.position[rows])
     np.testing.assert_allclose(found.effort, wanted.effort[rows], atol=1e-8)
-    for base, other in ((found.base, wanted.base),):
-        np.testing.assert_allclose(base.orientation, other.orientation[rows], atol=1e-8)
-        np.testing.assert_allclose(base.position, other.position[rows], atol=1e-8)
-        np.testing.assert_allclose(base.imu.gyroscope, other.imu.gyroscope[rows], atol=1e-8)
+    base, other = found.base, wanted.base
+    for name in ("orientation", "position"):
+        np.testing.assert_allclose(getattr(base, name), getattr(other, name)[rows], atol=1e-8)
+    np.testing.assert_allclose(base.imu.gyroscope, other.imu.gyroscope[rows], atol=1e-8)
     np.testing.assert_array_equal(found.contacts.down, wanted.contacts.down[rows])
 
 
@@ -740,9 +730,8 @@ def test_process_takes_efforts_on_time_and_says_so() -> None:
     shared = np.intersect1d(samples.time.round(6), right.time.round(6))
     rows = [np.isin(each.time.round(6), shared) for each in (samples, right)]
     inner = slice(50, -50)
-    np.testing.assert_allclose(
-        samples.effort[rows[0]][inner], right.effort[rows[1]][inner], atol=1e-5
-    )
+    found, wanted = samples.effort[rows[0]][inner], right.effort[rows[1]][inner]
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert "efforts recorded 5 ms too late: taken on time" in samples.notes
 
 
@@ -932,16 +921,10 @@ def test_angular_velocities_are_those_of_pinocchio() -> None:
     quaternions = unit(np.array([pin.Quaternion(R).coeffs() for R in turns]))
     expected = [R.T @ axis for R in turns]
     weights = np.array([1 / 12, -2 / 3, 0.0, 2 / 3, -1 / 12])
-    np.testing.assert_allclose(
-        body_rate(quaternions, weights, step)[2:-2], expected[2:-2], rtol=1e-9
-    )
-    np.testing.assert_allclose(
-        body_rate(quaternions * [[-1.0] if k % 2 else [1.0] for k in range(9)], weights, step)[
-            2:-2
-        ],
-        expected[2:-2],
-        rtol=1e-9,
-    )
+    # A quaternion and its negative are one rotation.
+    for signs in (np.ones(9), (-1.0) ** np.arange(9)):
+        found = body_rate(signs[:, None] * quaternions, weights, step)
+        np.testing.assert_allclose(found[2:-2], expected[2:-2], rtol=1e-9)
 
 
 @pytest.mark.parametrize("frame", ["twist", "own_twist"])

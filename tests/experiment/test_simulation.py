@@ -1,6 +1,6 @@
 """Simulated motion: arms, closed loops, controllers and sensitivities."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -28,15 +28,42 @@ from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
 from sdpid.experiment.simulation.tip import tip_positions
 from sdpid.friction import Coulomb
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.geometry import link_placements
-from tests.experiment.simulation.models import model_of, slider
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.data import random_links, random_theta
 from tests.helpers.random_trees import random_tree
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm, small_arm
+
+SLIDER = """<robot name="slider"><link name="base"/>
+<link name="mass"><inertial><mass value="2"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="mass"/><axis xyz="1 0 0"/>
+<limit lower="-9" upper="9" effort="100" velocity="9"/></joint></robot>"""
+
+
+def model_of(
+    robot: sdpid.RobotModel,
+    terms: Sequence[str | FrictionTerm] = (),
+    values: ArrayLike = (),
+    bodies: Array | None = None,
+) -> RobotDynamics:
+    """Return a robot with these bodies, by default its own, and friction parameters."""
+    friction = FrictionModel.from_terms(terms, robot.joint_names)
+    own = robot.prior if bodies is None else bodies
+    return RobotDynamics(
+        robot=robot,
+        terms=friction,
+        theta=np.concatenate([np.ravel(own), np.asarray(values, dtype=np.float64)]),
+    )
+
+
+def slider(friction: Sequence[str | FrictionTerm], values: ArrayLike) -> RobotDynamics:
+    """Return a mass of 2 kg on a horizontal rail."""
+    return model_of(sdpid.load_robot(SLIDER), friction, values)
 
 
 def rubbing(seed: int) -> RobotDynamics:
@@ -201,9 +228,8 @@ def test_a_motor_of_two_joints_sticks_as_one() -> None:
 def test_energy_stays_without_friction() -> None:
     robot = planar_arm()
     model = model_of(robot, (), (), random_links(np.random.default_rng(4), 2))
-    q, v, _ = SimulatedArm.of(model).run(
-        np.ones((1, 2)), np.zeros((1, 2)), np.zeros((1, 5000, 2)), 1e-3
-    )
+    start, effort = np.ones((1, 2)), np.zeros((1, 5000, 2))
+    q, v, _ = SimulatedArm.of(model).run(start, 0.0 * start, effort, 1e-3)
     q, v = q[0, ::50], v[0, ::50]
     power = np.einsum("ki,ki->k", model.gravity(q), v)
     kinetic = 0.5 * np.einsum("ki,kij,kj->k", v, model.mass_matrix(q), v)
@@ -387,10 +413,8 @@ def test_held_efforts_become_continuous_ones_and_noise_is_seeded() -> None:
 def test_samples_between_steps_lie_on_the_motion() -> None:
     told, law = reference(TIMES), PD(KP, KD)
     fine = simulate_closed_loop(model(), told, law, rate_hz=RATE, control_hz=5000.0)
-    log = sdpid.Recording(
-        time=TIMES[::7] * 1.0, position=told[0][::7], effort=np.zeros_like(told[0][::7])
-    )
-    log = replace(log, reference=told[0][::7])
+    time, part = TIMES[::7] * 1.0, told[0][::7]
+    log = sdpid.Recording(time=time, position=part, effort=0.0 * part, reference=part)
     coarse = simulate_closed_loop(model(), log, law, control_hz=4321.0)
     np.testing.assert_array_equal(coarse.time, log.time)
     np.testing.assert_allclose(coarse.position, fine.position[::7], atol=2e-3)
@@ -522,9 +546,7 @@ def arm_model() -> RobotDynamics:
         spread = 0.04 * mass * np.eye(3) + mass * (c @ c * np.eye(3) - np.outer(c, c))
         xx, xy, xz, yy, yz, zz = spread[np.triu_indices(3)]
         links += [mass, *(mass * c), xx, xy, yy, xz, yz, zz]
-    theta = np.array([*links, 4.0, 2.0, 3.0, 1.5])
-    terms = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
-    return RobotDynamics(robot=robot, terms=terms, theta=theta)
+    return model_of(robot, ("coulomb", "viscous"), [4.0, 2.0, 3.0, 1.5], np.array(links))
 
 
 def logged(
@@ -658,8 +680,7 @@ EFFORT = np.array([1.3, -0.7])
 def test_stretches_agree_with_scipy() -> None:
     robot = small_arm(2)
     theta = random_theta(robot, np.random.default_rng(3), TERMS)
-    terms = FrictionModel.from_terms(TERMS, robot.joint_names)
-    model = RobotDynamics(robot=robot, terms=terms, theta=theta)
+    model = model_of(robot, TERMS, theta[20:], theta[:20])
 
     def effort(t: np.ndarray | float) -> np.ndarray:
         return EFFORT * np.sin(2.0 * np.asarray(t)[..., None] + [0.0, 1.0])
@@ -757,10 +778,9 @@ def simulated(model: RobotDynamics, law: Any) -> Any:
 )
 def test_they_are_the_differences_of_simulated_motions(terms: Any, law: Any, limit: float) -> None:
     robot = sdpid.load_robot(ARM_URDF)
-    friction = FrictionModel.from_terms(terms, robot.joint_names)
-    theta = np.append(robot.prior.ravel(), np.full(len(friction.parameters), 0.4))
-    base = structural_base(robot, friction)
-    model = RobotDynamics(robot=robot, terms=friction, theta=theta)
+    count = len(FrictionModel.from_terms(terms, robot.joint_names).parameters)
+    model = model_of(robot, terms, np.full(count, 0.4))
+    base, theta = structural_base(robot, model.terms), model.theta
     moved = simulated(model, law)
     stiffness, damping = law.slopes(TOLD[:1], TOLD[:1], TOLD[:1], TOLD[:1], None, 0.0 * TOLD[:1])
     ki = law.gains.integral
@@ -778,8 +798,7 @@ def test_they_are_the_differences_of_simulated_motions(terms: Any, law: Any, lim
         step = np.zeros_like(theta)
         step[place] = 1e-4
         ahead, behind = (
-            simulated(RobotDynamics(robot=robot, terms=friction, theta=theta + s * step), law)
-            for s in (1.0, -1.0)
+            simulated(replace(model, theta=theta + s * step), law) for s in (1.0, -1.0)
         )
         difference = (ahead.position - behind.position) / 2e-4
         off = np.linalg.norm(found[:, :, k] - difference) / np.linalg.norm(difference)

@@ -31,7 +31,7 @@ from sdpid.experiment.recording import stored
 from sdpid.experiment.recording import timestamps as stamps
 from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
 from sdpid.experiment.recording.joints import match_joints
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.timestamps import Stamps
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
@@ -252,9 +252,7 @@ def test_it_can_be_written_matched_and_sent(tmp_path: Path):
     assert matched.stored
     assert matched.joint_names == ARM.joint_names
     for name in ("position", "velocity", "effort"):
-        np.testing.assert_array_equal(
-            np.asarray(getattr(matched, name)), getattr(log, name)[:, ::-1]
-        )
+        np.testing.assert_array_equal(getattr(matched, name), getattr(log, name)[:, ::-1])
     assert repr(matched) == repr(log)
 
 
@@ -275,9 +273,8 @@ def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
         for row in range(1, time.size):
             wrong = time.copy()
             wrong[row:] -= steps[row - 1]
-            refuses(
-                DataError, rf"time repeats at row {row + 1}: .*\(1 such rows\)", Stamps.of, wrong
-            )
+            words = rf"time repeats at row {row + 1}: .*\(1 such rows\)"
+            refuses(DataError, words, Stamps.of, wrong)
 
 
 @pytest.mark.parametrize("count", [2, 3, 12])
@@ -396,16 +393,11 @@ def record(seconds: float = 20.0, seed: int = 0, joints: int = 2) -> sdpid.Recor
     )
 
 
-def rows(log: sdpid.Recording, keep: np.ndarray | slice) -> sdpid.Recording:
-    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort", "velocity")}
-    return replace(log, **fields)
-
-
 def without(log: sdpid.Recording, *cuts: tuple[int, int]) -> sdpid.Recording:
     keep = np.ones(log.n_samples, dtype=bool)
     for first, stop in cuts:
         keep[first:stop] = False
-    return rows(log, keep)
+    return rows_of(log, keep)
 
 
 cuts = st.lists(st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=1, max_size=4).map(
@@ -425,7 +417,7 @@ def test_gaps_part_a_record_into_records(cuts: list[tuple[int, int]], seed: int,
         if stop - first < 2:
             continue
         try:
-            apart.append(sdpid.process(rows(log, slice(first, stop)), setting))
+            apart.append(sdpid.process(rows_of(log, slice(first, stop)), setting))
         except DataError as cause:
             assert "cut off at either end" in str(cause)  # noqa: PT017 (not every piece is short)
     together = sdpid.process(log, setting)
@@ -464,10 +456,8 @@ def test_the_notes_say_what_was_lost() -> None:
         "1.53 s of 19.99 s were not measured, 1 of the samples alone between gaps left out"
     ]
     samples = sdpid.process(log, SETTING)
-    assert samples.notes[0] == notes[0]
-    assert samples.notes[1] == (
-        "1 of 3 pieces dropped, too short to be filtered: 3 samples, 0.02 s"
-    )
+    dropped = "1 of 3 pieces dropped, too short to be filtered: 3 samples, 0.02 s"
+    assert samples.notes[:2] == (notes[0], dropped)
     assert len(samples.starts) == 2
     assert any("2 pieces joined" in note for note in samples.notes)
 
@@ -476,7 +466,7 @@ def test_nothing_between_gaps() -> None:
     log = record()
     keep = np.arange(log.n_samples) % 30 < 4
     with pytest.raises(DataError, match=r"split the record into 67 pieces, each too short; .* 4 s"):
-        sdpid.process(rows(log, keep), SETTING)
+        sdpid.process(rows_of(log, keep), SETTING)
 
 
 def test_few_lost_samples_are_bridged() -> None:
@@ -543,9 +533,7 @@ def test_a_hiccup_of_5_ms_at_1_khz_is_bridged() -> None:
     time = np.arange(8000) / 1000.0
     position = np.sin(np.pi * time)[:, None]
     log = sdpid.Recording(time=time, position=position, effort=position, period=2.0)
-    keep = np.r_[0:3000, 3005:8000]
-    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
-    lost = replace(log, **fields)
+    lost = rows_of(log, np.r_[0:3000, 3005:8000])
     setting = replace(SETTING, covariance=None)
     samples, expected = sdpid.process(lost, setting), sdpid.process(log, setting)
     np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-3)
@@ -579,9 +567,8 @@ def test_wrapped_angles_are_continued(seed: int, speed: float, low: float, noise
     angle = angle + noise * rng.standard_normal(600)
     wrapped = (angle - low) % (2.0 * np.pi) + low
     still = 0.1 * np.sin(time)
-    log = sdpid.Recording(
-        time=time, position=np.column_stack([wrapped, still]), effort=np.zeros((600, 2))
-    )
+    both = np.column_stack([wrapped, still])
+    log = sdpid.Recording(time=time, position=both, effort=np.zeros((600, 2)))
     found, jumps = unwrapped(log)
     assert jumps[1] == 0
     assert jumps[0] == np.count_nonzero(np.abs(np.diff(wrapped)) > np.pi)
@@ -603,9 +590,8 @@ def test_wrapped_angles_are_processed_as_the_others() -> None:
     )
     jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi)
     assert jumps > 3
-    assert samples.notes[0] == (
-        f"angles that wrap continued by whole turns; jumps of joint 2 {jumps}"
-    )
+    continued = f"angles that wrap continued by whole turns; jumps of joint 2 {jumps}"
+    assert samples.notes[0] == continued
     for name in FIELDS[1:]:
         np.testing.assert_allclose(getattr(samples, name), getattr(expected, name), atol=1e-9)
     # It begins where it was recorded, which may be a turn away.
@@ -634,7 +620,7 @@ def test_the_longest_piece_chooses() -> None:
     position[1200:] += 1.5
     gapped = without(replace(log, position=position), (1200, 1260))
     chosen = default_processing(gapped)
-    assert replace(chosen, reasons=()) == default_processing(rows(log, slice(0, 1200)))
+    assert replace(chosen, reasons=()) == default_processing(rows_of(log, slice(0, 1200)))
 
 
 def test_a_stored_record_is_split_and_continued_as_well(tmp_path: Path) -> None:

@@ -31,6 +31,19 @@ KINDS = ["spline", "fourier", "positions", "velocities", "accelerations"]
 HIGHEST = 4
 
 
+def series_of(
+    rng: np.random.Generator, period: float, count: int, *, highest: int, scale: float = 1.0
+) -> FourierSeries:
+    """Return a random series of two joints with some harmonics each."""
+    return FourierSeries(
+        period=period,
+        center=scale * rng.normal(size=2),
+        harmonics=rng.integers(1, highest + 1, size=(2, count)),
+        amplitudes=scale * rng.normal(size=(2, count)),
+        phases=rng.uniform(-7.0, 7.0, size=(2, count)),
+    )
+
+
 def curve_of(kind: str, seed: int, scale: float = 1.0, slower: float = 1.0) -> Curve:
     """Return a random curve; the same one with amplitudes scaled and time stretched."""
     rng = np.random.default_rng(seed)
@@ -40,14 +53,7 @@ def curve_of(kind: str, seed: int, scale: float = 1.0, slower: float = 1.0) -> C
         points = rng.normal(size=(degree + rng.integers(1, 20), 2))
         return Spline(duration=duration, control_points=scale * points, degree=degree)
     if kind == "fourier":
-        shape = (2, int(rng.integers(1, 7)))
-        return FourierSeries(
-            period=duration,
-            center=scale * rng.normal(size=2),
-            harmonics=rng.integers(1, 15, size=shape),
-            amplitudes=scale * rng.normal(size=shape),
-            phases=rng.uniform(-7.0, 7.0, size=shape),
-        )
+        return series_of(rng, duration, int(rng.integers(1, 7)), highest=14, scale=scale)
     samples = int(rng.integers(4, 30))
     steps = rng.uniform(0.2, 1.0, samples - 1)
     time = np.concatenate([[0.0], np.cumsum(steps)]) * duration / steps.sum()
@@ -351,14 +357,7 @@ def test_missing_folder(tmp_path) -> None:
     period=st.floats(0.5, 50.0),
 )
 def test_fft_equals_the_sum(seed: int, samples: int, derivative: int, period: float) -> None:
-    rng = np.random.default_rng(seed)
-    series = FourierSeries(
-        period=period,
-        center=rng.normal(size=2),
-        harmonics=rng.integers(1, 30, size=(2, 5)),
-        amplitudes=rng.normal(size=(2, 5)),
-        phases=rng.uniform(0, 7, size=(2, 5)),
-    )
+    series = series_of(np.random.default_rng(seed), period, 5, highest=29)
     time = np.arange(samples) * period / samples
     direct = series.evaluate(time, derivative=derivative)
     scale = (2 * np.pi * 30 / period) ** derivative
@@ -652,13 +651,7 @@ def resting(seed: int, n: int = 2, *, closed: bool = True) -> Spline:
 def moving(seed: int) -> list[Curve]:
     """Curves whose ends are not at rest: an open one and a closed one."""
     rng = np.random.default_rng(seed)
-    series = FourierSeries(
-        period=4.0,
-        center=rng.normal(size=2),
-        harmonics=[[1, 3], [2, 5]],
-        amplitudes=rng.normal(size=(2, 2)),
-        phases=rng.uniform(0.0, 7.0, size=(2, 2)),
-    )
+    series = series_of(rng, 4.0, 2, highest=5)
     return [Spline(duration=4.0, control_points=rng.normal(size=(9, 2))), series]
 
 

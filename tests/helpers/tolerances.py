@@ -1,4 +1,8 @@
-"""Tolerances of the tests, each with its reason."""
+"""Tolerances of the tests, each with its reason, and the comparison that takes them."""
+
+import numpy as np
+
+from sdpid._common.arrays import Array
 
 # Forward kinematics: a product of at most eight transforms with entries of order one loses a
 # few dozen roundings of 2e-16.
@@ -33,3 +37,9 @@ LOCAL_PARAMETERS = 1e-3
 # A local solver may come out below the global optimum by what its constraints were violated
 # by (1e-7 scaled), relative to the cost.
 LOCAL_COST = 1e-5
+
+
+def assert_same(actual: Array, expected: Array, tolerance: float = DYNAMICS) -> None:
+    """Assert that arrays differ by no more than a share of the largest entry, or of one."""
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)

@@ -101,9 +101,8 @@ def test_a_tilt_is_how_efforts_change_with_gravity(seed: int, gravity: tuple[flo
     for k, axis in enumerate(horizontal_axes(robot.gravity)):
         turned = robot.gravity + np.cross(axis, robot.gravity)
         other = sdpid.RobotModel.from_pinocchio(ARM.pin_model, gravity=turned.tolist())
-        np.testing.assert_allclose(
-            columns[:, :, k], efforts(other, motion, bodies) - upright, atol=1e-10
-        )
+        change = efforts(other, motion, bodies) - upright
+        np.testing.assert_allclose(columns[:, :, k], change, atol=1e-10)
 
 
 @given(st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))))
@@ -421,9 +420,8 @@ def test_asymmetric_coulomb_is_coulomb_when_both_sides_agree(
     sides = of("asymmetric_coulomb")
     assert [p.name for p in sides.parameters] == ["Fsp1", "Fsp2", "Fsp3", "Fsn1", "Fsn2", "Fsn3"]
     columns = sides.columns(v, a)
-    np.testing.assert_array_equal(
-        columns[:, :, :3] + columns[:, :, 3:], of("coulomb").columns(v, a)
-    )
+    both = columns[:, :, :3] + columns[:, :, 3:]
+    np.testing.assert_array_equal(both, of("coulomb").columns(v, a))
     # Friction opposes motion on either side: its power is never negative.
     power = np.einsum("ki,kij->kj", v, columns)
     assert power.min() >= 0.0
@@ -567,9 +565,8 @@ def test_a_sigmoid_is_looked_for_below_the_usual_speeds() -> None:
 def test_values_go_field_by_field_over_the_joints() -> None:
     closed = Stribeck(width=None).with_values([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     assert closed == Stribeck(velocity=(1.0, 2.0, 3.0), width=(0.1, 0.2, 0.3))
-    np.testing.assert_array_equal(
-        closed.characteristic_speeds(3), [[1.0, 2.0, 3.0], [0.1, 0.2, 0.3]]
-    )
+    speeds = closed.characteristic_speeds(3)
+    np.testing.assert_array_equal(speeds, [[1.0, 2.0, 3.0], [0.1, 0.2, 0.3]])
 
 
 @given(states(3))
@@ -588,8 +585,6 @@ def test_terms_are_described_in_plain_values() -> None:
 
 
 def test_terms_are_a_namespace_of_the_package() -> None:
-    import sdpid
-
     assert sdpid.friction.Coulomb is Coulomb
     assert not hasattr(sdpid, "Coulomb")
     assert set(vars(sdpid.friction)) >= set(sdpid.friction.__all__)

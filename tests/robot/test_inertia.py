@@ -1,14 +1,19 @@
-"""Algebra of single bodies."""
+"""Algebra of single bodies, and the one way to make bodies consistent."""
+
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sdpid._common.arrays import Array
+from sdpid.robot.consistent import raise_eigenvalues, raise_second_moments
 from sdpid.robot.inertia import (
     Consistency,
+    central_moments,
     from_pseudo_inertia,
     inertia_tensor,
     margin,
@@ -24,16 +29,15 @@ from sdpid.robot.inertia import (
     theta_from_physical,
     transform,
 )
+from sdpid.verifier.bodies import has_margin
 from tests.helpers.strategies import LEAST_MARGIN, bodies, links, reals, rotations
-from tests.helpers.tolerances import ALGEBRA
+from tests.helpers.tolerances import ALGEBRA, assert_same
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 any_vector = hnp.arrays(float, 10, elements=reals(-5.0, 5.0))
 
 
-def assert_close(actual: Array, expected: Array, tolerance: float = ALGEBRA) -> None:
-    scale = max(1.0, float(np.abs(expected).max()))
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
+assert_close = partial(assert_same, tolerance=ALGEBRA)
 
 
 @given(any_vector)
@@ -85,10 +89,12 @@ def test_tensor_entries_are_pinocchios(theta: Array) -> None:
     inertia = pin.Inertia.FromDynamicParameters(theta)
     mass, com, about = physical_parameters(theta)
     assert_close(mass, np.float64(inertia.mass))
-    assert_close(com, inertia.lever, 1e-11)
+    assert_close(com, inertia.lever, tolerance=1e-11)
     # The shift to the center of mass can be much larger than what is left.
-    assert_close(about, inertia.inertia, 1e-10)
-    assert_close(theta_from_physical(mass, com, about), inertia.toDynamicParameters(), 1e-10)
+    assert_close(about, inertia.inertia, tolerance=1e-10)
+    assert_close(
+        theta_from_physical(mass, com, about), inertia.toDynamicParameters(), tolerance=1e-10
+    )
 
 
 @given(hnp.arrays(float, (2, 3), elements=reals(-5.0, 5.0)))
@@ -107,7 +113,7 @@ def test_transform_is_pinocchios_se3_action(body: Array, R: Array, t: Array) -> 
 def test_margins_do_not_depend_on_the_frame(body: Array, R: Array, t: Array) -> None:
     for consistency in BOTH:
         before, after = margin(body, consistency), margin(transform(body, R, t), consistency)
-        assert_close(after, before, 1e-11)
+        assert_close(after, before, tolerance=1e-11)
 
 
 @given(bodies())
@@ -136,9 +142,7 @@ def test_margin_is_the_schur_complement(body: Array, shift: float) -> None:
         if abs(shift) > 1e-9:
             assert (smallest > 0.0) == (shift < 0.0)
         # And exactly at the margin the determinant vanishes.
-        at = matrix_of(body, consistency) - float(margin(body, consistency)) * margin_shift(
-            consistency
-        )
+        at = matrix + shift * margin_shift(consistency)
         assert abs(np.linalg.eigvalsh(at).min()) < 1e-11 * max(1.0, np.abs(at).max())
 
 
@@ -158,3 +162,85 @@ def test_no_margin_without_mass(mass: float, consistency: Consistency) -> None:
     assert np.isnan(margin(np.array([mass, *[0.0] * 3, 1, 0, 1, 0, 0, 1]), consistency))
     mixed = np.array([[mass, *[0.0] * 3, 1, 0, 1, 0, 0, 1], [1.0, *[0.0] * 3, 1, 0, 1, 0, 0, 1]])
     np.testing.assert_array_equal(np.isfinite(margin(mixed, consistency)), [False, True])
+
+
+# The one way to make bodies consistent: what it promises, on bodies that cannot exist.
+
+
+KINDS = st.sampled_from(["pseudo_inertia", "spatial_inertia"])
+LEAST = st.sampled_from([0.0, 1e-9, 1e-3, 0.5])
+
+
+@st.composite
+def broken(draw: st.DrawFn) -> Array:
+    """A body (10,) with a positive mass and any inertia at all."""
+    body = draw(bodies())
+    body[4:] += draw(hnp.arrays(float, 6, elements=reals(-1.0, 1.0)))
+    return body
+
+
+@given(broken(), KINDS, LEAST)
+def test_the_margin_is_reached_and_mass_and_center_stay(
+    body: Array, kind: Consistency, least: float
+) -> None:
+    found = raise_second_moments(body, least, consistency=kind)
+    assert margin(found, kind) >= least
+    np.testing.assert_array_equal(found[:4], body[:4])
+
+
+@given(bodies(), KINDS)
+def test_consistent_bodies_are_returned_to_the_bit(body: Array, kind: Consistency) -> None:
+    found = raise_second_moments(body, 0.5 * LEAST_MARGIN, consistency=kind)
+    np.testing.assert_array_equal(found, body)
+
+
+@given(broken(), broken(), KINDS, LEAST)
+def test_no_other_consistent_body_is_nearer(
+    body: Array, other: Array, kind: Consistency, least: float
+) -> None:
+    # Any feasible moments about the same center, made from another body.
+    given_moments = central_moments(body, kind)[2]
+    nearest = central_moments(raise_second_moments(body, least, consistency=kind), kind)[2]
+    rival = raise_eigenvalues(central_moments(other, kind)[2], least)
+    distance = np.linalg.norm(nearest - given_moments)
+    # Rounding of moments of order one.
+    assert distance <= np.linalg.norm(rival - given_moments) + 1e-13
+
+
+@given(broken(), KINDS)
+def test_an_exact_test_makes_the_result_exact(body: Array, kind: Consistency) -> None:
+    least = 1e-3
+
+    def holds(trial: Array) -> bool:
+        return bool(has_margin(trial.tolist(), least, kind))
+
+    assert holds(raise_second_moments(body, least, consistency=kind, holds=holds))
+
+
+@given(broken())
+def test_moments_can_be_limited_above(body: Array) -> None:
+    found = raise_second_moments(body, 1e-3, most=1e-2)
+    values = np.linalg.eigvalsh(central_moments(found, "pseudo_inertia")[2])
+    # Rounding of the shift between the frame and the center of mass, both of order one.
+    assert values.min() >= 1e-3
+    assert values.max() <= 1e-2 + 1e-14
+
+
+def test_every_link_has_its_own_limit_and_massless_ones_stay() -> None:
+    three = np.zeros((3, 10))
+    three[:2, 0] = 2.0
+    three[2, 4:] = -1.0
+    found = raise_second_moments(three, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(margin(found[:2], "pseudo_inertia"), [0.1, 0.2], rtol=1e-15)
+    np.testing.assert_array_equal(found[2], three[2])
+
+
+def test_a_center_of_mass_far_away_costs_no_margin() -> None:
+    far = np.array([3.0, 3e4, -2e4, 1e4, 0, 0, 0, 0, 0, 0.0])
+    assert margin(raise_second_moments(far, 1e-6), "pseudo_inertia") >= 1e-6
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-6])
+def test_a_diagonal_matrix_stays_one(least: float) -> None:
+    found = raise_eigenvalues(np.diag([-1.0, 0.3, 1e-9]), least)
+    np.testing.assert_array_equal(found, np.diag([least, 0.3, max(least, 1e-9)]))

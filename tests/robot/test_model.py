@@ -46,7 +46,7 @@ from tests.helpers.robots import (
 )
 from tests.helpers.small_robots import SMALL
 from tests.helpers.strategies import SEEDS, dh_tables, random_states
-from tests.helpers.tolerances import DYNAMICS, KINEMATICS, REGROUPING
+from tests.helpers.tolerances import KINEMATICS, REGROUPING, assert_same
 
 
 @pytest.fixture(scope="module")
@@ -59,37 +59,22 @@ def mimicking() -> RobotModel:
     return load_robot(TREE_MIMIC)
 
 
-def assert_same(actual: Array, expected: Array, tolerance: float = DYNAMICS) -> None:
-    scale = max(1.0, float(np.abs(expected).max()))
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
-
-
-def pin_states(
-    robot: RobotModel, states: tuple[Array, Array, Array]
-) -> list[tuple[Array, Array, Array]]:
-    """Return (q, v, a) for Pinocchio, configurations made by its own integrate."""
-    model, (positions, v, a) = robot.pin_model, states
-    return [
-        (pin.integrate(model, pin.neutral(model), q), dq, ddq)
-        for q, dq, ddq in zip(positions, v, a, strict=True)
-    ]
-
-
 def check_against_pinocchio(robot: RobotModel, rng: np.random.Generator, count: int = 4) -> None:
     theta = random_links(rng, robot.n_links)
-    states = random_states(rng, robot.n, count)
-    Y = robot.regressor(*states)
-    assert Y.shape == (count, robot.n, 10 * robot.n_links)
-    efforts = robot.inverse_dynamics(theta, *states)
-    masses = robot.mass_matrix(theta, states[0])
+    q, v, a = random_states(rng, robot.n, count)
     model = robot.with_inertias(theta)
+    # Configurations made by Pinocchio's own integrate; of a floating base the robot takes them too.
+    configurations = np.array([pin.integrate(model, pin.neutral(model), each) for each in q])
+    q = configurations if robot.free_flyer else q
+    Y = robot.regressor(q, v, a)
+    assert Y.shape == (count, robot.n, 10 * robot.n_links)
+    efforts, masses = robot.inverse_dynamics(theta, q, v, a), robot.mass_matrix(theta, q)
     data = model.createData()
-    for k, (q, v, a) in enumerate(pin_states(robot, states)):
+    for k, state in enumerate(zip(configurations, v, a, strict=True)):
         # With a single joint the binding returns one axis less.
-        expected = pin.computeJointTorqueRegressor(model, data, q, v, a).reshape(Y[k].shape)
-        assert_same(Y[k], expected)
-        assert_same(efforts[k], pin.rnea(model, data, q, v, a))
-        upper = np.triu(pin.crba(model, data, q))
+        assert_same(Y[k], pin.computeJointTorqueRegressor(model, data, *state).reshape(Y[k].shape))
+        assert_same(efforts[k], pin.rnea(model, data, *state))
+        upper = np.triu(pin.crba(model, data, configurations[k]))
         assert_same(masses[k], upper + np.triu(upper, 1).T)
 
 
@@ -114,23 +99,12 @@ def test_robots_of_example_robot_data(name: str) -> None:
 @pytest.mark.parametrize("source", [TREE, "solo12", "talos_reduced"])
 def test_a_floating_base(source: str) -> None:
     robot = load_robot(source, root="free_flyer")
-    rng = np.random.default_rng(2)
     model = robot.pin_model
     assert (robot.n, robot.n_base, robot.n_links) == (model.nv, 6, model.njoints - 1)
     assert robot.joint_names[:6] == tuple(
         f"root_joint/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz")
     )
-    theta = random_links(rng, robot.n_links)
-    tangent, v, a = random_states(rng, robot.n, 4)
-    q = np.stack([pin.integrate(model, pin.neutral(model), x) for x in tangent])
-    Y, efforts = robot.regressor(q, v, a), robot.inverse_dynamics(theta, q, v, a)
-    full = robot.with_inertias(theta)
-    data = full.createData()
-    for k in range(4):
-        assert_same(Y[k], pin.computeJointTorqueRegressor(full, data, q[k], v[k], a[k]))
-        assert_same(efforts[k], pin.rnea(full, data, q[k], v[k], a[k]))
-        upper = np.triu(pin.crba(full, data, q[k]))
-        assert_same(robot.mass_matrix(theta, q)[k], upper + np.triu(upper, 1).T)
+    check_against_pinocchio(robot, np.random.default_rng(2))
 
 
 @given(SEEDS)
@@ -145,9 +119,8 @@ def test_mimic_joints_are_the_whole_robots_projection(
     E = np.zeros((tree.n, mimicking.n))
     for row, name in enumerate(tree.joint_names):
         source = name if name in mimicking.joint_names else MIMIC["source"]
-        E[row, mimicking.joint_names.index(str(source))] = (
-            1.0 if source == name else MIMIC["multiplier"]
-        )
+        share = 1.0 if source == name else MIMIC["multiplier"]
+        E[row, mimicking.joint_names.index(str(source))] = share
     np.testing.assert_allclose(mimicking.expansion, E)
     offset = np.array([MIMIC["offset"] if n == MIMIC["joint"] else 0.0 for n in tree.joint_names])
     whole = tree.inverse_dynamics(theta, q @ E.T + offset, v @ E.T, a @ E.T)
@@ -220,13 +193,10 @@ def test_the_description_is_the_prior(tree: RobotModel) -> None:
 
 
 def test_limits_of_a_tree(tree: RobotModel) -> None:
-    limits = dict(zip(tree.joint_names, tree.position_limits.tolist(), strict=True))
-    assert limits["right"] == [-2.0, 1.5]
-    assert limits["left"] == [-np.inf, np.inf]
-    speeds = dict(zip(tree.joint_names, tree.velocity_limits, strict=True))
-    assert speeds["lift"] == 2.0
-    efforts = dict(zip(tree.joint_names, tree.effort_limits, strict=True))
-    assert efforts["slide"] == 50.0
+    lift, left, slide, right = map(tree.joint_names.index, ("lift", "left", "slide", "right"))
+    assert tree.position_limits[[right, left]].tolist() == [[-2.0, 1.5], [-np.inf, np.inf]]
+    assert tree.velocity_limits[lift] == 2.0
+    assert tree.effort_limits[slide] == 50.0
 
 
 def test_limits_of_zero_are_none() -> None:
@@ -693,11 +663,9 @@ def test_placements() -> None:
         [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]],
         atol=KINEMATICS,
     )
-    floating = sdpid.load_robot(TREE, root="free_flyer")
-    fixed = sdpid.load_robot(TREE)
-    np.testing.assert_allclose(
-        link_placements(floating)[1:], link_placements(fixed), atol=KINEMATICS
-    )
+    floating = link_placements(sdpid.load_robot(TREE, root="free_flyer"))
+    fixed = link_placements(sdpid.load_robot(TREE))
+    np.testing.assert_allclose(floating[1:], fixed, atol=KINEMATICS)
     refuses(DataError, "position", link_placements, robot, [0.1, 0.2])
 
 
@@ -732,10 +700,9 @@ def table_iv(denso: RobotModel) -> BaseParameters:
 
 
 def test_denso_has_table_ivs_names_in_its_order(table_iv: BaseParameters) -> None:
-    with (bundled_folder("denso_vp6242") / "table_iv.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert table_iv.names == tuple(row["parameter"] for row in rows)
-    assert table_iv.units == tuple(row["unit"] for row in rows)
+    text = (bundled_folder("denso_vp6242") / "table_iv.csv").read_text(encoding="utf-8")
+    rows = [(row["parameter"], row["unit"]) for row in csv.DictReader(text.splitlines())]
+    assert list(zip(table_iv.names, table_iv.units, strict=True)) == rows
     assert table_iv.count == 48
 
 
@@ -810,9 +777,9 @@ def test_dependent_friction_terms_are_regrouped(denso: RobotModel) -> None:
     assert base.expression("Fspr4") == "Fsp4 + Fsn4"
 
 
-def fresh_rows(robot: RobotModel, terms: tuple[str, ...], seed: int) -> Array:
+def fresh_rows(robot: RobotModel, terms: tuple[str, ...], seed: int, count: int = 12) -> Array:
     """Return full regressor rows at states that the scan has not seen."""
-    rows = full_regressor(robot, generic_states(robot, 12, seed), terms)
+    rows = full_regressor(robot, generic_states(robot, count, seed), terms)
     return rows.reshape(-1, rows.shape[2])
 
 
@@ -869,10 +836,7 @@ def test_trees_floating_bases_and_humanoids(source: str, root: str | None) -> No
     if root is None:
         check_rule(robot, base, terms, 7)
     else:
-        q, v, a = generic_states(robot, 12, 7)
-        W = np.concatenate(
-            [robot.regressor(q, v, a), friction_model(robot, terms).columns(v, a)], axis=2
-        ).reshape(12 * robot.n, -1)
+        W = fresh_rows(robot, terms, 7)
         error = np.abs(W[:, base.kept] @ base.matrix - W).max()
         assert error <= REGROUPING * np.abs(W).max()
     # The rank is the numerical one: the singular values fall off a cliff there.
@@ -897,8 +861,7 @@ def test_a_floating_base_shows_all_of_its_first_link() -> None:
 def test_rank_is_that_of_the_singular_values(table: DhTable, seed: int) -> None:
     robot = RobotModel.from_mdh(table)
     base = base_of(robot, "viscous")
-    rows = full_regressor(robot, generic_states(robot, 100, seed), ("viscous",))
-    W = rows.reshape(-1, rows.shape[2])
+    W = fresh_rows(robot, ("viscous",), seed, 100)
     norms = np.linalg.norm(W, axis=0)
     visible = norms > 1e-9 * norms.max()
     singular = np.linalg.svd(W / np.where(visible, norms, 1.0), compute_uv=False)

@@ -375,10 +375,8 @@ def test_forces_of_nothing_are_told_as_such() -> None:
     drawn = np.random.default_rng(0).normal(size=(4, 3)) * weight() / 4.0
     time = np.array(log("stand").time)[:, None, None]
     other = drawn * np.sin(7.0 * time + np.arange(4)[:, None])
-    told = {
-        finding.kind: finding.message for finding in found(with_feet(log("stand"), forces=other))
-    }
-    assert set(told) == {"forces_unlike_motion"}, told
+    told = found(with_feet(log("stand"), forces=other))
+    assert {finding.kind for finding in told} == {"forces_unlike_motion"}, told
 
 
 def noise(recording: Recording, feet: int) -> Array:
@@ -538,9 +536,8 @@ def wrenches(motion: str) -> Array:
 
 def wrenches_found(motion: str, changed: Array) -> list[Finding]:
     recording = with_feet(talos(motion), wrenches=changed)
-    return list(
-        force_checks.forces(Subject(log=recording, robot=None, floating=robot("talos_reduced")))
-    )
+    subject = Subject(log=recording, robot=None, floating=robot("talos_reduced"))
+    return list(force_checks.forces(subject))
 
 
 @pytest.mark.parametrize("motion", ["stand", "step"])
@@ -634,9 +631,8 @@ def test_place_and_axes_are_found_together(motion: str, gyroscope: bool) -> None
     distance = np.linalg.norm(imu.translation)
     assert abs(moved[0].numbers["distance"] - distance) < 5.0 * moved[0].numbers["error"]
     # A large turn about the vertical, which gravity does not show.
-    turned = imu_found(
-        with_imu(go1(motion), rotation=np.eye(3), translation=np.zeros(3), **changes)
-    )
+    changes |= {"rotation": np.eye(3), "translation": np.zeros(3)}
+    turned = imu_found(with_imu(go1(motion), **changes))
     assert {finding.kind for finding in turned} == {"imu_axes", "imu_place"}
     axes = next(finding for finding in turned if finding.kind == "imu_axes")
     given = np.array(eval(axes.remedy.split("=")[1]))
@@ -831,9 +827,8 @@ def test_without_an_imu_the_pose_is_compared_with_legs_that_stand() -> None:
 
 
 def test_forces_are_compared_with_efforts() -> None:
-    assert delays_found(recorded(late=True, forces=True))["contacts"] == pytest.approx(
-        0.006, abs=1e-3
-    )
+    delays = delays_found(recorded(late=True, forces=True))
+    assert delays["contacts"] == pytest.approx(0.006, abs=1e-3)
 
 
 def test_without_a_robot_the_imu_is_compared_with_the_pose() -> None:

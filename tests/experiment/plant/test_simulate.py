@@ -1,11 +1,15 @@
 """The simulated experiment obeys the equations that identification assumes."""
 
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sdpid
 import sdpid.experiment.plant.simulate as plant_module
@@ -15,16 +19,22 @@ from sdpid.estimation.problem import build_problem
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives
+from sdpid.experiment.plant.legged.friction import DryFriction
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.truth import changed_parameters
 from sdpid.experiment.plant.mujoco_model import build_mujoco
 from sdpid.experiment.plant.simulate import simulate, true_parameters
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.inertia import theta_from_physical
+from sdpid.robot.inertia import margin, theta_from_physical
+from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.plant import PlantLog, run_plant
 from tests.helpers.refusals import refuses
+from tests.helpers.robots import TREE
 from tests.helpers.small_robots import URDFS
 
 NAME = "denso_vp6242"
@@ -49,22 +59,6 @@ def test_friction_does_not_hold_a_joint_that_is_told_to_move() -> None:
     log = simulate(load_robot(STIFF), default_motion(load_robot(STIFF), 0, period=6.25, periods=1))
     assert np.ptp(log.position, axis=0).min() > 0.5
     assert log.notes == ("simulated without a controller: the robot follows its motion exactly",)
-
-
-TREE = """<robot name="tree">
-<link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
-<joint name="lift" type="prismatic"><parent link="base"/><child link="a"/>
-  <origin xyz="0.1 -0.2 0.3" rpy="0.3 0.2 -0.5"/><axis xyz="0 1 0"/>
-  <limit lower="-1" upper="1" effort="100" velocity="1"/></joint>
-<joint name="left" type="continuous"><parent link="a"/><child link="b"/>
-  <origin xyz="0 0.2 0.1" rpy="-1 0.4 2"/><axis xyz="0.6 0 0.8"/></joint>
-<joint name="right" type="revolute"><parent link="a"/><child link="c"/>
-  <origin xyz="0.3 0 0" rpy="0.1 1.2 0"/><axis xyz="1 0 0"/>
-  <limit lower="-2" upper="2" effort="100" velocity="1"/></joint>
-<joint name="slide" type="prismatic"><parent link="b"/><child link="d"/>
-  <origin xyz="0 0 0.4" rpy="2 0 0.3"/><axis xyz="0 -0.8 0.6"/>
-  <limit lower="-1" upper="1" effort="100" velocity="1"/></joint>
-</robot>"""
 
 
 def random_links(rng: np.random.Generator, links: int) -> Array:
@@ -128,11 +122,8 @@ def test_mujoco_inverse_returns_the_torque(robot: RobotModel, theta: Array, log:
     built = build_mujoco(robot, theta, load_drives(NAME), timestep=1e-3)
     data = mujoco.MjData(built.model)
     for k in range(0, len(log.time), 50):
-        data.qpos[:], data.qvel[:], data.qacc[:] = (
-            log.position[k],
-            log.velocity[k],
-            log.acceleration[k],
-        )
+        data.qpos[:], data.qvel[:] = log.position[k], log.velocity[k]
+        data.qacc[:] = log.acceleration[k]
         mujoco.mj_inverse(built.model, data)
         np.testing.assert_allclose(data.qfrc_inverse, log.motor_torque[k], atol=TORQUE)
 
@@ -211,13 +202,14 @@ def test_other_robots_run(tmp_path) -> None:
     )
     trajectory = paper_excitation(tmp_path, 0)
     rng = np.random.default_rng(4)
-    theta = np.concatenate([random_links(rng, 4).ravel(), np.full(4, 0.5), np.full(4, 2.0)])
-    log = run_plant(robot, trajectory, theta=theta, drives=drives_of(4))
+    n = robot.n
+    theta = np.concatenate([random_links(rng, n).ravel(), np.full(n, 0.5), np.full(n, 2.0)])
+    log = run_plant(robot, trajectory, theta=theta, drives=drives_of(n))
     torque = robot.inverse_dynamics(theta, log.position, log.velocity, log.acceleration)
     torque -= log.coulomb_torque + log.viscous_torque
     np.testing.assert_allclose(log.motor_torque, torque, atol=TORQUE)
     # Four integrator steps a sample; the record still is one.
-    assert log.position.shape == (trajectory.n_samples, 4)
+    assert log.position.shape == (trajectory.n_samples, n)
 
 
 def test_record_layout_and_sensors(robot: RobotModel, theta: Array, short: Trajectory) -> None:
@@ -279,14 +271,7 @@ def test_unmodeled_effects_show_in_the_current_only(
 
 def test_unstable_gains_are_refused(robot: RobotModel, theta: Array, short: Trajectory) -> None:
     gains = load_drives(NAME)
-    fast = Drives(
-        torque_constant=gains.torque_constant,
-        gear_ratio=gains.gear_ratio,
-        proportional_gain=gains.proportional_gain,
-        velocity_gain=np.full(6, 3000.0),
-        encoder_counts=gains.encoder_counts,
-        current_noise=gains.current_noise,
-    )
+    fast = replace(gains, velocity_gain=np.full(6, 3000.0), unmodeled=None)
     refuses(DataError, "fastest pole", simulate, robot, short, theta=theta, drives=fast)
     with pytest.raises(DataError, match="no unmodeled effects"):
         simulate(robot, short, theta=theta, drives=fast, unmodeled=True)
@@ -308,20 +293,12 @@ def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> N
 def test_robots_and_trajectories_must_match(theta: Array, short: Trajectory) -> None:
     tree = load_robot(TREE)
     refuses(DataError, "lift", simulate, tree, short, theta=theta)
-    with pytest.raises(DataError, match="3 drives, robot 'tree' has 4 joints"):
-        simulate(tree, default_motion(tree, period=8.0), theta=np.ones(48), drives=drives_of(3))
+    with pytest.raises(DataError, match="3 drives, robot 'tree' has 6 joints"):
+        simulate(tree, default_motion(tree, period=8.0), theta=np.ones(72), drives=drives_of(3))
 
 
 def test_drives_are_checked() -> None:
-    with pytest.raises(DataError, match="lengths differ"):
-        Drives(
-            torque_constant=np.ones(2),
-            gear_ratio=np.ones(3),
-            proportional_gain=np.ones(2),
-            velocity_gain=np.ones(2),
-            encoder_counts=np.ones(2),
-            current_noise=np.ones(2),
-        )
+    refuses(DataError, "lengths differ", replace, drives_of(2), gear_ratio=np.ones(3))
     refuses(DataError, "not understood", Drives.from_mapping, {"torque_constant": [1.0]})
 
 
@@ -392,11 +369,165 @@ def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> No
     file = tmp_path / "motion.toml"
     short.to_toml(file)
     again = Trajectory.from_toml(file)
-    assert (again.joint_names, again.periods, again.notes) == (
-        short.joint_names,
-        short.periods,
-        short.notes,
-    )
+    for name in ("joint_names", "periods", "notes"):
+        assert getattr(again, name) == getattr(short, name)
     np.testing.assert_array_equal(again.sample(0, 20_000), short.sample(0, 20_000))
     file.write_text(file.read_text().replace("phases", "fases"))
     refuses(DataError, r"motion.toml: .*phases", Trajectory.from_toml, file)
+
+
+# Quadrupeds obey the equation of motion that identification assumes, and sensors say so.
+
+
+# What forces from the simulator may leave of the equation of motion, N and N·m.
+EQUATION = 1e-6
+
+
+@cache
+def go1() -> sdpid.RobotModel:
+    return sdpid.load_robot("go1", root="free_flyer")
+
+
+@cache
+def exact(motion: str) -> LeggedRun:
+    # Three steps of the trot, and the first half of the walk's first.
+    return simulate_legged(go1(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
+
+
+def contact_torques(run: LeggedRun, moved: sdpid.RobotModel) -> Array:
+    """Return J^T·f of the true wrenches by Pinocchio, sample by sample, shape (N, nv)."""
+    model, contacts = moved.pin_model, run.recording.contacts
+    assert contacts is not None
+    data, out = model.createData(), np.zeros((len(run.motion.position), model.nv))
+    for k, q in enumerate(run.motion.position):
+        pin.computeJointJacobians(model, data, q)
+        for name, wrench in zip(contacts.frames, run.motion.wrenches[k], strict=True):
+            frame = model.getFrameId(name)
+            pin.updateFramePlacement(model, data, frame)
+            out[k] += pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+    return out
+
+
+def residual(run: LeggedRun, robot: sdpid.RobotModel) -> Array:
+    """Return what is left of the equation of motion with the true parameters and wrenches."""
+    moved, links = run.motion, 10 * robot.n_links
+    bodies = run.theta[:links].reshape(-1, 10)
+    needed = robot.inverse_dynamics(bodies, moved.position, moved.velocity, moved.acceleration)
+    rotor = run.theta[links:].reshape(3, -1)[2]
+    needed[:, 6:] += rotor * moved.acceleration[:, 6:] + moved.friction
+    return np.asarray(needed - moved.effort - contact_torques(run, robot))
+
+
+@pytest.mark.parametrize("motion", ["stand", "trot", "walk", "hang"])
+def test_the_equation_of_motion_holds_with_the_simulators_forces(motion: str) -> None:
+    run = exact(motion)
+    assert np.abs(residual(run, go1())).max() < EQUATION
+    coulomb, viscous, _ = run.theta[130:].reshape(3, 12)
+    speed = run.motion.velocity[:, 6:]
+    law = coulomb * np.tanh(speed / 0.02) + viscous * speed
+    np.testing.assert_allclose(run.motion.friction, law)
+
+
+@pytest.mark.parametrize("motion", ["trot", "hang"])
+def test_the_sensors_measure_the_motion(motion: str) -> None:
+    run = exact(motion)
+    log, moved = run.recording, run.motion
+    assert log.base.imu is not None
+    np.testing.assert_allclose(log.position, moved.position[:, 7:])
+    np.testing.assert_allclose(log.effort, moved.effort[:, 6:])
+    # Joints follow the plan within hundredths of a radian.
+    assert 1e-4 < np.sqrt(np.mean((log.position - np.asarray(log.reference)) ** 2)) < 0.03
+    assert np.array_equal(log.contacts.down, moved.down)
+    imu, step = log.base.imu, log.step
+    # The sensor's place and axes in the world, differentiated.
+    base = Rotation.from_quat(log.base.orientation)
+    place = np.asarray(log.base.position) + base.apply(np.array(imu.translation))
+    second = np.diff(place, n=2, axis=0) / step**2 + [0.0, 0.0, 9.81]
+    felt = (base * Rotation.from_matrix(np.array(imu.rotation))).inv()[1:-1].apply(second)
+    turned = (base[:-2].inv() * base[2:]).as_rotvec() @ imu.rotation / (2.0 * step)
+    # Steps of impacts apart, which a central difference spreads over neighbors.
+    accelerometer = np.abs(felt - np.asarray(imu.accelerometer)[1:-1])
+    assert np.median(accelerometer) < 0.02
+    assert np.median(np.abs(turned - np.asarray(imu.gyroscope)[1:-1])) < 1e-3
+
+
+def test_feet_bear_the_weight_where_they_touch() -> None:
+    run = exact("stand")
+    assert np.all(run.motion.down)
+    mass = run.theta[:130:10].sum()
+    vertical = run.motion.wrenches[:, :, 2].sum(axis=1)
+    assert vertical.mean() == pytest.approx(9.81 * mass, rel=0.02)
+    trot = exact("trot").motion
+    assert 0.4 < trot.down.mean() < 0.9
+    assert np.abs(trot.wrenches[~trot.down]).max() == 0.0
+    feet = find_legs(go1()).feet(trot.position[:, 7:])
+    base = Rotation.from_quat(trot.position[:, 3:7])
+    height = np.stack([base.apply(each)[:, 2] for each in feet.transpose(1, 0, 2)], axis=1)
+    height += trot.position[:, 2:3] - 0.02
+    assert np.array_equal(height < 0.0, trot.down)
+
+
+def test_channels_come_late_and_gains_are_off() -> None:
+    sensors = replace(Sensors.exact(), delays={"effort": 0.002}, effort_gain=1.05)
+    run = simulate_legged(go1(), "hang", duration=0.2, seed=1, sensors=sensors)
+    np.testing.assert_allclose(run.recording.effort[2:], 1.05 * run.motion.effort[:-2, 6:])
+    np.testing.assert_allclose(run.recording.position, run.motion.position[:, 7:])
+    assert run.recording.time[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_humanoid_walks_on_soles() -> None:
+    """A foot is lifted, wrenches of soles obey the equation of motion, and all joints move."""
+    talos = sdpid.load_robot("talos_reduced", root="free_flyer")
+    run = simulate_legged(talos, "walk", duration=1.0, seed=1, sensors=Sensors.exact())
+    log, down = run.recording, run.motion.down
+    # Of torques of 100 N·m and forces of 900 N.
+    assert np.abs(residual(run, talos)).max() < 100.0 * EQUATION
+    assert log.contacts.kind == ("plane", "plane")
+    assert log.contacts.wrenches is not None
+    assert 0 < np.count_nonzero(~down) < len(down)
+    assert np.ptp(log.position, axis=0).min() > 1e-3
+    refuses(DataError, r"'trot'.*2 soles", simulate_legged, talos, "trot")
+
+
+def test_dry_friction_follows_a_law_that_friction_terms_know() -> None:
+    law = DryFriction(width=0.06, peak=0.4, peak_speed=0.2)
+    run = simulate_legged(go1(), "hang", duration=0.2, seed=1, friction=law)
+    assert run.friction is law
+    coulomb, viscous = run.theta[130:].reshape(3, 12)[:2]
+    speed = run.motion.velocity[:, 6:]
+    smooth, falling = law.terms
+    shape = smooth.shape(speed, speed) + 0.4 * falling.shape(speed, speed)
+    np.testing.assert_allclose(run.motion.friction, coulomb * shape + viscous * speed, atol=1e-12)
+    refuses(DataError, r"too steep.*limit is 0.03", DryFriction, peak=1.0)
+
+
+def test_a_light_quadruped_trots_without_chatter() -> None:
+    run = simulate_legged("solo12", "trot", duration=2.0, seed=1)
+    # Two steps a second of every foot, and few bounces.
+    assert np.abs(np.diff(run.motion.down.astype(int), axis=0)).sum() < 2.0 * (2 * 2 * 4 * 2.0)
+    solo = sdpid.load_robot("solo12", root="free_flyer")
+    assert find_legs(solo).radius == pytest.approx(0.016, abs=1e-4)
+
+
+def test_changed_links_are_bodies_and_seeds_repeat() -> None:
+    theta = changed_parameters(go1(), seed=3)
+    bodies, described = theta[:130].reshape(-1, 10), go1().prior
+    assert margin(bodies, "pseudo_inertia").min() > 0.0
+    assert 0.05 < np.abs(np.log(bodies[:, 0] / described[:, 0])).mean() < 0.3
+    assert np.array_equal(theta, changed_parameters(go1(), seed=3))
+    same = changed_parameters(go1(), change=0.0)[:130].reshape(-1, 10)
+    np.testing.assert_allclose(same, described, atol=1e-12)
+
+
+def test_what_cannot_be_simulated_is_refused() -> None:
+    fixed = sdpid.load_robot("go1")
+    refuses(ModelError, r"fixed base.*free_flyer", simulate_legged, fixed)
+    refuses(DataError, r"'dance'.*stand, trot", simulate_legged, go1(), "dance")
+    refuses(DataError, "expected 166", simulate_legged, go1(), theta=np.ones(130))
+    refuses(DataError, "no channel 'torque'", Sensors, delays={"torque": 0.1})
+    refuses(ModelError, "no frame 'paw'", find_legs, go1(), feet=["paw"])
+    refuses(ModelError, "mimic", simulate_legged, "talos_full_v2")
+    refuses(ModelError, r"romeo.*no body has the parameters", simulate_legged, "romeo_small")
+    heavy = np.array(changed_parameters(go1()))
+    heavy[:10] *= 30.0
+    refuses(DataError, "falls", simulate_legged, go1(), "trot", theta=heavy, duration=3.0)

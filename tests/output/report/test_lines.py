@@ -13,7 +13,7 @@ from sdpid.experiment.inspection.accept import REFUSED
 from sdpid.output.report.report import report_html
 from sdpid.output.report.verdict import findings
 from sdpid.workflow.result import Identification
-from tests.experiment.inspection.test_wrong_logs import WRONG, simulated
+from tests.experiment.inspection.test_inspect import WRONG, simulated
 from tests.output.test_report import elements
 
 # Description, log, and another recording where there is one.

@@ -46,9 +46,7 @@ FOLLOWER = ARM.replace(
     "</mujoco>",
     '<equality><joint joint1="j4" joint2="j1" polycoef="0.3 -2 0 0 0"/></equality></mujoco>',
 )
-FLOATING = ARM.replace('<body name="base"', '<body name="base"').replace(
-    '<geom type="box"', '<freejoint/><geom type="box"'
-)
+FLOATING = ARM.replace('<geom type="box"', '<freejoint/><geom type="box"')
 
 
 def mujoco_efforts(text: str, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
