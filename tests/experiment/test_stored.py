@@ -206,7 +206,7 @@ def test_bad_values_are_refused_as_they_are_read(case: str, tmp_path: Path):
     changes, message = BAD[case]
     file = tmp_path / "log.parquet"
     write_columns(file, **changes)
-    refuses(DataError, message, process, read_recording(file, stored=True), QUICK)
+    refuses(DataError, message, read_recording, file, stored=True)
     write_columns(file)
     process(read_recording(file, stored=True), QUICK)
 
