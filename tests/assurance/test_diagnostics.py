@@ -50,6 +50,7 @@ from tests.helpers import legged
 from tests.helpers.arm import ARM, BOTH, arm_problem
 from tests.helpers.data import make_samples, random_links, random_theta
 from tests.helpers.identified import FRICTION, RATE, arm_theta, identified, moved
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
 from tests.helpers.runs import arm, recorded
@@ -57,14 +58,17 @@ from tests.helpers.small_robots import SMALL
 from tests.helpers.strategies import SEEDS, random_states
 
 
+def beside(size: float) -> Validation:
+    """Return a fit's errors where the first joint's effort is scaled."""
+    samples = moved(arm_theta(), 1)
+    effort = samples.effort * [size, 1.0]
+    return sdpid.validate(identified(samples).estimate, replace(samples, effort=effort))
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("size", [0.0, 1e-300, 1e-153, 1e-100])
 def test_an_effort_that_is_all_but_zero(size: float) -> None:
-    samples = moved(arm_theta(), 1)
-    estimate = identified(samples).estimate
-    effort = np.array(samples.effort)
-    effort[:, 0] *= size
-    fit = sdpid.validate(estimate, replace(samples, effort=effort))
+    fit = beside(size)
     assert fit.rmse[0] > 0.0
     assert fit.nrmse[0] > 1e90
     assert fit.r2[0] == -np.inf or fit.r2[0] < -1e90
@@ -72,11 +76,7 @@ def test_an_effort_that_is_all_but_zero(size: float) -> None:
 
 
 def test_beside_no_effort_no_share_is_told() -> None:
-    samples = moved(arm_theta(), 1)
-    estimate = identified(samples).estimate
-    effort = np.array(samples.effort)
-    effort[:, 0] = 0.0
-    fit = sdpid.validate(estimate, replace(samples, effort=effort))
+    fit = beside(0.0)
     assert fit.nrmse[0] == np.inf
     told = fit.to_dict()["joints"]
     assert told["joint_1"]["nrmse"] is None
@@ -420,10 +420,7 @@ def slow_motion(seconds: float = 120.0) -> Samples:
     rng = np.random.default_rng(3)
     t = np.arange(0.0, seconds, 1.0 / RATE)
     w = rng.uniform(0.3, 4.0, (6, ROBOT.n))
-    angle = w * t[:, None, None] + rng.uniform(0.0, 6.0, (6, ROBOT.n))
-    q = np.sin(angle).sum(axis=1)
-    v = (w * np.cos(angle)).sum(axis=1)
-    a = -(w**2 * np.sin(angle)).sum(axis=1)
+    q, v, a = sines(t, w, rng.uniform(0.0, 6.0, w.shape))
     effort = ROBOT.inverse_dynamics(BODIES, q, v, a)
     return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t)
 
@@ -441,13 +438,17 @@ def causes_of(effort: Array, free: Array | None = None) -> dict[str, Cause]:
     return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), *others)
 
 
-def causes(error: Array) -> dict[str, Cause]:
-    """Return the causes that are found of an error (K,) of the second joint, beside noise."""
+def causes(error: Array | None = None, factor: float = 1.0) -> dict[str, Cause]:
+    """Return the causes that are found of an error (K,) of the second joint, beside noise.
+
+    Or where its effort is measured with another factor.
+    """
     rng = np.random.default_rng(8)
     size = 0.1 * slow_motion().effort.std(axis=0)
     effort = slow_motion().effort + 0.5 * size * rng.standard_normal(slow_motion().effort.shape)
-    effort[:, 1] += size[1] * error / np.sqrt(np.mean(error**2))
-    return causes_of(effort)
+    if error is not None:
+        effort[:, 1] += size[1] * error / np.sqrt(np.mean(error**2))
+    return causes_of(effort * [1.0, factor, 1.0])
 
 
 def tilted(samples: Samples) -> Array:
@@ -460,18 +461,9 @@ def tilted(samples: Samples) -> Array:
     return (leaning - samples.effort)[:, 1]
 
 
-def of_channel(factor: float) -> dict[str, Cause]:
-    """Return the causes where the second joint's effort is measured with another factor."""
-    rng = np.random.default_rng(8)
-    size = 0.05 * slow_motion().effort.std(axis=0)
-    effort = slow_motion().effort + size * rng.standard_normal(slow_motion().effort.shape)
-    effort[:, 1] *= factor
-    return causes_of(effort)
-
-
 @pytest.mark.parametrize(("factor", "kind"), [(-1.0, "sign"), (0.1, "scale"), (1.7, "scale")])
 def test_a_wrong_sign_or_scale_of_the_effort_is_no_missing_effect(factor: float, kind: str) -> None:
-    found = of_channel(factor)
+    found = causes(factor=factor)
     assert {name: each.kind for name, each in found.items()} == {SECOND: kind}
     assert found[SECOND].share > 0.9
 
@@ -554,15 +546,12 @@ def alike(spread: float) -> Problem:
     return build_problem(ARM, samples, friction=terms, weighting="residual", prior=prior)
 
 
-def test_speeds_that_never_vary_are_told() -> None:
+def test_speeds_that_never_vary_are_told_and_others_are_not() -> None:
     (pair,) = collinear_friction(alike(0.01))
     assert (pair.joint, pair.first, pair.second) == (ARM.joint_names[1], "Fs2", "Fv2")
     assert pair.correlation > 0.999
     note = in_words((pair,))
     assert "Fs2 and Fv2 of" in note
-
-
-def test_speeds_that_vary_are_not() -> None:
     assert collinear_friction(alike(0.9)) == ()
     assert in_words(()) is None
 

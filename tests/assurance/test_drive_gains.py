@@ -22,6 +22,7 @@ from sdpid.assurance.drive_gains.rows import GainModel, RunRows
 from sdpid.errors import DataError, IdentifiabilityError, ModelError
 from sdpid.robot.inertia import margin
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 
 GAINS = np.array([13.0, 12.0, 10.0, 5.0, 6.0, 4.0])
@@ -39,14 +40,7 @@ def motion(seed: int, *, speed: float = 1.0) -> tuple[Array, Array, Array, Array
     rng = np.random.default_rng(seed)
     t = np.arange(2000) / 100.0
     w, c = speed * rng.uniform(0.5, 3.0, (4, 6)), rng.uniform(0.0, 6.0, (4, 6))
-    angle = w * t[:, None, None] + c
-    size = 0.5
-    return (
-        t,
-        size * np.sin(angle).sum(axis=1),
-        size * (w * np.cos(angle)).sum(axis=1),
-        -size * (w**2 * np.sin(angle)).sum(axis=1),
-    )
+    return t, *sines(t, w, c, 0.5)
 
 
 def currents(

@@ -220,40 +220,6 @@ def test_a_prior_is_a_part_of_the_cost(denso: RobotModel) -> None:
         sdpid.confidence_intervals(sdpid.solve_sdp(entropic), parameters=names)
 
 
-def test_coverage_of_autocorrelated_noise() -> None:
-    rng = np.random.default_rng(5)
-    estimate = relaxed()
-    problem, theta = estimate.problem, np.array(estimate.theta)
-    truth = problem.base_of(theta)
-    s = problem.samples
-    exact = problem.predict(truth)
-    held = []
-    for _ in range(60):
-        white = rng.standard_normal((len(exact) + 3, ARM.n))
-        noise = 0.1 * (white[3:] + white[2:-1] + 0.5 * white[1:-2])
-        again = replace(s, effort=exact + noise)
-        fit = sdpid.solve_wls(build_problem(ARM, again, base=problem.base))
-        found = gauss_markov(fit)
-        held.append(found.contains(truth).mean())
-    # Neighboring blocks share some noise, so it is a little less than the nominal 95 %.
-    error = np.std(held) / np.sqrt(len(held))
-    assert 0.92 - 2.0 * error < np.mean(held) < 0.97 + 2.0 * error
-
-
-def test_gauss_markov_is_students_t_about_the_estimate() -> None:
-    estimate = pressed()
-    found = sdpid.confidence_intervals(
-        estimate, method="gauss_markov", level=0.8, parameters=("Fv1",)
-    )
-    errors = NoiseSpectrum.of(estimate.problem)
-    at = estimate.problem.base.names.index("Fv1")
-    unit = np.eye(len(estimate.base))[at]
-    freedom = errors.freedom(unit[None] @ errors.root)[0]
-    half = t.ppf(0.9, freedom) * np.sqrt(errors.covariance[at, at])
-    assert found.estimate[0] == pytest.approx(estimate.base[at])
-    assert found.upper[0] - found.estimate[0] == pytest.approx(half)
-
-
 @pytest.mark.parametrize("groups", ["frequencies", "blocks"])
 def test_gauss_markov_intervals_hold_the_estimate_and_end_at_limits(groups: Groups) -> None:
     problem = arm_problem(LIGHT)
@@ -744,53 +710,45 @@ def test_without_standard_parameters_there_are_none() -> None:
 # ---- The same results whoever computes them: one thread, several, or a cluster.
 
 
-@pytest.fixture(scope="module")
-def pressed_once() -> Estimate:
-    return sdpid.solve_sdp(arm_problem(LIGHT))
+def profile(n_jobs: int | None = None) -> Intervals:
+    names = pressed().problem.base.names
+    return sdpid.confidence_intervals(pressed(), parameters=names, n_jobs=n_jobs)
 
 
-def profile(pressed_once: Estimate, n_jobs: int | None = None) -> Intervals:
-    return sdpid.confidence_intervals(
-        pressed_once, parameters=pressed_once.problem.base.names, n_jobs=n_jobs
-    )
-
-
-def test_draws_do_not_depend_on_the_jobs(pressed_once: Estimate) -> None:
-    one = resample(pressed_once, resamples=60, n_jobs=1)
-    two = resample(pressed_once, resamples=60, n_jobs=2)
+def test_draws_do_not_depend_on_the_jobs() -> None:
+    one = resample(pressed(), resamples=60, n_jobs=1)
+    two = resample(pressed(), resamples=60, n_jobs=2)
     np.testing.assert_array_equal(one.base, two.base)
     # Nor on how many there are: the last job has whatever is left of 25.
     for count in (1, 29, 30):
-        fewer = resample(pressed_once, resamples=count)
+        fewer = resample(pressed(), resamples=count)
         np.testing.assert_array_equal(one.base[:count], fewer.base)
     assert one.lost == 0
     assert one.seconds > 0.0
 
 
-def test_profile_intervals_do_not_depend_on_the_jobs(pressed_once: Estimate) -> None:
-    one, two = profile(pressed_once, 1), profile(pressed_once, 2)
+def test_profile_intervals_do_not_depend_on_the_jobs() -> None:
+    one, two = profile(1), profile(2)
     np.testing.assert_array_equal(one.lower, two.lower)
     np.testing.assert_array_equal(one.upper, two.upper)
     assert one.solves == two.solves >= 2 * len(one)
 
 
 @pytest.mark.parametrize("n_jobs", [0, 1.5, True])
-def test_jobs_that_are_none_are_refused(pressed_once: Estimate, n_jobs: Any) -> None:
-    refuses(DataError, "n_jobs", resample, pressed_once, resamples=5, n_jobs=n_jobs)
-    refuses(DataError, "n_jobs", sdpid.compare, pressed_once.problem, starts=1, n_jobs=n_jobs)
+def test_jobs_that_are_none_are_refused(n_jobs: Any) -> None:
+    refuses(DataError, "n_jobs", resample, pressed(), resamples=5, n_jobs=n_jobs)
+    refuses(DataError, "n_jobs", sdpid.compare, pressed().problem, starts=1, n_jobs=n_jobs)
 
 
 @pytest.mark.xdist_group("dask")
 @pytest.mark.usefixtures("dask_client")
-def test_dask_serves_bootstrap_intervals_and_comparison(
-    pressed_once: Estimate, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dask_serves_bootstrap_intervals_and_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     from joblib import parallel_config
     from joblib._dask import DaskDistributedBackend
 
-    here = resample(pressed_once, resamples=60), profile(pressed_once)
+    here = resample(pressed(), resamples=60), profile()
     options: dict[str, Any] = {"starts": 2, "max_iterations": 3, "show_progress": False}
-    alone = sdpid.compare(pressed_once.problem, n_jobs=1, **options)
+    alone = sdpid.compare(pressed().problem, n_jobs=1, **options)
     submit, sent = DaskDistributedBackend.submit, []
 
     def counted(self: Any, *arguments: Any, **options: Any) -> Any:
@@ -799,8 +757,8 @@ def test_dask_serves_bootstrap_intervals_and_comparison(
 
     monkeypatch.setattr(DaskDistributedBackend, "submit", counted)
     with parallel_config(backend="dask"):
-        there = resample(pressed_once, resamples=60), profile(pressed_once)
-        both = sdpid.compare(pressed_once.problem, **options)
+        there = resample(pressed(), resamples=60), profile()
+        both = sdpid.compare(pressed().problem, **options)
     np.testing.assert_array_equal(here[0].base, there[0].base)
     np.testing.assert_array_equal(here[1].lower, there[1].lower)
     np.testing.assert_array_equal(here[1].upper, there[1].upper)

@@ -65,6 +65,21 @@ class Shifted(Condition):
                 yield part
 
 
+@dataclass(frozen=True)
+class Between(Condition):
+    """One standard parameter is within limits."""
+
+    name: str
+    lower: float
+    upper: float
+
+    def compile(self, layout: Layout) -> Iterator[Row]:
+        """Return one row."""
+        row = np.zeros(layout.count)
+        row[layout.parameter(self.name)] = 1.0
+        yield Row(self.name, row, self.lower, self.upper)
+
+
 def slope(cost: Callable[[float], float], step: float) -> float:
     """Return the derivative at zero, by central differences of fourth order."""
     near = (cost(step) - cost(-step)) / (2.0 * step)
@@ -157,37 +172,32 @@ def test_multipliers_of_rows(name: str, consistency: Consistency) -> None:
             assert slope(cost, step) == pytest.approx(multiplier, rel=10.0 * SLOPE, abs=0.05)
 
 
-@pytest.mark.parametrize("consistency", BOTH)
-def test_the_multiplier_of_a_cone(consistency: Consistency) -> None:
-    """An ellipsoid larger by a share s of its size has ``‖v‖ ≤ a·(1 + s)``."""
+@pytest.mark.parametrize(
+    ("kind", "consistency", "place", "semi_axes", "masses"),
+    [
+        (CenterOfMassInEllipsoid, BOTH[0], (0, 0.01, 0), (0.02, 0.05, 0.03), 1.0),
+        (CenterOfMassInEllipsoid, BOTH[1], (0, 0.01, 0), (0.02, 0.05, 0.03), 1.0),
+        (MassInEllipsoid, BOTH[0], (0, 0.1, 0), (0.1, 0.2, 0.3), 2.0),
+    ],
+)
+def test_the_multiplier_of_an_ellipsoid(
+    kind: Any, consistency: Consistency, place: Any, semi_axes: Any, masses: float
+) -> None:
+    """Larger by a share s of its size it has ``‖v‖ ≤ a·(1 + s)`` of the center of mass.
+
+    Of all mass it has ``∫ (1 − ‖y‖²/(1 + s)²) dm ≥ 0``, twice the mass per unit of s.
+    """
 
     def problem(size: float) -> Problem:
-        semi_axes = size * np.array([0.02, 0.05, 0.03])
-        condition = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), semi_axes, rotation=TURNED)
+        condition = kind(LAST, place, size * np.array(semi_axes), rotation=TURNED)
         return arm_problem(LIGHT, condition, consistency=consistency)
 
     estimate = solve_sdp(problem(1.0))
     state = constraint_states(estimate)[-1]
     assert state.active
-    found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.02)
+    found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.02 / masses)
     mass = body_of(estimate, LAST)[0]
-    assert found == pytest.approx(-state.multiplier * mass, rel=SLOPE)
-
-
-def test_the_multiplier_of_an_ellipsoid_of_all_mass() -> None:
-    """Larger by a share s it has ``∫ (1 − ‖y‖²/(1 + s)²) dm ≥ 0``, twice the mass per unit of s."""
-
-    def problem(size: float) -> Problem:
-        condition = MassInEllipsoid(
-            LAST, (0, 0.1, 0), size * np.array([0.1, 0.2, 0.3]), rotation=TURNED
-        )
-        return arm_problem(LIGHT, condition)
-
-    estimate = solve_sdp(problem(1.0))
-    state = constraint_states(estimate)[-1]
-    assert state.active
-    found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.01)
-    assert found == pytest.approx(-2.0 * state.multiplier * body_of(estimate, LAST)[0], rel=SLOPE)
+    assert found == pytest.approx(-masses * state.multiplier * mass, rel=SLOPE)
 
 
 def test_the_multiplier_of_a_sign() -> None:
@@ -199,21 +209,11 @@ def test_the_multiplier_of_a_sign() -> None:
     states = {s.name: s for s in constraint_states(solve_sdp(problem))}
     free = problem.constraints.replace(friction_nonnegative=False)
 
-    @dataclass(frozen=True)
-    class AtLeast(Condition):
-        moved: str
-        by: float
-
-        def compile(self, layout: Layout) -> Iterator[Row]:
-            for name in names:
-                row = np.zeros(layout.count)
-                row[layout.parameter(name)] = 1.0
-                yield Row(name, row, self.by if name == self.moved else 0.0, np.inf)
-
     for name in names:
 
         def cost(step: float, name: str = name) -> float:
-            limits = free.replace(others=(AtLeast(name, step),))
+            others = [Between(each, step if each == name else 0.0, np.inf) for each in names]
+            limits = free.replace(others=others)
             return solve_sdp(problem.constrained(constraints=limits)).cost
 
         state = states[f"{name} at least 0"]
@@ -287,20 +287,6 @@ KINDS = ("euclidean", "scaled_euclidean", "pullback", "entropic")
 
 # Shares are ratios of variances, from factorizations that lose a few hundred roundings.
 SHARE = 1e-6
-
-
-@dataclass(frozen=True)
-class Equals(Condition):
-    """One standard parameter is a given number."""
-
-    name: str
-    value: float
-
-    def compile(self, layout: Layout):
-        """Return one equation."""
-        row = np.zeros(layout.count)
-        row[layout.parameter(self.name)] = 1.0
-        return [Row(self.name, row, self.value, self.value)]
 
 
 def described_arm(rng: np.random.Generator, joints: int = 3):
@@ -415,7 +401,7 @@ def test_an_active_mass_bound_is_physics():
 def test_an_equation_is_physics():
     rng = np.random.default_rng(2)
     name = described_arm(rng).parameter_names[20]
-    problem = problem_of(2, Prior(), constraints=Constraints(others=(Equals(name, 0.7),)))
+    problem = problem_of(2, Prior(), constraints=Constraints(others=(Between(name, 0.7, 0.7),)))
     theta = interior(problem)
     theta[20:30] *= 0.7 / theta[20]
     found = of(problem, theta)

@@ -22,6 +22,7 @@ from sdpid.experiment.processing.motion import noise_of
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from tests.helpers.data import random_theta
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
@@ -48,9 +49,7 @@ def motion(seed: int, seconds: float = 12.0, rate: float = 200.0) -> tuple[Array
     """Return time, positions, velocities and accelerations of a smooth motion."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 1.0 / rate)
     w, c = rng.uniform(0.5, 3.0, (3, 2)), rng.uniform(0.0, 6.0, (3, 2))
-    angle = w * t[:, None, None] + c
-    q, v, a = np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
-    return t, q.sum(axis=1), v.sum(axis=1), a.sum(axis=1)
+    return t, *sines(t, w, c)
 
 
 def recorded(seed: int, noise: float = 0.0) -> sdpid.Recording:

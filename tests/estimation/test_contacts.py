@@ -1,4 +1,4 @@
-"""x"""
+"""Rows of robots in contact, against dense projections, MuJoCo and measured forces."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +31,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from tests.helpers import linkages
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
@@ -453,49 +454,17 @@ def test_what_a_kind_transmits_leaves_nothing_and_more_does(kind: Kind, moments:
 # ---- A loop that closes is a contact of two links: a four-bar linkage beside MuJoCo.
 
 
-# Crank, coupler and rocker: length, mass, center of mass along the link and beside it, inertia.
-LINKS = {
-    "crank": (0.1, 0.5, 0.04, 0.01, 1e-3),
-    "coupler": (0.3, 0.8, 0.16, -0.02, 8e-3),
-    "rocker": (0.25, 0.6, 0.12, 0.015, 4e-3),
-}
 GROUND = 0.28
 
 
 def description() -> str:
-    """Return the URDF, cut where coupler and rocker meet; axes of all joints are -y."""
-    parts = ['<robot name="four_bar"><link name="ground"/>']
-    parents = {"crank": ("ground", 0.0), "coupler": ("crank", 0.1), "rocker": ("ground", GROUND)}
-    for name, (length, mass, x, z, inertia) in LINKS.items():
-        parent, at = parents[name]
-        parts.append(
-            f'<link name="{name}"><inertial><origin xyz="{x} 0 {z}"/><mass value="{mass}"/>'
-            f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
-            f'</inertial></link><link name="{name}_end"/><joint name="{name}_fixed" type="fixed">'
-            f'<parent link="{name}"/><child link="{name}_end"/><origin xyz="{length} 0 0"/></joint>'
-            f'<joint name="{name}_joint" type="continuous"><parent link="{parent}"/>'
-            f'<child link="{name}"/><origin xyz="{at} 0 0"/><axis xyz="0 -1 0"/></joint>'
-        )
-    return "".join(parts) + "</robot>"
-
-
-def plant() -> Any:
-    """Return the same as MuJoCo has it, closed."""
-
-    def body(name: str, at: float, inside: str = "") -> str:
-        length, mass, x, z, inertia = LINKS[name]
-        return (
-            f'<body name="{name}" pos="{at} 0 0"><joint name="{name}" axis="0 -1 0"/>'
-            f'<inertial pos="{x} 0 {z}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
-            f'<site name="{name}_end" pos="{length} 0 0"/>{inside}</body>'
-        )
-
-    return mujoco.MjModel.from_xml_string(
-        '<mujoco><option timestep="0.001" tolerance="1e-20"><flag contact="disable"/></option>'
-        f"<worldbody>{body('crank', 0.0, body('coupler', 0.1))}{body('rocker', GROUND)}</worldbody>"
-        '<equality><connect site1="coupler_end" site2="rocker_end" solref="0.005 1"/></equality>'
-        "</mujoco>"
+    """Return the URDF, cut where coupler and rocker meet, with frames at their ends."""
+    ends = "".join(
+        f'<link name="{name}_end"/><joint name="{name}_fixed" type="fixed"><parent link="{name}"/>'
+        f'<child link="{name}_end"/><origin xyz="{length} 0 0"/></joint>'
+        for name, length in (("coupler", 0.3), ("rocker", 0.25))
     )
+    return linkages.urdf("four_bar").partition("<loop_joint")[0] + ends + "</robot>"
 
 
 def closed() -> Array:
@@ -511,14 +480,16 @@ def closed() -> Array:
 
 def turning(K: int = 300) -> Samples:
     """Return a run in which a motor drives the crank, and the other joints have none."""
-    model = plant()
+    model = mujoco.MjModel.from_xml_string(linkages.mjcf("four_bar"))
     data, states = mujoco.MjData(model), np.zeros((4, K, 3))
     data.qpos[:] = closed()
-    for k in range(10 * K):
-        data.qfrc_applied[0] = 0.6 * np.sin(2e-3 * k) + 0.5 * np.sin(7e-3 * k) - 0.05 * data.qvel[0]
+    for k in range(20 * K):
+        data.qfrc_applied[0] = (
+            0.6 * np.sin(1e-3 * k) + 0.5 * np.sin(3.5e-3 * k) - 0.05 * data.qvel[0]
+        )
         mujoco.mj_forward(model, data)
-        if k % 10 == 0:
-            states[:, k // 10] = data.qpos, data.qvel, data.qacc, data.qfrc_applied
+        if k % 20 == 0:
+            states[:, k // 20] = data.qpos, data.qvel, data.qacc, data.qfrc_applied
         mujoco.mj_step(model, data)
     loop = ContactSamples(
         frames=["coupler_end"], against=["rocker_end"], down=np.ones((K, 1), dtype=bool)

@@ -18,6 +18,7 @@ from sdpid.estimation.compression.distributed_rows import DistributedSamples
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.problem import Problem
 from tests.helpers.data import make_samples, random_theta
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
@@ -45,11 +46,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for number, count in enumerate((2900, 3500, 2700, 3100)):
         time = 0.005 * np.arange(count)
         waves = rng.uniform(0.2, 1.4, (4, 2)), rng.uniform(0, 6.3, (4, 2)), rng.normal(size=(4, 2))
-        angle = 2 * np.pi * waves[0] * time[:, None, None] + waves[1]
-        rate = 2 * np.pi * waves[0]
-        q = (waves[2] * np.sin(angle)).sum(1)
-        v = (waves[2] * rate * np.cos(angle)).sum(1)
-        a = (-waves[2] * rate**2 * np.sin(angle)).sum(1)
+        q, v, a = sines(time, 2 * np.pi * waves[0], *waves[1:])
         effort = ARM.inverse_dynamics(BODIES, q, v, a)
         effort = effort + 0.4 * np.tanh(v / 0.02) + 0.2 * v + 0.05 * rng.normal(size=q.shape)
         log = Recording(time=time, position=q, effort=effort, joint_names=ARM.joint_names)

@@ -586,23 +586,17 @@ def test_rows_elsewhere_are_refused() -> None:
     refuses(DataError, "rows", Trials.of, problem.without_rows(), problem.friction.terms, None)
 
 
+@pytest.mark.parametrize("found", [False, True])
 def test_a_solver_that_fails_costs_the_choice_and_not_the_problem(
-    monkeypatch: pytest.MonkeyPatch,
+    found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """What was found without a proof is enough to compare."""
+
     def failing(problem: Problem) -> Estimate:
-        raise SolverError("no optimum")
+        raise SolverError("no proof", found=solve_sdp(problem) if found else None)
 
     monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", failing)
     problem = chosen(logged("tilt"))
-    assert problem.effects == ()
-    assert Tilt not in {type(term) for term in problem.friction.terms}
-
-
-def test_what_was_found_without_a_proof_is_enough_to_compare(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def unproven(problem: Problem) -> Estimate:
-        raise SolverError("gap", found=solve_sdp(problem))
-
-    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", unproven)
-    assert names(chosen(logged("tilt"))) == {"tilt"}
+    assert names(problem) == ({"tilt"} if found else set())
+    assert bool(problem.effects) == found
+    assert (Tilt in {type(term) for term in problem.friction.terms}) == found

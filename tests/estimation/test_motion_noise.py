@@ -23,6 +23,7 @@ from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.for_robot import prepare
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_links, random_theta
+from tests.helpers.motions import sines
 from tests.helpers.world import gauss_markov
 
 BODIES = random_links(np.random.default_rng(4), 2)
@@ -37,11 +38,7 @@ def recorded(noise: float, seed: int = 0) -> sdpid.Recording:
     time = np.arange(10_000) / 500.0
     rng = np.random.default_rng(7)
     omega = 2.0 * np.pi * rng.uniform(0.3, 2.0, (5, ARM.n))
-    angle = time[:, None, None] * omega + rng.uniform(0.0, 2.0 * np.pi, omega.shape)
-    q, v, a = (
-        np.sum(each, axis=1)
-        for each in (np.sin(angle) / omega, np.cos(angle), -omega * np.sin(angle))
-    )
+    q, v, a = sines(time, omega, rng.uniform(0.0, 2.0 * np.pi, omega.shape), 1.0 / omega)
     effort = ARM.inverse_dynamics(BODIES, q, v, a)
     rng = np.random.default_rng(seed)
     effort += 0.01 * np.std(effort, axis=0) * rng.standard_normal(effort.shape)

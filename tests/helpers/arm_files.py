@@ -1,6 +1,7 @@
 """A small robot and its log, for tests that need files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,3 +41,11 @@ def arm_log(urdf: Path) -> tuple[Array, Array, Array]:
     q, v = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1)
     tau = robot.inverse_dynamics(robot.prior, q, v, -(w**2 * np.sin(angle)).sum(axis=1))
     return t, q, tau + 0.4 * v + 0.02 * rng.standard_normal(tau.shape)
+
+
+def write_arm(folder: Path, **more: Any) -> tuple[Array, Array, Array]:
+    """Write arm.urdf and log.npz, and return what the log holds."""
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau, **more)
+    return t, q, tau

@@ -71,6 +71,13 @@ class Tab:
         """Return the events of some kinds."""
         return [event for event in self.events if event.get("method") in methods]
 
+    def heard_nothing(self) -> None:
+        """Check that the page met no error and fetched nothing."""
+        assert not self.named("Runtime.exceptionThrown", "Runtime.consoleAPICalled")
+        assert not self.named("Log.entryAdded")
+        asked = [e["params"]["request"]["url"] for e in self.named("Network.requestWillBeSent")]
+        assert all(url.startswith(("file:", "data:")) for url in asked)
+
 
 def look(path: Path, profile: Path, visit: Callable[[Tab], Awaitable[None]]) -> None:
     """Open a file in a browser and visit it; skip the test where there is no browser.

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from sdpid import BaseMotion, Contacts, Recording
+from tests.helpers.linkages import pulled
 
 # Rods hang on balls at their lower ends, and on two hinges at their upper ones; a base hangs on its
 # hook.
@@ -75,31 +76,11 @@ def run(name: str, *, floating: bool, seconds: float, seed: int) -> Recording:
     model.body_inertia[:] *= change[:, None]
     mujoco.mj_setConst(model, data)
     mujoco.mj_resetData(model, data)
-    joints = model.actuator_trnid[:, 0]
-    at, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-    rng, count = np.random.default_rng(seed), int(1000 * seconds)
-    rates = np.array([3.0, 7.0, 11.0])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
-    size = np.array([0.25, 0.12, 0.05])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
-    effort, states = np.zeros((count, len(at))), np.zeros((count, model.nq))
-    for k in range(2 * count):
-        t = 5e-4 * k
-        rise = 1.0 - np.exp(-2.0 * t) * (1.0 + 2.0 * t)
-        wanted = rise * np.sum(size * np.sin(rates * t), axis=0)
-        data.ctrl[:] = 40.0 * (wanted - data.qpos[at]) - 2.0 * data.qvel[dof]
-        mujoco.mj_forward(model, data)
-        if k % 2 == 0:
-            states[k // 2], effort[k // 2] = data.qpos, data.ctrl
-        mujoco.mj_step(model, data)
-    base, contacts = None, None
+    rng = np.random.default_rng(seed)
+    log, states = pulled(model, data, seconds, rng)
+    log["effort"] += NOISE * rng.normal(size=log["effort"].shape)
     if floating:
         turned = np.roll(states[:, 3:7], -1, axis=1)
-        base = BaseMotion(position=states[:, :3], orientation=turned)
-        contacts = Contacts(frames=["hook"], down=np.ones((count, 1), dtype=bool))
-    return Recording(
-        time=1e-3 * np.arange(count),
-        position=states[:, at],
-        effort=effort + NOISE * rng.normal(size=effort.shape),
-        joint_names=[model.joint(int(joint)).name for joint in joints],
-        base=base,
-        contacts=contacts,
-    )
+        log["base"] = BaseMotion(position=states[:, :3], orientation=turned)
+        log["contacts"] = Contacts(frames=["hook"], down=np.ones((len(states), 1), dtype=bool))
+    return Recording(**log)

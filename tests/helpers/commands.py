@@ -24,6 +24,13 @@ def ran(*arguments: Any) -> Result:
     return done
 
 
+def printed(*arguments: Any, status: int = 0) -> str:
+    """Return what a command prints that ends with a status; of a failure, its error as well."""
+    done = run(*arguments)
+    assert done.exit_code == status, done.output
+    return done.stdout if status == 0 else done.output
+
+
 def refused(done: Result, status: int, *words: str) -> None:
     """Check an exit status and a message of one line, without a traceback."""
     assert done.exit_code == status, done.output

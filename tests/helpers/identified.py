@@ -11,6 +11,7 @@ from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.workflow.result import Identification
 from tests.helpers.data import full_regressor, random_theta
+from tests.helpers.motions import sines
 from tests.helpers.robots import small_arm
 
 ARM = small_arm(2)
@@ -39,10 +40,7 @@ def moved(
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / RATE)
     w = speed * rng.uniform(0.5, 4.0, (3, robot.n))
-    angle = w * t[:, None, None] + rng.uniform(0.0, 6.0, (3, robot.n))
-    q = amplitude * np.sin(angle).sum(axis=1)
-    v = amplitude * (w * np.cos(angle)).sum(axis=1)
-    a = -amplitude * (w**2 * np.sin(angle)).sum(axis=1)
+    q, v, a = sines(t, w, rng.uniform(0.0, 6.0, w.shape), amplitude)
     effort = full_regressor(robot, (q, v, a), FRICTION) @ theta
     if noise_seed is not None:
         rng = np.random.default_rng((seed, noise_seed))

@@ -83,6 +83,32 @@ def mjcf(name: str, scale: Array | None = None) -> str:
     )
 
 
+def pulled(
+    model: Any, data: Any, seconds: float, rng: np.random.Generator
+) -> tuple[dict[str, Any], Array]:
+    """Return what motors that pull their joints along sines record, 1 kHz, and all positions."""
+    import mujoco
+
+    joints = model.actuator_trnid[:, 0]
+    at, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    middle, count = data.qpos[at].copy(), int(1000 * seconds)
+    rates = np.array([3.0, 7.0, 11.0])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
+    size = np.array([0.25, 0.12, 0.05])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
+    position, effort = np.zeros((count, model.nq)), np.zeros((count, len(at)))
+    for k in range(2 * count):
+        t = 5e-4 * k
+        rise = 1.0 - np.exp(-2.0 * t) * (1.0 + 2.0 * t)
+        wanted = middle + rise * np.sum(size * np.sin(rates * t), axis=0)
+        data.ctrl[:] = 40.0 * (wanted - data.qpos[at]) - 2.0 * data.qvel[dof]
+        mujoco.mj_forward(model, data)
+        if k % 2 == 0:
+            position[k // 2], effort[k // 2] = data.qpos, data.ctrl
+        mujoco.mj_step(model, data)
+    names = [model.joint(int(joint)).name for joint in joints]
+    log = {"time": 1e-3 * np.arange(count), "position": position[:, at], "joint_names": names}
+    return {**log, "effort": effort}, position
+
+
 def run(
     name: str, *, seconds: float, seed: int, scale: Array | None = None, start: Array
 ) -> tuple[Recording, Array]:
@@ -99,24 +125,6 @@ def run(
 
     model: Any = mujoco.MjModel.from_xml_string(mjcf(name, scale))
     data = mujoco.MjData(model)
-    _, driven = LINKAGES[name]
-    at = np.array([model.joint(f"{link}_joint").qposadr[0] for link in driven])
     data.qpos[:] = start
-    rng, count = np.random.default_rng(seed), int(1000 * seconds)
-    rates = np.array([3.0, 7.0, 11.0])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
-    size = np.array([0.25, 0.12, 0.05])[:, None] * rng.uniform(0.8, 1.2, (3, len(at)))
-    position, effort = np.zeros((count, model.nv)), np.zeros((count, len(at)))
-    for k in range(2 * count):
-        t = 5e-4 * k
-        rise = 1.0 - np.exp(-2.0 * t) * (1.0 + 2.0 * t)
-        wanted = start[at] + rise * np.sum(size * np.sin(rates * t), axis=0)
-        data.ctrl[:] = 40.0 * (wanted - data.qpos[at]) - 2.0 * data.qvel[at]
-        mujoco.mj_forward(model, data)
-        if k % 2 == 0:
-            position[k // 2], effort[k // 2] = data.qpos, data.ctrl
-        mujoco.mj_step(model, data)
-    names = [f"{link}_joint" for link in driven]
-    log = Recording(
-        time=1e-3 * np.arange(count), position=position[:, at], effort=effort, joint_names=names
-    )
-    return log, position
+    log, position = pulled(model, data, seconds, np.random.default_rng(seed))
+    return Recording(**log), position

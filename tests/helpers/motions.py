@@ -56,6 +56,15 @@ def fourier_motion(joint_names: tuple[str, ...], seed: int = 0, *, periods: int 
     )
 
 
+def sines(
+    time: Array, rates: Array, phases: Array, size: float | Array = 1.0
+) -> tuple[Array, Array, Array]:
+    """Return positions, velocities and accelerations (K, n) of sums of sines, each (S, n)."""
+    angle = rates * time[:, None, None] + phases
+    q, v = (size * np.sin(angle)).sum(axis=1), (size * rates * np.cos(angle)).sum(axis=1)
+    return q, v, -(size * rates**2 * np.sin(angle)).sum(axis=1)
+
+
 def slow_motion(count: int, rate_hz: float = 25.0) -> tuple[Array, Array, Array]:
     """Return states (count, 2) of a slow motion of two joints that does not repeat itself."""
     time = np.arange(count) / rate_hz

@@ -7,6 +7,7 @@ import numpy as np
 
 import sdpid
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.motions import sines
 
 RATE = 50.0
 
@@ -28,9 +29,7 @@ def recorded(
     if "period" in fields:
         turn = 2.0 * np.pi / fields["period"]
         w = turn * np.maximum(np.round(w / turn), 1.0)
-    angle = w * t[:, None, None] + c[None]
-    q, v = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1)
-    a = -(w**2 * np.sin(angle)).sum(axis=1)
+    q, v, a = sines(t, w, c)
     effort = robot.inverse_dynamics(robot.prior, q, v, a) + damping * v
     effort = effort + 0.02 * rng.standard_normal(effort.shape)
     names = robot.joint_names

@@ -8,6 +8,7 @@ import pytest
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.robot.inertia import theta_from_physical
+from tests.helpers.motions import sines
 
 RATE = 100.0
 MASS = 1.5
@@ -53,11 +54,10 @@ class SmallRobot:
         robot, rng = self.model, np.random.default_rng(seed)
         t = np.arange(0.0, 10.0, 1.0 / RATE)
         w, c = rng.uniform(0.8, 4.0, (3, robot.n)), rng.uniform(0.0, 6.0, (3, robot.n))
-        angle = w * t[:, None, None] + c
-        q, v = 0.4 * np.sin(angle).sum(axis=1), 0.4 * (w * np.cos(angle)).sum(axis=1)
+        q, v, a = sines(t, w, c, 0.4)
         bodies = np.array(robot.prior)
         bodies[-1] += 0.0 if load is None else load
-        effort = robot.inverse_dynamics(bodies, q, v, -0.4 * (w**2 * np.sin(angle)).sum(axis=1))
+        effort = robot.inverse_dynamics(bodies, q, v, a)
         effort += 0.5 * v + 0.3 * np.sign(v) + 0.01 * rng.standard_normal(effort.shape)
         effort[:, [robot.joint_names.index(name) for name in self.without_effort]] = 0.0
         log = sdpid.Recording(time=t, position=q, effort=effort, joint_names=robot.joint_names)
