@@ -17,7 +17,7 @@ import sdpid
 from sdpid.cli import endings, printing, values
 from sdpid.errors import ModelError
 from sdpid.experiment.plant.simulate import true_parameters
-from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.arm_files import ARM_URDF, write_arm
 from tests.helpers.bags import write_bag
 from tests.helpers.commands import ran, refused, run
 from tests.helpers.refusals import refuses
@@ -286,18 +286,8 @@ def test_simulate_refuses(
 
 
 def test_compare(log: Path, tmp_path: Path) -> None:
-    arguments = (
-        "compare",
-        log,
-        "--robot",
-        ROBOT,
-        "--starts",
-        1,
-        "--jobs",
-        1,
-        "--max-iterations",
-        20,
-    )
+    limits = ("--starts", 1, "--jobs", 1, "--max-iterations", 20)
+    arguments = ("compare", log, "--robot", ROBOT, *limits)
     done = ran(*arguments, "--out", tmp_path / "c.csv")
     assert "random 1" in done.stdout
     assert (tmp_path / "c.csv").read_text().startswith("solver,")
@@ -683,13 +673,9 @@ def test_what_a_terminal_would_obey_is_not_printed(
 def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: str) -> None:
     """As daemons start programs. The next file to be opened must not become standard error."""
     arguments = f"identify {folder_of_arm}/log.npz --robot {folder_of_arm}/arm.urdf --out out"
-    done = subprocess.run(
-        ["sh", "-c", f"{sys.executable} -m sdpid {arguments} --no-figures {closed}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    command = ["sh", "-c", f"{sys.executable} -m sdpid {arguments} --no-figures {closed}"]
+    options: dict[str, Any] = {"cwd": tmp_path, "text": True, "timeout": 120}
+    done = subprocess.run(command, capture_output=True, **options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "identified.urdf").read_text().endswith("</robot>\n")
     assert ("\nworst joint " in done.stdout) == ("1>&-" not in closed)
@@ -744,9 +730,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
 def folder_of_arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a small robot and a log."""
     folder = tmp_path_factory.mktemp("arm")
-    (folder / "arm.urdf").write_text(ARM_URDF)
-    t, q, tau = arm_log(folder / "arm.urdf")
-    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    write_arm(folder)
     return folder
 
 

@@ -12,16 +12,20 @@ import numpy as np
 import pytest
 
 from sdpid._common.files import load_toml
-from tests.helpers.arm_files import ARM_URDF, arm_log
+from sdpid.cli.endings import message
+from sdpid.cli.options import Estimation, ProcessingOptions
+from sdpid.constraints import MirrorPair, TotalMass
+from sdpid.errors import DataError
+from tests.helpers.arm_files import write_arm
 from tests.helpers.commands import ran, refused, run
+from tests.helpers.legged import quadruped
+from tests.helpers.refusals import refuses
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with a robot and two logs; one has other names, in degrees."""
-    (tmp_path / "arm.urdf").write_text(ARM_URDF)
-    t, q, tau = arm_log(tmp_path / "arm.urdf")
-    np.savez(tmp_path / "log.npz", t=t, q=q, tau=tau)
+    t, q, tau = write_arm(tmp_path)
     np.savez(tmp_path / "raw.npz", t=t, enc=np.degrees(q), i1=tau[:, 0], i2=tau[:, 1])
     return tmp_path
 
@@ -176,14 +180,8 @@ def completed(words: str) -> list[str]:
         "COMP_WORDS": words,
         "COMP_CWORD": str(len(words.split(" ")) - 1),
     }
-    done = subprocess.run(
-        [sys.executable, "-m", "sdpid"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    return done.stdout.split()
+    command, options = [sys.executable, "-m", "sdpid"], {"text": True, "timeout": 60}
+    return subprocess.run(command, env=environment, capture_output=True, **options).stdout.split()
 
 
 def test_the_shell_completes() -> None:
@@ -222,3 +220,62 @@ def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
     done = run("identify", folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder)
     refused(done, 2, "run.toml, which no run wrote")
     assert (folder / "run.toml").read_text() == "[columns]\n"
+
+
+# ---- What options of the command line become.
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, {}),
+        ({"mask": True}, {}),
+        ({"mask": False}, {"reversal_time": None}),
+        (
+            {"mask_speed": 0.05, "mask_time": 0.0, "cutoff": 8.0},
+            {"reversal_speed": 0.05, "reversal_time": 0.0, "cutoff_hz": 8.0},
+        ),
+        ({"filter_friction": False}, {"filter_friction": False}),
+    ],
+)
+def test_the_processing(given: dict[str, Any], expected: dict[str, Any]) -> None:
+    assert ProcessingOptions(**given).changes() == expected
+
+
+def test_a_mask_that_is_off_has_no_size() -> None:
+    refuses(DataError, "mask-speed", ProcessingOptions(mask=False, mask_speed=0.1).changes)
+
+
+def test_a_message_that_gives_the_option_needs_no_hint() -> None:
+    assert message(DataError("accept=['a'] (--accept a) overrules it.")).endswith("overrules it.")
+    assert message(DataError("give units={}.")).endswith("--unit QUANTITY=UNIT.")
+    assert message(DataError("give units={} (--unit time=ms).")).endswith("time=ms).")
+
+
+def test_a_weighed_robot_with_legs_that_are_alike() -> None:
+    arguments = Estimation(total_mass="2.5, 0.01", mirror=True).arguments(quadruped())
+    mass, *pairs = arguments["constraints"].others
+    assert isinstance(mass, TotalMass)
+    assert (mass.mass, mass.tolerance) == (2.5, 0.01)
+    assert len(pairs) == 6
+    assert all(isinstance(pair, MirrorPair) for pair in pairs)
+    assert Estimation().arguments(quadruped())["constraints"].others == ()
+    with pytest.raises(DataError, match="expected a mass in kg, or a mass and by how much"):
+        Estimation(total_mass="2.5,0.1,0.2").arguments(quadruped())
+
+
+def test_legs_that_are_nearly_alike() -> None:
+    robot = quadruped()
+    arguments = Estimation(mirror_within="5%", mirror_friction="0.2").arguments(robot)
+    assert (len(arguments["prior"].alike), arguments["prior"].within) == (6, 0.05)
+    drives = arguments["constraints"].others
+    assert [type(each).__name__ for each in drives] == 6 * ["EqualFriction"]
+    assert {each.within for each in drives} == {0.2}
+    for wrong, text in (
+        ({"mirror_within": "5", "mirror": True}, "beside --mirror it says nothing"),
+        ({"mirror_within": "5%", "prior": False}, "beside --no-prior it says nothing"),
+        ({"mirror_within": "0%"}, "have --mirror"),
+        ({"mirror_within": "much"}, "expected a share such as 5% or 0.05"),
+        ({"mirror_friction": "-1%"}, "--mirror-friction -1%: expected a share"),
+    ):
+        refuses(DataError, text, Estimation(**wrong).arguments, robot)

@@ -7,10 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.arm_files import write_arm
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
@@ -37,9 +36,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot, a log, and results of an earlier run."""
     folder = tmp_path_factory.mktemp("interrupted")
-    (folder / "arm.urdf").write_text(ARM_URDF)
-    t, q, tau = arm_log(folder / "arm.urdf")
-    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    write_arm(folder)
     run = identify(folder)
     _, stderr = run.communicate(timeout=120)
     assert run.returncode == 0, stderr

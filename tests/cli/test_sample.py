@@ -4,11 +4,10 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import sdpid
-from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.arm_files import write_arm
 from tests.helpers.commands import ran, refused, run
 
 
@@ -16,9 +15,7 @@ from tests.helpers.commands import ran, refused, run
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot, its log, and the results of a run."""
     folder = tmp_path_factory.mktemp("arm")
-    (folder / "arm.urdf").write_text(ARM_URDF)
-    t, q, tau = arm_log(folder / "arm.urdf")
-    np.savez(folder / "log.npz", t=t, q=q, tau=tau, joint_names=["a", "b"])
+    write_arm(folder, joint_names=["a", "b"])
     arguments = (folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder / "results")
     ran("identify", *arguments, "--no-figures", "--no-intervals", "--effects", "none")
     return folder
@@ -75,10 +72,7 @@ def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> 
         (("results", "-n", "0"), "--number"),
         (("results", "-n", "1000000000"), "give a whole number from 1 to 1000000"),
         (("results", "--seed", "-1"), "--seed"),
-        (
-            ("results", "--probability", "1"),
-            "probability is 1.0; give a probability between",
-        ),
+        (("results", "--probability", "1"), "probability is 1.0; give a probability between"),
         (("results", "--config", "results/run.toml"), "not both"),
         (("nowhere",), "has no run.toml; give the folder that `sdpid identify` wrote"),
         (("results", "--no-urdf", "--no-mjcf"), "nothing to write"),

@@ -1,8 +1,6 @@
 """Plans for controllers: the motion as independent readers find it, and their page."""
 
-import base64
 import csv
-import hashlib
 import json
 import re
 from dataclasses import replace
@@ -26,9 +24,7 @@ from sdpid.experiment.trajectory.reading import read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.plans import write
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
-from sdpid.output.plans.motion_files import (
-    write_motion_csv,
-)
+from sdpid.output.plans.motion_files import write_motion_csv
 from sdpid.output.plans.page import plan_html
 from sdpid.output.plans.pieces import TOLERANCE, pieces
 from sdpid.output.plans.scene import scene_of
@@ -40,7 +36,7 @@ from tests.helpers.motions import fourier_motion, spline_motion
 from tests.helpers.plans import AROUND, LIMITS, small_plan
 from tests.helpers.refusals import refuses
 from tests.helpers.scenes import unpacked
-from tests.output.test_report import elements, tree, words
+from tests.output.test_report import elements, self_contained, tree, words
 
 SIX = tuple(f"joint_{k}" for k in range(1, 7))
 MOTIONS = {
@@ -177,8 +173,8 @@ def test_the_program_plays_the_motion(motion: Trajectory, tmp_path: Path) -> Non
 
 
 def test_the_program_is_for_six_joints(tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"7 joints.*have 6"):
-        write_urscript(spline_motion((*SIX, "joint_7")), tmp_path / "a.script")
+    seven, path = spline_motion((*SIX, "joint_7")), tmp_path / "a.script"
+    refuses(ExportError, r"7 joints.*have 6", write_urscript, seven, path)
     assert not list(tmp_path.iterdir())
 
 
@@ -219,25 +215,11 @@ def scene(page: str) -> dict[str, Any]:
 def test_it_is_valid_and_alone(page: str) -> None:
     """Scripts run by their digests; nothing is fetched."""
     assert page.startswith("<!DOCTYPE html>")
-    *data, player, uplot, drawing = elements(page, "script")
+    self_contained(page)
+    *data, player, _, _ = elements(page, "script")
     assert [each.get("type") for each in data] == ["application/json"] * 2
-    assert not any(each.attrib for each in (player, uplot, drawing))
-    digests = [
-        f"'sha256-{base64.b64encode(hashlib.sha256(each.text.encode()).digest()).decode()}'"
-        for each in (player, uplot, drawing)
-    ]
-    (policy,) = [m.get("content") for m in elements(page, "meta") if m.get("http-equiv")]
-    assert f"script-src {' '.join(digests)}" in policy.split("; ")
-    assert "default-src 'none'" in policy.split("; ")
-    for element in tree(page).iter("{*}*"):
-        for key, value in element.attrib.items():
-            assert not key.startswith("on")
-            if key in ("src", "href", "srcset", "data", "action"):
-                assert re.match(r"data:image/svg\+xml;base64,|#", value)
     ids = [e.get("id") for e in tree(page).iter("{*}*") if e.get("id")]
-    assert len(ids) == len(set(ids))
     assert all(link.get("href")[1:] in ids for link in elements(page, "a"))
-    assert all(image.get("alt") for image in elements(page, "img"))
     assert "http" not in player.text
 
 
@@ -318,10 +300,7 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
             size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
             await tab.call("Emulation.setDeviceMetricsOverride", **size)
             assert await tab.value("document.documentElement.scrollWidth") <= width
-        assert not tab.named("Runtime.exceptionThrown", "Runtime.consoleAPICalled")
-        assert not tab.named("Log.entryAdded")
-        asked = [e["params"]["request"]["url"] for e in tab.named("Network.requestWillBeSent")]
-        assert all(url.startswith(("file:", "data:")) for url in asked)
+        tab.heard_nothing()
 
     look(tmp_path / "report.html", tmp_path / "profile", visit)
 
@@ -351,7 +330,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert {file.name for file in files} == FILES
     assert told == [
         "no excitation.script: arms of Universal Robots have 6 turning joints, this robot has "
-        "others",
+        "others"
     ]
     return out
 
@@ -461,8 +440,7 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(write, "write_joint_trajectory", fail)
-    with pytest.raises(ExportError, match="No space left"):
-        write_plan(small_plan(), tmp_path / "plan")
+    refuses(ExportError, "No space left", write_plan, small_plan(), tmp_path / "plan")
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
     refuses(ExportError, "it is a file", write_plan, small_plan(), tmp_path / "file")

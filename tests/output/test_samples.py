@@ -347,11 +347,7 @@ def folder(estimate: Estimate, draws: Array, tmp_path_factory: pytest.TempPathFa
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xml"])
 def test_every_robot_is_the_draw(
-    estimate: Estimate,
-    draws: Array,
-    folder: Path,
-    suffix: str,
-    monkeypatch: pytest.MonkeyPatch,
+    estimate: Estimate, draws: Array, folder: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A process for each file takes seconds, and is for files of others.
     for module in (mjcf, mjcf_bodies):

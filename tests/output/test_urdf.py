@@ -39,7 +39,7 @@ from sdpid.friction import (
     Tilt,
     Viscous,
 )
-from sdpid.output.robots.export_report import Errors, Written
+from sdpid.output.robots.export_report import Errors, ExportReport, Written
 from sdpid.output.robots.friction_code import cpp, python
 from sdpid.output.robots.friction_files import friction_data, write_friction
 from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
@@ -139,6 +139,9 @@ def bodies(rng: np.random.Generator, count: int, points: int = 8) -> np.ndarray:
     )
 
 
+LINKS = bodies(np.random.default_rng(0), 3)
+
+
 def problem_of(robot: RobotModel, **options: object) -> Problem:
     q, v, a = generic_states(robot, 60, 5)
     friction = options.setdefault("friction", ("coulomb", "viscous"))
@@ -170,6 +173,15 @@ def assert_same_efforts(problem: Problem, links: np.ndarray, path: Path) -> Robo
     found = (written.regressor(q, v, a) @ written.prior.ravel()) - expected
     assert np.abs(found).max() <= CLOSE * np.abs(expected).max()
     return written
+
+
+def written(problem: Problem, links: np.ndarray, path: Path, **options: Any) -> ExportReport:
+    """Write a URDF that differs from the estimate in nothing and has the same efforts."""
+    estimate = estimate_of(problem, links)
+    report = write_urdf(estimate, target=path, **options)
+    assert differences(estimate, path) == []
+    assert_same_efforts(problem, links, path)
+    return report
 
 
 def efforts_of(model: Any, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -208,12 +220,9 @@ def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) ->
     problem = problem_of(sdpid.load_robot(text))
     links = bodies(np.random.default_rng(points), problem.robot.n_links, points)
     target = tmp_path / "out.urdf"
-    estimate = estimate_of(problem, links)
-    report = write_urdf(estimate, target=target)
-    assert differences(estimate, target) == []
+    report = written(problem, links, target)
     assert report.path == target
     assert report.triangle_violations == ()
-    assert_same_efforts(problem, links, target)
     states = generic_states(problem.robot, 20, 78)
     expected = problem.robot.inverse_dynamics(links, *states)
     found = mujoco_efforts(target, problem.robot, states)
@@ -225,16 +234,12 @@ def test_example_robot_with_fixed_hand(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     for points in (8, 2):
         links = bodies(rng, problem.robot.n_links, points)
-        estimate = estimate_of(problem, links)
-        report = write_urdf(estimate, target=tmp_path / "panda.urdf")
-        assert differences(estimate, tmp_path / "panda.urdf") == []
-        assert_same_efforts(problem, links, tmp_path / "panda.urdf")
+        report = written(problem, links, tmp_path / "panda.urdf")
         assert len(report.lumped) == (1 if points == 2 else 0)
 
 
 def test_only_inertials_and_dynamics_change(tmp_path: Path, arm: Problem) -> None:
-    links = bodies(np.random.default_rng(0), 3)
-    report = write_urdf(estimate_of(arm, links), target=tmp_path / "out.urdf")
+    report = write_urdf(estimate_of(arm, LINKS), target=tmp_path / "out.urdf")
     assert report.links_changed == ("upper", "slide", "finger")
     assert report.joints_changed == ("j1", "j2", "j3")
     assert report.lumped == ()
@@ -259,8 +264,7 @@ def test_only_inertials_and_dynamics_change(tmp_path: Path, arm: Problem) -> Non
 
 
 def test_friction_appears_where_there_was_none(tmp_path: Path, arm: Problem) -> None:
-    links = bodies(np.random.default_rng(0), 3)
-    theta = np.concatenate([links.ravel(), [0.1, 0.2, 0.3, 1.1, 1.2, 1.3]])
+    theta = np.concatenate([LINKS.ravel(), [0.1, 0.2, 0.3, 1.1, 1.2, 1.3]])
     estimate = Estimate.of_theta(arm, theta, method="sdp", status="optimal")
     write_urdf(estimate, target=tmp_path / "out.urdf")
     model = sdpid.load_robot(tmp_path / "out.urdf").pin_model
@@ -272,46 +276,38 @@ def test_friction_appears_where_there_was_none(tmp_path: Path, arm: Problem) -> 
 
 def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
     problem = problem_of(sdpid.load_robot(MIMIC), friction=("viscous", "offset")).without_rows()
-    links = bodies(np.random.default_rng(0), 3)
-    report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
+    report = write_urdf(estimate_of(problem, LINKS), target=tmp_path / "out.urdf")
     out = (tmp_path / "out.urdf").read_text()
     assert '<dynamics damping="0.0"/>' in out
     assert "damping='0.75' friction=\"0.25\"" in out  # no Coulomb term: friction stays
     assert report.left_out == (LeftOut("Offset", ("Fo1", "Fo2")),)
     assert "no place in a URDF: Offset Fo1, Fo2" in report.describe()
     assert report.friction_fitted
-    found = differences(estimate_of(problem, links), tmp_path / "out.urdf")
+    found = differences(estimate_of(problem, LINKS), tmp_path / "out.urdf")
     assert found == []
 
 
 def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:
-    links = bodies(np.random.default_rng(0), 3)
+    links = LINKS.copy()
     links[1] *= 0.05  # lighter than the tool that is fixed to it
-    estimate = estimate_of(arm, links)
-    report = write_urdf(estimate, target=tmp_path / "out.urdf")
-    assert differences(estimate, tmp_path / "out.urdf") == []
+    report = written(arm, links, tmp_path / "out.urdf")
     assert report.lumped == ("slide",)
     assert "tool" in report.links_changed
     assert "slide" in report.describe()
-    assert_same_efforts(arm, links, tmp_path / "out.urdf")
     # Zero, not removed: MuJoCo would take a mass from the collision box.
     tool = (tmp_path / "out.urdf").read_text().split('<link name="tool">')[1]
     assert '<mass value="0.0"/>' in tool.split("</link>")[0]
 
 
 def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
-    links = bodies(np.random.default_rng(0), 3)
     target = tmp_path / "out.urdf"
-    merged = write_urdf(estimate_of(arm, links), target=target, fixed="merge")
-    assert merged.lumped == ("slide",)
-    assert_same_efforts(arm, links, target)
+    assert written(arm, LINKS, target, fixed="merge").lumped == ("slide",)
     tool = bodies(np.random.default_rng(5), 1)[0] * 0.02
-    split = write_urdf(estimate_of(arm, links), target=target, fixed={"tool": tool})
+    split = written(arm, LINKS, target, fixed={"tool": tool})
     assert split.lumped == ()
     assert "tool" in split.links_changed
-    assert_same_efforts(arm, links, target)
-    written = {b.name: b.theta for b in read_urdf_bodies(target.read_text(), "written")[1]}
-    np.testing.assert_allclose(written["tool"], tool, atol=1e-12)
+    found = {b.name: b.theta for b in read_urdf_bodies(target.read_text(), "written")[1]}
+    np.testing.assert_allclose(found["tool"], tool, atol=1e-12)
     kept = target.read_bytes()
     for asked, said in (
         ({"tool": 1e3 * tool}, "cannot be split as asked"),
@@ -320,16 +316,14 @@ def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
         ({"tool": tool[:9]}, "shape"),
         ("share", "use 'keep'"),
     ):
-        with pytest.raises(ExportError, match=said):
-            write_urdf(estimate_of(arm, links), target=target, fixed=asked)  # type: ignore[arg-type]
+        refuses(ExportError, said, written, arm, LINKS, target, fixed=asked)
     assert target.read_bytes() == kept
 
 
 def test_lump_when_a_child_is_no_body(tmp_path: Path) -> None:
     text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
     problem = problem_of(sdpid.load_robot(text))
-    links = bodies(np.random.default_rng(0), 3)
-    assert write_urdf(estimate_of(problem, links), target=tmp_path / "o.urdf").lumped == ("slide",)
+    assert write_urdf(estimate_of(problem, LINKS), target=tmp_path / "o.urdf").lumped == ("slide",)
 
 
 def test_what_readers_may_take_differently_is_refused(tmp_path: Path) -> None:
@@ -345,32 +339,28 @@ def test_written_bodies_are_consistent(tmp_path: Path, arm: Problem) -> None:
     for points in (1, 2, 3, 4, 8):
         links = bodies(rng, 3, points)
         write_urdf(estimate_of(arm, links), target=tmp_path / "out.urdf")
-        written = sdpid.load_robot(tmp_path / "out.urdf")
-        assert margin(written.prior, "pseudo_inertia").min() > -1e-15
+        found = sdpid.load_robot(tmp_path / "out.urdf")
+        assert margin(found.prior, "pseudo_inertia").min() > -1e-15
 
 
 def test_spatial_consistency_may_violate_the_triangle(tmp_path: Path, arm: Problem) -> None:
     problem = arm.constrained(consistency="spatial_inertia")
-    links = bodies(np.random.default_rng(0), 3)
+    links = LINKS.copy()
     links[0, 4:] = [5.0, 0.0, 1.0, 0.0, 0.0, 1.0]
     links[0, 1:4] = 0.0
-    report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
+    report = written(problem, links, tmp_path / "out.urdf")
     assert report.triangle_violations == ("upper",)
-    assert differences(estimate_of(problem, links), tmp_path / "out.urdf") == []
-    assert_same_efforts(problem, links, tmp_path / "out.urdf")
-    with pytest.raises(ExportError, match="'upper' is not consistent"):
-        write_urdf(estimate_of(arm, links), target=tmp_path / "no.urdf")
+    words, target = "'upper' is not consistent", tmp_path / "no.urdf"
+    refuses(ExportError, words, write_urdf, estimate_of(arm, links), target=target)
     assert not (tmp_path / "no.urdf").exists()
 
 
 def test_free_flyer_writes_its_root(tmp_path: Path) -> None:
     problem = problem_of(sdpid.load_robot(ARM, root="free_flyer"))
     links = bodies(np.random.default_rng(2), 4)
-    report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
+    report = written(problem, links, tmp_path / "out.urdf")
     assert report.links_changed[0] == "base"
-    assert differences(estimate_of(problem, links), tmp_path / "out.urdf") == []
     assert report.joints_changed == ("j1", "j2", "j3")
-    assert_same_efforts(problem, links, tmp_path / "out.urdf")
 
 
 def test_robot_from_a_table(tmp_path: Path) -> None:
@@ -379,19 +369,15 @@ def test_robot_from_a_table(tmp_path: Path) -> None:
         {"alpha": np.pi / 2, "d": 0.1, "theta": 0.0, "r": 0.2},
     ]
     problem = problem_of(RobotModel.from_mdh(rows, gravity=(0.0, 9.81, 0.0)))
-    links = bodies(np.random.default_rng(3), 2)
-    write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
-    assert_same_efforts(problem, links, tmp_path / "out.urdf")
+    written(problem, bodies(np.random.default_rng(3), 2), tmp_path / "out.urdf")
 
 
 def test_source_file_keeps_line_endings(tmp_path: Path, arm: Problem) -> None:
     source = tmp_path / "windows.urdf"
     source.write_bytes(ARM.replace("\n", "\r\n").encode())
-    links = bodies(np.random.default_rng(0), 3)
-    write_urdf(estimate_of(arm, links), target=source, source=source)  # in place
+    written(arm, LINKS, source, source=source)  # in place
     data = source.read_bytes()
     assert data.count(b"\n") == data.count(b"\r\n") > 0
-    assert_same_efforts(arm, links, source)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1", "utf-16"])
@@ -400,13 +386,11 @@ def test_source_file_keeps_its_encoding(tmp_path: Path, arm: Problem, encoding: 
     text = f'<?xml version="1.0" encoding="{declared}"?>\n<!-- größe -->' + undeclared(ARM)
     source, target = tmp_path / "source.urdf", tmp_path / "out.urdf"
     source.write_bytes(text.encode(encoding))
-    links = bodies(np.random.default_rng(0), 3)
-    write_urdf(estimate_of(arm, links), target=target, source=source)
+    written(arm, LINKS, target, source=source)
     assert target.read_bytes().decode(encoding).startswith(text[:60])
-    assert_same_efforts(arm, links, target)
     # The same from the robot's own text.
     own = problem_of(sdpid.load_robot(source))
-    write_urdf(estimate_of(own, links), target=tmp_path / "own.urdf")
+    write_urdf(estimate_of(own, LINKS), target=tmp_path / "own.urdf")
     assert (tmp_path / "own.urdf").read_bytes() == target.read_bytes()
 
 
@@ -416,37 +400,32 @@ def test_macros_of_the_source_are_expanded(tmp_path: Path, arm: Problem) -> None
     macro = '<xacro:macro xmlns:xacro="http://ros.org/wiki/xacro" name="a" params=""/>'
     text = ARM.replace("package://a/b.stl", "b.stl")  # packages are looked up
     source.write_text(text.replace("</robot>", f"{macro}</robot>"))
-    links = bodies(np.random.default_rng(0), 3)
-    write_urdf(estimate_of(arm, links), target=target, source=source)
+    written(arm, LINKS, target, source=source)
     assert "xacro" not in target.read_text()
-    assert_same_efforts(arm, links, target)
 
 
 def test_refusals(tmp_path: Path, arm: Problem) -> None:
-    links = bodies(np.random.default_rng(0), 3)
-    good = estimate_of(arm, links)
+    good = estimate_of(arm, LINKS)
     target = tmp_path / "out.urdf"
-    with pytest.raises(ExportError, match="base parameters only"):
-        write_urdf(replace(good, theta=None, method="wls"), target=target)
-    massless = links.copy()
+    massless = LINKS.copy()
     massless[2, 0] = -0.1
-    with pytest.raises(ExportError, match=r"'finger' has a mass of -0\.1 kg"):
-        write_urdf(estimate_of(arm, massless), target=target)
-    with pytest.raises(ExportError, match="Fs1 of joint 'j1' is -1 N"):
-        write_urdf(estimate_of(arm, links, friction=-1.0), target=target)
-    with pytest.raises(ExportError, match="no joint 'j1'"):
-        write_urdf(good, target=target, source=ARM.replace('name="j1"', 'name="k1"'))
-    with pytest.raises(ExportError, match="placed differently"):
-        write_urdf(good, target=target, source=ARM.replace("0 0.1 0", "0 0.2 0"))
-    with pytest.raises(ExportError, match=r"cannot read .*absent"):
-        write_urdf(good, target=target, source=tmp_path / "absent.urdf")
-    with pytest.raises(ExportError, match="document type"):
-        write_urdf(good, target=target, source=ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"))
-    with pytest.raises(ModelError, match="link 'tool': value of <mass>"):
-        write_urdf(good, target=target, source=ARM.replace('value="0.2"', 'value="heavy"'))
-    refuses(ExportError, "cannot write", write_urdf, good, target=tmp_path / "no" / "out.urdf")
     nameless = replace(arm, robot=replace(arm.robot, urdf=None))
-    refuses(ExportError, "as source", write_urdf, estimate_of(nameless, links), target=target)
+    for estimate, words in (
+        (replace(good, theta=None, method="wls"), "base parameters only"),
+        (estimate_of(arm, massless), r"'finger' has a mass of -0\.1 kg"),
+        (estimate_of(arm, LINKS, friction=-1.0), "Fs1 of joint 'j1' is -1 N"),
+        (estimate_of(nameless, LINKS), "as source"),
+    ):
+        refuses(ExportError, words, write_urdf, estimate, target=target)
+    for error, source, words in (
+        (ExportError, ARM.replace('name="j1"', 'name="k1"'), "no joint 'j1'"),
+        (ExportError, ARM.replace("0 0.1 0", "0 0.2 0"), "placed differently"),
+        (ExportError, tmp_path / "absent.urdf", r"cannot read .*absent"),
+        (ExportError, ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"), "document type"),
+        (ModelError, ARM.replace('value="0.2"', 'value="heavy"'), "link 'tool': value of <mass>"),
+    ):
+        refuses(error, words, write_urdf, good, target=target, source=source)
+    refuses(ExportError, "cannot write", write_urdf, good, target=tmp_path / "no" / "out.urdf")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -825,10 +804,9 @@ def test_proofs_refuse_what_is_not_nearest() -> None:
     right = np.diag([1.1e-3, 2.0, 3.0])
     assert prove_nearest(exact(P), exact(np.diag([1.0000001e-3, 2.0, 3.0])), floor).distance > 1.0
     refuses(CertificateError, "proven", prove_nearest, exact(P), exact(right), floor)
-    with pytest.raises(CertificateError, match="below"):
-        prove_nearest(exact(P), exact(np.diag([0.9e-3, 2.0, 3.0])), floor)
-    with pytest.raises(CertificateError, match="proven"):
-        prove_nearest(exact(P), exact(right + 1e-3 * (np.ones((3, 3)) - np.eye(3))), floor)
+    low, turned = np.diag([0.9e-3, 2.0, 3.0]), right + 1e-3 * (np.ones((3, 3)) - np.eye(3))
+    refuses(CertificateError, "below", prove_nearest, exact(P), exact(low), floor)
+    refuses(CertificateError, "proven", prove_nearest, exact(P), exact(turned), floor)
 
 
 def test_a_robot_of_others() -> None:
@@ -849,16 +827,29 @@ Terms = tuple[str | FrictionTerm, ...]
 SIGN = Coulomb(width=SMOOTH)
 
 
-def estimate_of_terms(
-    terms: Terms, theta: Array, rng: np.random.Generator, velocity: Array, **fields: Any
-) -> Estimate:
-    """Return an estimate whose parameters are the truth of its samples."""
+def rubbed(
+    seed: int,
+    terms: Terms,
+    *friction: Any,
+    count: int = 200,
+    high: Any = 1.0,
+    low: Any = None,
+    **fields: Any,
+) -> tuple[Estimate, Array]:
+    """Return an estimate whose parameters are the truth of its samples, and a copy of them.
+
+    Friction is given for both joints or one by one, speeds by their limits.
+    """  # fmt: skip
+    rng = np.random.default_rng(seed)
+    theta = random_theta(TWO_JOINTS, rng, terms)
+    theta[20:] = np.ravel([np.broadcast_to(each, 2) for each in friction])
+    velocity = rng.uniform(-high if low is None else low, high, (count, 2))
     q, a = rng.uniform(-2.0, 2.0, (2, *velocity.shape))
     effort = full_regressor(TWO_JOINTS, (q, velocity, a), terms) @ theta
     effort = effort + 0.1 * rng.standard_normal(effort.shape)
     samples = sdpid.Samples(position=q, velocity=velocity, acceleration=a, effort=effort, **fields)
     problem = build_problem(TWO_JOINTS, samples, friction=terms, check_excitation=False)
-    return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
+    return Estimate.of_theta(problem, theta, method="sdp", status="optimal"), theta.copy()
 
 
 def attributes_of(problem: Problem, theta: Array, places: dict[Kind, str]) -> Array:
@@ -869,23 +860,14 @@ def attributes_of(problem: Problem, theta: Array, places: dict[Kind, str]) -> Ar
     )
 
 
-def theta_with(rng: np.random.Generator, terms: Terms, *friction: float) -> Array:
-    """Return parameters with the same friction at both joints."""
-    theta = random_theta(TWO_JOINTS, rng, terms)
-    theta[20:] = np.repeat(friction, 2)
-    return theta
-
-
 @given(SEEDS, st.sampled_from([URDF, MJCF]))
 def test_no_other_coefficients_predict_the_recordings_better(
     seed: int, places: dict[Kind, str]
 ) -> None:
-    rng = np.random.default_rng(seed)
-    terms: Terms = (SIGN, SigmoidFriction(velocity=0.5), Viscous(), RotorInertia())[
-        : 1 + len(places)
-    ]
-    theta = theta_with(rng, terms, *rng.uniform(0.1, 2.0, len(terms)))
-    estimate = estimate_of_terms(terms, theta, rng, rng.uniform(-2.0, 2.0, (400, 2)))
+    every = (SIGN, SigmoidFriction(velocity=0.5), Viscous(), RotorInertia())
+    terms: Terms = every[: 1 + len(places)]
+    friction = np.random.default_rng(seed).uniform(0.1, 2.0, len(terms))
+    estimate, theta = rubbed(seed, terms, *friction, count=400, high=2.0)
     samples = estimate.problem.samples
     best = attributes_of(estimate.problem, theta, places)
     assert np.all(best >= 0.0)
@@ -909,10 +891,7 @@ def test_no_other_coefficients_predict_the_recordings_better(
 
 
 def test_terms_with_a_place_are_written_as_they_were_identified(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    terms: Terms = (SIGN, Viscous())
-    theta = theta_with(rng, terms, 3.0, 4.0)
-    estimate = estimate_of_terms(terms, theta, rng, rng.uniform(-1.0, 1.0, (50, 2)))
+    estimate, theta = rubbed(0, (SIGN, Viscous()), 3.0, 4.0, count=50)
     # Other values than the data's: none is fitted.
     theta[20:] = [5.0, 6.0, 7.0, 8.0]
     np.testing.assert_array_equal(
@@ -923,10 +902,7 @@ def test_terms_with_a_place_are_written_as_they_were_identified(tmp_path: Path) 
 
 
 def test_only_what_is_written_must_not_be_negative() -> None:
-    rng = np.random.default_rng(6)
-    terms: Terms = (SIGN, Viscous(), "offset")
-    theta = theta_with(rng, terms, 3.0, 1.0, 1.0)
-    estimate = estimate_of_terms(terms, theta, rng, rng.uniform(-1.0, 1.0, (200, 2)))
+    estimate, theta = rubbed(6, (SIGN, Viscous(), "offset"), 3.0, 1.0, 1.0)
     theta[20] = -0.1
     assert attributes_of(estimate.problem, theta, URDF).min() > 0.9
     with pytest.raises(ExportError, match="Fs1 of joint 'joint_1' is -0"):
@@ -934,11 +910,8 @@ def test_only_what_is_written_must_not_be_negative() -> None:
 
 
 def test_an_offset_is_friction_only_where_the_motion_cannot_tell() -> None:
-    rng = np.random.default_rng(1)
     terms: Terms = (SIGN, Viscous(), "offset")
-    theta = theta_with(rng, terms, 3.0, 0.0, 1.0)
-    velocity = np.column_stack([rng.uniform(0.3, 1.0, 400), rng.uniform(-1.0, 1.0, 400)])
-    estimate = estimate_of_terms(terms, theta, rng, velocity)
+    estimate, theta = rubbed(1, terms, 3.0, 0.0, 1.0, count=400, low=[0.3, -1.0])
     found = attributes_of(estimate.problem, theta, URDF)
     np.testing.assert_allclose(found[0], [4.0, 3.0], atol=0.15)
     (lost,) = joint_attributes(estimate.problem, theta, URDF, "file").left_out
@@ -950,11 +923,8 @@ def test_an_offset_is_friction_only_where_the_motion_cannot_tell() -> None:
 
 def test_curves_become_what_fits_them_best() -> None:
     """A sigmoid that saturates at once is dry friction; a wide one is damping."""
-    rng = np.random.default_rng(2)
     terms: Terms = (Viscous(), SigmoidFriction(velocity=(1e-9, 1e3)))
-    theta = theta_with(rng, terms, 0.5, 1.0)
-    theta[22:] = [3.0, 4e3]
-    estimate = estimate_of_terms(terms, theta, rng, rng.uniform(-2.0, 2.0, (800, 2)))
+    estimate, theta = rubbed(2, terms, 0.5, [3.0, 4e3], count=800, high=2.0)
     wanted = [[3.0, 0.0], [0.5, 4.5]]
     np.testing.assert_allclose(attributes_of(estimate.problem, theta, URDF), wanted, atol=0.05)
     # Without rows the curves themselves are fitted.
@@ -964,32 +934,23 @@ def test_curves_become_what_fits_them_best() -> None:
 
 
 def test_a_joint_that_hardly_moves_gets_the_curve_at_nominal_speeds() -> None:
-    rng = np.random.default_rng(3)
     terms: Terms = (AsymmetricCoulomb(), Viscous(), "offset")
-    theta = theta_with(rng, terms, 2.0, 2.0, 0.5, 3.0)
-    velocity = rng.uniform(-1.0, 1.0, (200, 2)) * [1.0, 1e-4]
-    estimate = estimate_of_terms(terms, theta, rng, velocity)
+    estimate, theta = rubbed(3, terms, 2.0, 2.0, 0.5, 3.0, high=np.array([1.0, 1e-4]))
     found = attributes_of(estimate.problem, theta, URDF)
     np.testing.assert_allclose(found[:, 1], [2.0, 0.5], atol=1e-6)
     np.testing.assert_allclose(found[:, 0], [2.0, 0.5], atol=0.2)
 
 
 def test_a_joint_without_effort_too() -> None:
-    rng = np.random.default_rng(4)
-    terms: Terms = (SIGN, Viscous(), "offset")
-    theta = theta_with(rng, terms, 2.0, 0.5, 1.0)
     mask = np.array([[True, False]] * 200)
-    velocity = rng.uniform(-1.0, 1.0, (200, 2))
-    estimate = estimate_of_terms(terms, theta, rng, velocity, mask=mask)
+    estimate, theta = rubbed(4, (SIGN, Viscous(), "offset"), 2.0, 0.5, 1.0, mask=mask)
     found = attributes_of(estimate.problem, theta, URDF)
     np.testing.assert_array_equal(found[:, 1], [2.0, 0.5])
 
 
 def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
     terms: Terms = (SIGN, SigmoidFriction(velocity=0.3), Viscous(), "offset", RotorInertia())
-    theta = theta_with(rng, terms, 2.0, 1.0, 0.5, 1.0, 0.3)
-    estimate = estimate_of_terms(terms, theta, rng, rng.uniform(-1.0, 1.0, (300, 2)))
+    estimate, _ = rubbed(5, terms, 2.0, 1.0, 0.5, 1.0, 0.3, count=300)
     samples = estimate.problem.samples
     pytest.importorskip("mujoco")
     urdf = sdpid.write_urdf(estimate, target=tmp_path / "arm.urdf")

@@ -1,23 +1,40 @@
 """What is said of a model follows from what was put wrong."""
 
+import ast
+import re
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.assurance.diagnostics.held_out import DESCRIPTION, HeldOut, hold_out
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed, MirrorPair
-from sdpid.output.report.grades import SMALL, Level, graded
+from sdpid.errors import DataError, SdpidError
+from sdpid.estimation.effects.tried import Tried
+from sdpid.experiment.inspection.accept import REFUSED
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.output.report import verdict
+from sdpid.output.report.grades import EXPLAINED, MARGIN, SMALL, Level, graded, grades
+from sdpid.output.report.headline import headline
 from sdpid.output.report.judged import errors_of
 from sdpid.output.report.prediction_verdict import prediction_findings
+from sdpid.output.report.report import report_html
 from sdpid.output.report.verdict import _one_way, _unlike, findings
+from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
+from tests.experiment.inspection.test_inspect import WRONG, simulated
 from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFT, small_arm
+from tests.helpers.runs import arm, recorded
+from tests.output.test_report import elements
 
 FIRST, LAST = ARM.joint_names
 ONE = small_arm(1)
@@ -310,9 +327,7 @@ def test_a_joint_that_moves_one_way_only_is_named(
     unsaid(with_validation(good, one_way(moved(arm_theta(), 2), 0, sign)), "one direction only")
 
 
-def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
-    good: Identification,
-) -> None:
+def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(good: Identification) -> None:
     samples = one_way(good.problem.samples, 1, 1.0)
     v = np.array(samples.velocity)
     v[:5, 1] = -0.019
@@ -361,3 +376,423 @@ def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.Mon
     monkeypatch.setattr("sdpid.output.report.judged.joint_errors", None)
     assert errors_of(fresh) is first
     assert fresh.verdict == wanted
+
+
+# ---- The terminal's lines say what the report's boxes say, on public recordings and on wrong logs.
+
+
+# Description, log, and another recording where there is one.
+RECORDS: dict[str, tuple[str, str, str | None]] = {
+    "ur10_unisa": ("ur10.urdf", "ur10_exciting.npz", None),
+    "panda_unisa": ("panda.urdf", "panda_exciting.npz", None),
+    "kuka_lwr4plus": ("kuka_lwr4.urdf", "measurements_1.npz", "measurements_2.npz"),
+    "staubli_tx40": ("tx40.urdf", "tx40_rows_0_24750.npz", None),
+    "kinova_gen3_dynamapp": ("gen3.urdf", "opti_traj_testing1.npz", "opti_traj_testing2.npz"),
+    "kr300": ("kr300.urdf", "run_A.npz", "run_B.npz"),
+}
+CURRENTS = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+
+
+def text_of(element: Any) -> str:
+    return re.sub(r"\s+", " ", "".join(element.itertext())).strip()
+
+
+def number_of(text: str) -> float:
+    return float(text.replace("−", "-").removesuffix(" %").replace("–", "nan"))
+
+
+def unlike(result: Identification) -> Iterator[str]:
+    """Yield what of the report the terminal has not, or has otherwise."""
+    page, headline = report_html(result), result.headline
+    lines = headline.lines
+    red = [text_of(box) for box in elements(page, "li") if box.get("class") == "bad"]
+    # Red boxes of the verdict, in their words, and of the log.
+    warned = {"Do not trust" + each.text: each.warning for each in findings(result)}
+    warned = {re.sub(r"\s+", " ", text).strip(): words for text, words in warned.items()}
+    for box in red:
+        if box.startswith("accepted all the same"):
+            if not any(str(each) in line for each in result.findings for line in headline.log):
+                yield box
+        elif not (warned.get(box) and any(line.endswith(warned[box]) for line in lines)):
+            yield box
+    for each in result.findings:
+        told = each.severity == "note" or each.kind == "continued" or each.line() in headline.log
+        if not told:
+            yield each.line()
+    # One error in all places: the bars, the tile, JSON, and the line.
+    if result.held_out is not None and result.held_out.fit.moving.rows.any():
+        line = re.sub(r", no robot \([^)]*\)", "", lines[1])
+        said = [float(share) for share in re.findall(r"([\d.e+-]+) %", line)]
+        bars = [
+            number_of(text_of(row.find("{*}td")))
+            for table in elements(page, "table")
+            if "bars are logarithmic" in text_of(table)
+            for row in table.find("{*}tbody")
+        ]
+        held = result.to_dict()["held_out"]
+        own = [
+            100.0 * held[name]["moving"]["relative_residual"]
+            for name in held
+            if name not in ("by", "blocks")
+        ]
+        for what, found in (("line", said), ("bars", bars)):
+            if found != pytest.approx(own, rel=6e-3):
+                yield f"{what}: {found}, JSON {own}"
+    tiles = {
+        text_of(each.find("{*}dt")): text_of(each.find("{*}dd"))
+        for each in elements(page, "div")
+        if each.find("{*}dt") is not None
+    }
+    training = number_of(tiles["training relative residual"])
+    if training != pytest.approx(100.0 * result.training.told.relative, rel=6e-3):
+        yield f"training: {training}"
+    # Where least squares is no robot.
+    share = re.search(r"M < 0 (all along|on ([\d.e+-]+) %)", lines[1])
+    told = 0.0 if share is None else 100.0 if share[2] is None else float(share[2])
+    (table,) = [t for t in elements(page, "table") if "Least eigenvalue" in text_of(t)]
+    row = next(r for r in table.iter("{*}tr") if text_of(r).startswith("least squares"))
+    shown = number_of(text_of(row[-1]))
+    if "least squares" in lines[1] and told != pytest.approx(shown, rel=6e-3):
+        yield f"no robot: {told}, {text_of(row)}"
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_public_recordings(data_folder: Path, name: str) -> None:
+    robot, log, validation = RECORDS[name]
+    folder = data_folder / name
+    others = None if validation is None else folder / validation
+    result = sdpid.identify(folder / robot, folder / log, validation=others, intervals=False)
+    assert list(unlike(result)) == []
+
+
+def test_public_currents(data_folder: Path) -> None:
+    folder = data_folder / "ur10e_innopolis"
+    columns = {"time": 1, "position": [*range(2, 8)], "effort": [*range(14, 20)]}
+    logs = [
+        sdpid.read_recording(
+            folder / f"20_02_05-20sec_{k}harm.csv", columns=columns, gains=CURRENTS
+        )
+        for k in (8, 12)
+    ]
+    robot = folder / "ur10e.urdf"
+    result = sdpid.identify(robot, logs[0], validation=logs[1], intervals=False)
+    assert list(unlike(result)) == []
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_logs(name: str) -> None:
+    robot = sdpid.load_robot("ur_description/ur5_robot")
+    log = WRONG[name][0](simulated(robot, 1))
+    kinds: list[str] = []
+    while True:
+        try:
+            result = sdpid.identify(robot, log, accept=kinds, intervals=False, effects="none")
+        except SdpidError as cause:
+            # Refused: everybody is told, and nothing is written. Overruled by name it goes on.
+            more = {kind for kind in REFUSED if f"--accept {kind}" in str(cause)} - {*kinds}
+            if not more:
+                assert WRONG[name][2] == "refuse"
+                return
+            kinds += more
+        else:
+            assert list(unlike(result)) == []
+            return
+
+
+# ---- The verdict in lines: what is missed, the worst joint, what not to do, the next step.
+
+
+FIRST, LAST = ARM.joint_names
+
+
+@pytest.fixture(scope="module")
+def full() -> Identification:
+    robot = replace(ARM, prior=1.1 * arm_theta()[:20].reshape(2, 10))
+    return identified(moved(arm_theta(), 1), moved(arm_theta(), 2), robot=robot)
+
+
+def test_other_motion_and_blocks_have_their_words(full: Identification) -> None:
+    found = headline(full)
+    assert "on recordings that were not fitted; the 95 % bands hold 9" in found.error
+    assert found.step.startswith("none: use ")
+    for words in ("your description", "friction fitted", "least squares", "this estimate"):
+        assert words in found.baseline
+    blocks = replace(full, validation=None, held_out=hold_out(full.estimate, full.wls, None))
+    found = headline(blocks)
+    assert "on 5 blocks held out in turn; other motion is not shown" in found.error
+    assert "record another motion" in found.step
+    nothing = headline(replace(blocks, held_out=None))
+    assert "nothing could be held out" in nothing.error
+    assert nothing.baseline is None
+    assert nothing.lines[0].endswith("fitted, nothing else predicted")
+    assert nothing.lines[1] == f"missed effort  {nothing.error}"
+
+
+def test_an_estimate_that_costs_more_and_is_worse_is_not_to_be_used(full: Identification) -> None:
+    held_out = full.held_out
+    assert held_out.beaten_by is None
+    swapped = {**held_out.baselines, "least squares": held_out.fit}
+    worse = replace(held_out, fit=held_out.baselines["description as it is"], baselines=swapped)
+    assert worse.beaten_by == "least squares"
+    warnings = headline(replace(full, held_out=worse)).warnings
+    assert "use it: least squares predicts better what was held out" in warnings
+
+
+def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(full: Identification) -> None:
+    # Offsets of a fifth of the effort, for which a URDF has no place.
+    found = headline(full)
+    errors = urdf_errors(full.estimate, full.validation_samples)
+    assert errors is not None
+    assert f"in motion on the validation recordings it misses {errors}" in found.file
+    assert any("do not use identified.urdf" in line for line in found.lines)
+    assert (
+        "the links of identified.urdf with identified_friction.py (.hpp) for its friction"
+        in found.file
+    )
+    assert found.step.startswith("none: use estimate.model() or parameters.json")
+
+    class Bias(sdpid.friction.Offset):
+        """A term of one's own, whose code no file has."""
+
+    friction = full.problem.friction
+    kinds = tuple(
+        Bias() if type(term) is sdpid.friction.Offset else term for term in friction.terms
+    )
+    own = replace(full.problem, friction=replace(friction, terms=kinds))
+    advice = headline(replace(full, problem=own)).file
+    assert "estimate.model()" in advice
+    assert "identified_friction" not in advice
+    theta = np.array(arm_theta())
+    theta[[i for i, name in enumerate(full.estimate.named_theta()) if name.startswith("Fo")]] = 0.0
+    without = headline(identified(moved(theta, 1), moved(theta, 2)))
+    assert without.file is None
+    assert without.step.startswith("none: use identified.urdf")
+
+
+def test_the_worst_joint_its_cause_and_the_step(full: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort = np.array(fresh.effort)
+    a = fresh.acceleration[:, 1]
+    effort[:, 1] += 0.5 * effort[:, 1].std() * a / a.std()
+    held_out = hold_out(full.estimate, full.wls, replace(fresh, effort=effort))
+    found = headline(replace(full, held_out=held_out))
+    assert found.worst.startswith(f"{LAST}, error ")
+    assert "goes with acceleration" in found.worst
+    assert "rotor inertia" in found.step
+    assert f"(for {LAST})" in found.step
+    # What the choice of effects left out is not proposed again.
+    tried = Tried(name="rotor_inertia", chosen=False, words="", fall=0.006, least_fall=0.05)
+    problem = replace(full.problem, effects=(tried,))
+    step = headline(replace(full, held_out=held_out, problem=problem)).step
+    assert "--effects" not in step
+    assert "rotor_inertia was tried and lowers the cost by 0.6 % alone" in step
+    # What is wrong with the recording comes first.
+    wrong = Finding(severity="refuse", kind="units", message="it is", remedy="mend the units")
+    assert headline(replace(full, held_out=held_out, findings=(wrong,))).step == "mend the units"
+    flipped = replace(wrong, kind="effort_sign", remedy="flip its sign", joint=LAST)
+    step = headline(replace(full, held_out=held_out, findings=(flipped,))).step
+    assert step == f"flip its sign (for {LAST})"
+
+
+def test_a_cause_of_another_joint_than_the_worst_is_told_with_its_share(
+    full: Identification,
+) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort, q = np.array(fresh.effort), fresh.position[:, 0]
+    effort[:, 0] += 0.4 * effort[:, 0].std() * np.sin(q)
+    noise = np.random.default_rng(0).standard_normal(len(effort))
+    effort[:, 1] += 0.5 * effort[:, 1].std() * noise
+    held_out = hold_out(full.estimate, full.wls, replace(fresh, effort=effort))
+    found = headline(replace(full, held_out=held_out))
+    assert found.worst.startswith(f"{LAST}, error ")
+    assert "its shape shows no cause" in found.worst
+    assert re.search(rf"\(for {FIRST}, [\d.]+ % of all joints' squared errors\)", found.step)
+
+
+def test_friction_without_coulomb_or_viscous_terms_is_told(full: Identification) -> None:
+    samples = moved(arm_theta(), 1)
+    problem = sdpid.build_problem(ARM, samples, friction=("stribeck",), weighting="residual")
+    result = identified(problem, moved(arm_theta(), 2))
+    words = "No term describes Coulomb or viscous friction (terms: Stribeck)"
+    assert any(text.startswith(words) for text in result.verdict)
+    assert headline(result).step.startswith("let Coulomb and viscous friction in")
+    assert not any("No term describes" in text for text in full.verdict)
+
+
+def test_the_error_at_rest_stands_apart(full: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    v = np.array(fresh.velocity)
+    v[:200, 0] = 0.0
+    effort = np.array(fresh.effort)
+    effort[:200, 0] += 5.0
+    held_out = hold_out(full.estimate, full.wls, replace(fresh, velocity=v, effort=effort))
+    found = headline(replace(full, held_out=held_out))
+    assert "% at rest (10 % of the rows)" in found.error
+    words = [text for text in replace(full, held_out=held_out).verdict if "At rest" in text]
+    assert len(words) == 1
+    assert "stiction" in words[0]
+
+
+def test_bands_that_hold_too_little_are_called_too_narrow(full: Identification) -> None:
+    assert "too narrow" not in headline(full).error
+    louder = hold_out(full.estimate, full.wls, moved(arm_theta(), 2, noise=0.06))
+    assert "less than 90 %: they are too narrow" in headline(replace(full, held_out=louder)).error
+
+
+def test_a_validation_at_rest_says_nothing_of_motion(full: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    still = replace(fresh, velocity=0.0 * fresh.velocity)
+    result = replace(full, held_out=hold_out(full.estimate, full.wls, still))
+    found = headline(result)
+    assert "in motion" not in found.error
+    assert "% at rest" in found.error
+    assert found.baseline is None
+    assert "did not move" in found.worst
+    assert f"record {FIRST} moving" in found.step
+    words = " ".join(result.verdict)
+    assert "Nothing moves on what was held out" in words
+    assert "carries over" not in words
+
+
+def test_every_red_box_of_the_report_is_a_line(full: Identification) -> None:
+    wrong = Finding(severity="refuse", kind="units", message="it is in degrees", remedy="say so")
+    flat = Finding(severity="warning", kind="frozen", message="it never changes", joint=LAST)
+    resting = moved(arm_theta(), 2)
+    held_out = replace(full.held_out, samples=resting, fit=full.held_out.baselines[DESCRIPTION])
+    result = replace(full, held_out=held_out, findings=(wrong, flat))
+    bad = [finding for finding in findings(result) if finding.level == "bad"]
+    assert len(bad) >= 3
+    said = headline(result)
+    assert all(each.warning in said.warnings for each in bad)
+    lines = [line for line in said.lines if line[15:] in said.warnings]
+    assert len(lines) == len(said.warnings)
+    assert [line.startswith("do not  ") for line in lines] == [True] + [False] * (len(lines) - 1)
+    assert said.log == (wrong.line(), flat.line())
+    assert not any(line.startswith("log") for line in headline(full).lines)
+
+
+def test_bad_findings_say_what_not_to_do() -> None:
+    """Every call that makes a bad finding gives a warning, read from the code."""
+    made = 0
+    for path in Path(verdict.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            call = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding"
+            if call and isinstance(node.args[0], ast.Constant) and node.args[0].value == "bad":
+                made += 1
+                assert len(node.args) == 3, f"{path.name}, line {node.lineno}: no warning"
+    assert made >= 10
+
+
+def test_least_squares_that_is_no_robot_is_told(full: Identification) -> None:
+    assert "no robot" not in headline(full).baseline
+    theta = full.wls.some_theta.copy()
+    theta[:20] *= -1.0
+    turned = replace(full, wls=replace(full.wls, base=full.problem.base_of(theta)))
+    assert "no robot (M < 0 all along)" in headline(turned).baseline
+
+
+def test_what_the_data_showed_is_told_with_how_to_leave_it_out(full: Identification) -> None:
+    assert headline(full).found is None
+    tilt = Tried(name="tilt", chosen=True, words="a tilted base lowers the cost by 17 %", fall=0.17)
+    asked = Tried(name="load", chosen=True, words="friction of the load: asked for")
+    problem = replace(full.problem, effects=(tilt, asked))
+    found = headline(replace(full, problem=problem)).found
+    assert found == "a tilted base lowers the cost by 17 % (--effects none leaves it out)"
+
+
+def test_what_was_changed_about_the_log_is_told() -> None:
+    pandas = pytest.importorskip("pandas")
+    log = recorded(1)
+    columns = {"time": np.rint(1e3 * log.time)}
+    for j in (1, 0):
+        columns[f"position_{arm().joint_names[j]}"] = np.degrees(log.position[:, j])
+        columns[f"effort_{arm().joint_names[j]}"] = log.effort[:, j]
+    read = sdpid.read_recording(pandas.DataFrame(columns), units={"position": "deg"})
+    found = sdpid.identify(
+        arm(), read, processing={"effort_delay_s": 0.004}, intervals=False, effects="none"
+    )
+    assert [line for line in found.headline.log if line.startswith("changed: ")] == [
+        "changed: joints are taken in the robot's order, the columns are of b, a",
+        "changed: time: time, taken for ms by the steps of its numbers",
+        "changed: units: position in deg, converted",
+        "changed: efforts recorded 4 ms too late: taken on time",
+    ]
+
+
+# ---- A joint is trusted on other motion by other motion, or by blocks with a margin.
+
+
+@pytest.fixture(scope="module")
+def alone() -> Identification:
+    return identified(moved(arm_theta(), 1))
+
+
+def with_error(result: Identification, share: float) -> HeldOut:
+    """Return blocks whose error is this share of each joint's effort's spread."""
+    held_out = result.held_out
+    rng = np.random.default_rng(0)
+    effort = held_out.samples.effort
+    error = share * effort.std(axis=0) * rng.standard_normal(effort.shape)
+    fit = Validation.of_prediction(held_out.fit.joint_names, held_out.samples, effort + error)
+    return replace(held_out, fit=fit)
+
+
+def test_blocks_need_a_margin_and_other_motion_does_not(alone: Identification) -> None:
+    enough = np.sqrt(1.0 - EXPLAINED)
+    for share, expected in (
+        (0.9 * enough / MARGIN, [("good", True)]),
+        (1.1 * enough / MARGIN, [("caution", False)]),
+        (1.1 * enough, [("caution", True)]),
+        (3.0 * enough, [("bad", True)]),
+    ):
+        held_out = with_error(alone, float(share))
+        found = grades(alone.estimate, alone.training, held_out)
+        assert [(each.level, each.shown) for each in found] == 2 * expected
+    other = replace(with_error(alone, float(1.1 * enough / MARGIN)), by="recording")
+    found = grades(alone.estimate, alone.training, other)
+    assert [(each.level, each.shown) for each in found] == 2 * [("good", True)]
+
+
+def test_nothing_is_trusted_by_its_training_alone(alone: Identification) -> None:
+    found = grades(alone.estimate, alone.training, None)
+    assert [(each.level, each.shown) for each in found] == 2 * [("caution", False)]
+
+
+def test_a_motion_that_leaves_others_open_is_not_trusted() -> None:
+    """Its blocks are predicted well, and still other motion within its range is not known."""
+    short = identified(moved(arm_theta(), 1, seconds=4.0, noise=20.0, block=10))
+    assert short.held_out is not None
+    found = grades(short.estimate, short.training, with_error(short, 0.0))
+    assert {each.shown for each in found} == {False}
+
+
+def test_a_joint_without_effort_has_no_grade(alone: Identification) -> None:
+    samples = alone.problem.samples
+    mask = np.ones(samples.effort.shape, dtype=bool)
+    mask[:, 1] = False
+    fit = sdpid.validate(alone.estimate, replace(samples, mask=mask))
+    assert [each.joint for each in grades(alone.estimate, fit, None)] == [0]
+
+
+# ---- The figure of all joints of a result.
+
+
+def test_every_joint_has_effort_error_and_friction() -> None:
+    pytest.importorskip("matplotlib")
+    theta = arm_theta()
+    result = identified(moved(theta, 1), moved(theta, 2))
+    axes = result.plot(title="all joints")
+    assert axes.shape == (2, 3)
+    names = result.problem.robot.joint_names
+    assert [row[0].get_title(loc="left") for row in axes] == list(names)
+    for row in axes:
+        assert [line.get_label() for line in row[0].get_lines()] == ["measured", "predicted"]
+        assert row[1].get_ylabel() == "error [N·m]"
+        assert row[2].get_xlabel() == "velocity [rad/s]"
+    # What was held out, not what was fitted.
+    drawn = axes[0, 0].get_lines()[0].get_ydata()
+    assert set(np.round(drawn, 9)) <= set(np.round(result.validation_samples.effort[:, 0], 9))
+    # A notebook shows axes as their figure, but for a figure that belongs to others.
+    assert axes._repr_png_().startswith(b"\x89PNG")
+    assert not hasattr(result.plot(axes=np.array(axes)), "_repr_png_")
+    refuses(DataError, "2 axes were given to draw in, 6 are needed", result.plot, axes=axes[0, :2])

@@ -3,23 +3,35 @@
 import difflib
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
 
 import sdpid
+from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import ExportError, ModelError
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.output.robots.joint_friction import LeftOut
-from sdpid.output.robots.mjcf import write_mjcf
+from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFriction, Viscous
+from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
+from sdpid.output.robots.mjcf import PLACES, write_mjcf
+from sdpid.output.robots.principal_axes import along, principal_axes, rotation
+from sdpid.output.robots.tendons import added
+from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
 from sdpid.robot.description.level import without_level
-from sdpid.robot.friction.terms import RotorInertia
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.model.base_parameters import generic_states
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.given_parameters import read_given
-from tests.helpers import world
+from tests.helpers import strategies, world
+from tests.helpers.data import friction_model, random_links
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
@@ -27,6 +39,7 @@ from tests.helpers.verified import differences
 from tests.output.test_urdf import (
     ARM,
     CLOSE,
+    LINKS,
     MIMIC,
     assert_same_efforts,
     bodies,
@@ -91,20 +104,19 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
 
 def test_every_link_is_a_body_with_its_own_share(tmp_path: Path) -> None:
     problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
-    links = bodies(np.random.default_rng(0), 3)
-    report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
+    report = write_mjcf(estimate_of(problem, LINKS, NUMBER), target=tmp_path / "out.xml")
     assert report.lumped == ()
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
     assert model.body("tool").mass[0] == 0.2
     assert model.body("flange").mass[0] == 0.0
-    assert model.body("slide").mass[0] + 0.2 == pytest.approx(links[1, 0], rel=1e-14)
+    assert model.body("slide").mass[0] + 0.2 == pytest.approx(LINKS[1, 0], rel=1e-14)
     assert model.joint("j1").range.tolist() == [-2.0, 2.0]
     assert model.jnt_actfrcrange[model.joint("j1").id].tolist() == [-10.0, 10.0]
 
 
 def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
     problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
-    links = bodies(np.random.default_rng(0), 3)
+    links = LINKS.copy()
     links[1] *= 0.05
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert report.lumped == ("slide",)
@@ -116,12 +128,11 @@ def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
 def test_a_child_that_is_no_body_is_counted_in(tmp_path: Path) -> None:
     text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
     problem = problem_of(sdpid.load_robot(text), friction=FRICTION)
-    links = bodies(np.random.default_rng(0), 3)
-    report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
+    report = write_mjcf(estimate_of(problem, LINKS, NUMBER), target=tmp_path / "out.xml")
     assert "no body can have, now zero and counted in where they are fixed: tool" in (
         report.describe()
     )
-    assert_identified(problem, links, tmp_path / "out.xml")
+    assert_identified(problem, LINKS, tmp_path / "out.xml")
 
 
 def test_a_floating_base(tmp_path: Path) -> None:
@@ -387,3 +398,174 @@ def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Pat
     assert "another place" in differences(result.estimate, tmp_path / "two.urdf")[0]
     given = read_given(tmp_path / "arm.urdf", robot)
     assert given.values["m_1"] == pytest.approx(result.estimate.named_theta()["m_1"])
+
+
+# ---- Bodies as files have them: exact laws, and libraries in floating point.
+
+
+def about_origin(
+    mass: Fraction, com: Sequence[Fraction], moments: Sequence[Fraction]
+) -> list[Fraction]:
+    """Return the ten parameters of a mass, a center of mass and moments about it, exactly."""
+    square = sum(c * c for c in com)
+    places = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+    return [mass, *(mass * c for c in com)] + [
+        value + mass * ((square if i == j else 0) - com[i] * com[j])
+        for value, (i, j) in zip(moments, places, strict=True)
+    ]
+
+
+def exactly(body: np.ndarray) -> list[Fraction]:
+    return [Fraction(x) for x in body.tolist()]
+
+
+@given(strategies.bodies())
+def test_about_the_center_and_back(body: np.ndarray) -> None:
+    exact = exactly(body)
+    assert about_origin(*central(exact)) == exact
+    mass, com, inertia = physical_parameters(body)
+    written = rounded(exact)
+    assert written.mass == mass
+    assert written.com == tuple(com)
+    found = np.array(written.moments) - inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    assert np.abs(found).max() <= 1e-14 * np.abs(body[4:]).max()
+
+
+@given(strategies.bodies())
+def test_each_written_number_is_the_nearest(body: np.ndarray) -> None:
+    exact, found = central(exactly(body)), rounded(exactly(body))
+    numbers = zip(
+        (found.mass, *found.com, *found.moments), (exact[0], *exact[1], *exact[2]), strict=True
+    )
+    for number, value in numbers:
+        assert abs(Fraction(number) - value) <= Fraction(math.ulp(number)) / 2
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_the_edge(consistency: str) -> None:
+    """A point, a rod and a plate are raised, a ball is not, and what is no body stays none."""
+    m = Fraction(1)
+    point = about_origin(m, [m / 2, m, m], [Fraction(0)] * 6)
+    rod = about_origin(m, [m / 2, m, m], [m, m * 0, m, m * 0, m * 0, m * 0])
+    plate = about_origin(m, [m / 2, m, m], [m, m * 0, m, m * 0, m * 0, 2 * m])
+    ball = about_origin(m, [m / 2, m, m], [m, m * 0, m, m * 0, m * 0, m])
+    for body in (point, rod):
+        found = inside(body, consistency)
+        assert 0 < found[4] - body[4] < Fraction(1e-12)
+        written = rounded(found)
+        assert exists(written.mass, written.moments, consistency)
+    raised = inside(plate, consistency)
+    assert raised is not None
+    assert (raised != plate) == (consistency == "pseudo_inertia")
+    assert inside(ball, consistency) == ball
+    assert inside(about_origin(m, [m, m, m], [-m, m * 0, m, m * 0, m * 0, m]), consistency) is None
+    assert inside([Fraction(0)] * 10, consistency) is None
+
+
+@given(strategies.bodies())
+def test_principal_axes(body: np.ndarray) -> None:
+    """Moments and quaternion give the tensor back to its rounding."""
+    exact = central(exactly(body))[2]
+    quaternion, moments = principal_axes(exact)
+    R = rotation([Fraction(x) for x in quaternion])
+    diagonal = np.diag([Fraction(x) for x in moments]).tolist()
+    turned, wanted = along(diagonal, np.transpose(R).tolist()), tensor(exact)
+    limit = Fraction(1e-14) * max(map(abs, exact))
+    assert all(abs(turned[i][j] - wanted[i][j]) <= limit for i in range(3) for j in range(3))
+
+
+# ---- A drive that turns two joints is a tendon in MuJoCo, with the same efforts as the model's.
+
+
+ROBOT = sdpid.load_robot(TREE)
+TERMS: tuple[FrictionTerm, ...] = (Coulomb(), Viscous(), RotorInertia())
+DRIVE = Coupling("right", "finger")
+BODIES = random_links(np.random.default_rng(0), ROBOT.n_links)
+
+
+def estimate_with(drive: tuple[float, float, float], *more: FrictionTerm) -> Estimate:
+    """Return an estimate with a drive, and 0.5 of every other parameter."""
+    terms = (*TERMS, DRIVE, *more)
+    problem = problem_of(ROBOT, friction=terms, check_excitation=False)
+    others = np.full(sum(ROBOT.n for _ in TERMS), 0.5), np.full(ROBOT.n * len(more), 0.5)
+    theta = np.concatenate([BODIES.ravel(), others[0], drive, others[1]])
+    return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
+
+
+def mujocos(path: Path, states: tuple[Array, ...]) -> Array:
+    """Return MuJoCo's own efforts, with dry friction, without limits."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    # Dry friction saturates at speeds of all joints above 0.1 rad/s.
+    model.dof_solimp[:, :2] = model.tendon_solimp_fri[:, :2] = 0.9999
+    model.dof_solref[:, 0] = model.tendon_solref_fri[:, 0] = 0.004
+    return efforts_of(model, ROBOT, states)
+
+
+# One tendon; two, as inertia and damping differ in sign; and one over the difference of the joints.
+@pytest.mark.parametrize("drive", [(0.4, 0.2, 0.3), (0.3, -0.2, 0.1), (-0.3, -0.2, 0.0)])
+def test_mujoco_has_the_efforts_of_the_model(
+    drive: tuple[float, float, float], tmp_path: Path
+) -> None:
+    estimate = estimate_with(drive)
+    report = write_mjcf(estimate, target=tmp_path / "out.xml")
+    assert report.left_out == ()
+    text = (tmp_path / "out.xml").read_text(encoding="utf-8")
+    assert text.count("<fixed") == (2 if drive[1] * drive[0] < 0.0 else 1)
+    q, v, a = generic_states(ROBOT, 40, 6)
+    fast = np.abs(np.column_stack([v, v[:, 3] + v[:, 4], v[:, 3] - v[:, 4]])).min(axis=1) > 0.1
+    states = q[fast], v[fast], a[fast]
+    assert fast.sum() > 5
+    expected = estimate.model().inverse_dynamics(*states)
+    found = mujocos(tmp_path / "out.xml", states)
+    assert np.abs(found - expected).max() <= CLOSE * np.abs(expected).max()
+    assert report.training.file == pytest.approx(report.training.estimate, abs=1e-9)
+    assert differences(estimate, tmp_path / "out.xml") == []
+
+
+def test_joints_and_tendons_together_are_what_joints_alone_would_be(tmp_path: Path) -> None:
+    """Beside curves, which are fitted anew: a drive takes no share of what the joints get."""
+    drive, curve = np.array([0.4, -0.3, 0.2]), SigmoidFriction(velocity=0.5)
+    q, v, a = generic_states(ROBOT, 200, 7)
+    own = np.concatenate([BODIES.ravel(), np.full(4 * ROBOT.n, 0.5)])
+    found = []
+    for terms, theta in (
+        ((*TERMS, curve), own),
+        ((*TERMS, curve, DRIVE), np.concatenate([own, drive])),
+    ):
+        model = RobotDynamics(robot=ROBOT, terms=friction_model(ROBOT, terms), theta=theta)
+        effort = model.inverse_dynamics(q, v, a)
+        samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+        problem = sdpid.build_problem(ROBOT, samples, friction=terms, check_excitation=False)
+        found.append(joint_attributes(problem, theta, PLACES, "file", tendons=True))
+    plain, coupled = found
+    assert coupled.left_out == ()
+    assert "within" in coupled.notes[0]
+    assert coupled.notes == plain.notes
+    armature, damping = added(coupled.tendons, ROBOT.joint_names)
+    assert damping.max() == 0.3
+    for j, name in enumerate(ROBOT.joint_names):
+        both = dict(coupled.values[name])
+        both["armature"] += armature[j]
+        both["damping"] += damping[j]
+        assert both == pytest.approx(plain.values[name], abs=1e-9)
+
+
+@pytest.mark.parametrize("drive", [(0.6, 0.1, 0.1), (-0.6, 0.1, 0.1)])
+def test_a_drive_with_more_inertia_than_its_joints_is_left_out(
+    drive: tuple[float, float, float], tmp_path: Path
+) -> None:
+    report = write_mjcf(estimate_with(drive, Offset()), target=tmp_path / "out.xml")
+    assert [lost.term for lost in report.left_out] == ["Coupling", "Offset"]
+    assert "<tendon" not in (tmp_path / "out.xml").read_text(encoding="utf-8")
+
+
+def test_a_file_of_yours_gets_no_tendon(tmp_path: Path) -> None:
+    estimate = estimate_with((0.4, 0.2, 0.3))
+    write_mjcf(estimate, target=tmp_path / "mine.xml")
+    text = (tmp_path / "mine.xml").read_text(encoding="utf-8")
+    start, end = text.index("  <tendon>"), text.index("</tendon>") + len("</tendon>\n")
+    (tmp_path / "mine.xml").write_text(text[:start] + text[end:], encoding="utf-8")
+    report = write_mjcf(estimate, source=tmp_path / "mine.xml", target=tmp_path / "out.xml")
+    assert [lost.term for lost in report.left_out] == ["Coupling"]
+    assert "<tendon" not in (tmp_path / "out.xml").read_text(encoding="utf-8")
