@@ -149,17 +149,23 @@ def with_and_without(
     return honest, short
 
 
+def counted_bias(problem: Problem, run: LeggedRun, name: str, alike: float) -> Intervals:
+    """Return intervals that hold the truth as they count a bias, which is alike the fit's error."""
+    bias, truth = getattr(problem, f"{name}_bias"), problem.base_of(run.theta)
+    wls, without = sdpid.solve_wls(problem), replace(problem, **{f"{name}_bias": None})
+    honest, short = with_and_without(wls, without, f"{name}_share")
+    size = short.width
+    assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > alike
+    assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
+    assert np.median(honest.width / short.width) < 2.0
+    return honest
+
+
 def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     robot = sdpid.load_robot("solo12", root="free_flyer")
     run = sdpid.simulate_legged(robot, "trot", duration=2.0, seed=1, sensors=Sensors.exact())
     problem = legged_problem(robot, run.recording, LEGGED)
-    bias, truth = problem.landing_bias, problem.base_of(run.theta)
-    wls = sdpid.solve_wls(problem)
-    honest, short = with_and_without(wls, replace(problem, landing_bias=None), "landing_share")
-    size = short.width
-    assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > 0.5
-    assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
-    assert np.median(honest.width / short.width) < 2.0
+    honest = counted_bias(problem, run, "landing", 0.5)
     assert honest.landing_share is not None
     assert "from landings, %" in honest.table()
     words = noise_in_words(honest)
@@ -173,7 +179,7 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     again = legged_problem(robot, run.recording, kept)
     assert landings_used(again, [run.recording], kept)
     assert again.filter_bias is None
-    np.testing.assert_allclose(again.landing_bias, bias, rtol=1e-9)
+    np.testing.assert_allclose(again.landing_bias, problem.landing_bias, rtol=1e-9)
     # No sample is two seconds away from a landing: what they do is not known.
     wide = replace(LEGGED, impact_s=2.0, kept_share=0.1)
     unknown = legged_problem(robot, run.recording, wide)
@@ -229,14 +235,8 @@ def test_intervals_of_a_stand_count_what_the_filter_does(
 ) -> None:
     robot, run = stand
     problem = legged_problem(robot, run.recording, SLOW)
-    bias, truth = problem.filter_bias, problem.base_of(run.theta)
     assert problem.landing_bias is None
-    wls = sdpid.solve_wls(problem)
-    honest, short = with_and_without(wls, replace(problem, filter_bias=None), "filter_share")
-    size = short.width
-    assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > 0.8
-    assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
-    assert np.median(honest.width / short.width) < 2.0
+    honest = counted_bias(problem, run, "filter", 0.8)
     assert "from the filter, %" in honest.table()
     words = noise_in_words(replace(honest, filter_share=np.full(len(honest), 0.9)))
     assert "what the filter takes away moves" in words

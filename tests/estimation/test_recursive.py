@@ -222,14 +222,11 @@ def test_the_rows_of_a_stream_are_gone(tmp_path: Path) -> None:
     assert describe(estimate.problem)["rows_used"] == 240
 
 
-@pytest.mark.parametrize("forgetting", [0.0, -0.5, 1.0001, float("nan")])
-def test_forgetting_is_a_factor(forgetting: float) -> None:
-    refuses(DataError, "forgetting", RecursiveEstimator, START, forgetting=forgetting)
-
-
-@pytest.mark.parametrize("memory", [0.0, -1.0, float("nan"), float("inf")])
-def test_memory_is_a_time(memory: float) -> None:
-    refuses(DataError, "memory", RecursiveEstimator, START, memory=memory)
+def test_forgetting_is_a_factor_and_memory_a_time() -> None:
+    for forgetting in (0.0, -0.5, 1.0001, float("nan")):
+        refuses(DataError, "forgetting", RecursiveEstimator, START, forgetting=forgetting)
+    for memory in (0.0, -1.0, float("nan"), float("inf")):
+        refuses(DataError, "memory", RecursiveEstimator, START, memory=memory)
     refuses(DataError, "one of them", RecursiveEstimator, START, memory=1.0, forgetting=0.9)
 
 
