@@ -83,8 +83,6 @@ def same(one: Problem, other: Problem) -> None:
     one_file, other_file = sdpid.certify(first).to_dict(), sdpid.certify(second).to_dict()
     for key in ("samples", "rows", "rows_sha256"):
         assert one_file["origin"][key] == other_file["origin"][key]
-    for file in (one_file, other_file):
-        assert file["compression"]["relative"] < 1e-9
     assert one.profiled == other.profiled
 
 
