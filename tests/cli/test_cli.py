@@ -336,9 +336,8 @@ def test_verify_a_folder(results: Path, log: Path, tmp_path: Path) -> None:
     urdf = copy / "identified.urdf"
     urdf.write_text(urdf.read_text().replace('<mass value="', '<mass value="1'))
     done = run("verify", copy)
-    refused(done, 1, "claims do not hold (above)")
-    for words in ("'identified.urdf' was changed", "its inertia is not that of the certified"):
-        assert words in done.stdout
+    refused(done, 1, "1 claim does not hold (above)")
+    assert "NOT PROVEN: 'identified.urdf' was changed" in done.stdout
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."
     refused(run("verify", results / "parameters.json"), 2, "give the folder")
     refused(run("verify", results / "nowhere"), 2, "No such file or directory")
@@ -352,9 +351,9 @@ def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
     done = ran("verify", results, "--data", log, "--robot", ROBOT, "--json")
     content = json.loads(done.stdout)
     assert content["passed"] is True
-    assert {each["name"] for each in content["log"]["links"]} >= {"log", "compression", "total"}
+    assert {each["name"] for each in content["log"]["links"]} >= {"log", "rows", "weights"}
     assert not any("it is not here" in each for each in content["unchecked"])
-    assert content["log"]["rows"]["gap"] < 1e-6
+    assert content["log"]["gap"] < 1e-6
     other = sdpid.read_recording(log)
     effort = np.array(other.effort)
     effort[100, 2] += 1e-3

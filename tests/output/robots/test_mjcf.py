@@ -388,7 +388,7 @@ def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Pat
             write_mjcf(result.estimate, target=tmp_path / name)
         assert differences(result.estimate, tmp_path / name) == []
     again = sdpid.load_robot(tmp_path / "arm.urdf")
-    found = validate_robot(again, samples).relative
+    found = validate_robot(again, samples).told.relative
     assert found == pytest.approx(report.with_validation(samples).validation.file, rel=1e-6)
     # Written upon itself, it is the same; turned otherwise, it is told.
     sdpid.write_urdf(result.estimate, source=tmp_path / "arm.urdf", target=tmp_path / "two.urdf")
