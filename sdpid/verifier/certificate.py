@@ -43,6 +43,9 @@ _ORIGIN = (
     *("robot", "links", "joints", "weighting", "loss", "theta_names", "base_names"),
     *("samples", "rows", "rows_sha256"),
 )
+# Parameters pass when their cost is proven to be within this share of the global optimum.
+GAP = 1e-6
+
 _CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
 
 # Violations of rows and cones, relative to their size, that are a solver's rounding: some 1e-9 in

@@ -24,13 +24,17 @@ if TYPE_CHECKING:
     from sdpid.robot.model.model import RobotModel
     from sdpid.workflow.replay.links import Link, Replay
 
+# Files of the robot that is written from the parameters.
+_ROBOTS = tuple(f"identified{end}" for end in (".urdf", ".xml", "_friction.py", "_friction.hpp"))
+
 # Links that show a cost and a base matrix to be those of a robot and its log.
 _OF_ROWS = {"log", "robot", "base parameters", "rows"}
 
 # What of files is of other recordings or in words.
 _OF_WORDS = {
-    "result.json": "what was held out or validated, tests of bias, findings and words",
-    "parameters.json": "the words of effects",
+    "result.json": "what was held out or validated, tests of bias, status, constraints, findings "
+    "and words",
+    "parameters.json": "what effects explain, and their words",
 }
 
 
@@ -163,7 +167,7 @@ def verify(
         checked = check_path(path)
         question = _question(Path(path)) if robot is not None and data is None else None
     except OSError as cause:
-        raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
+        raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
     result, log, again = checked.result, None, tuple[str, ...]()
@@ -173,6 +177,7 @@ def verify(
         folder = Path(path)
         sealed = manifest.load(read_bytes(folder / manifest.NAME))
         proof = certificate.load(read_bytes(folder / CERTIFICATE))
+        result += Result(problems=tuple(_far(checked.claims["gap"])))
         holds = not any(each.startswith(CERTIFICATE) for each in result.problems)
         numbers = check_numbers(folder, sealed["files"], proof, holds)
         result += Result(told(numbers, "made again"), told(numbers, "not made again"))
@@ -231,6 +236,15 @@ def _of_robot(
     return Result(result.statements, result.problems, left) + found
 
 
+def _far(gap: float | None) -> Iterator[str]:
+    """Yield that parameters which cost less are not excluded."""
+    if gap is not None and not gap <= certificate.GAP:
+        yield (
+            f"{CERTIFICATE}: the gap is {gap:.3g}, more than {certificate.GAP:g}: other parameters "
+            "may fit better"
+        )
+
+
 def _covered(sealed: Mapping[str, Any], proof: Mapping[str, Any], log: Replay) -> Iterator[str]:
     """Yield what a folder alone cannot show, and its logs have shown."""
     shown = log.complete
@@ -245,7 +259,7 @@ def _covered(sealed: Mapping[str, Any], proof: Mapping[str, Any], log: Replay) -
 
 def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
     """Yield what of the files is compared with nothing."""
-    robots = [name for name in files if name.startswith("identified")]
+    robots = [name for name in files if name in _ROBOTS]
     if robots and not with_log:
         yield f"{manifest.listed(robots)}: what they hold (--data LOG writes them again)"
     tables = [name for name in (PARAMETERS, *TABLES) if name in files]

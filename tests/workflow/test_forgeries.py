@@ -96,6 +96,34 @@ def test_what_is_sealed_again_unchanged_is_proven(run: Path, results: Path) -> N
     assert len([each for each in found.made_again if "of the logs are used" in each]) == 1
 
 
+def test_parameters_far_from_the_optimum_are_not_proven(run: Path, results: Path) -> None:
+    edit_json(results / "certificate.json", lambda data: data["claims"].update(gap=0.5))
+    reseal(results)
+    assert "more than 1e-06" in str(sdpid.verify(results).problems)
+
+
+def test_settings_of_a_run_are_told_in_full(run: Path) -> None:
+    options = {"effort_delay_s": 0.01, "shrinkage": 0.3, "trim_s": 0.5}
+    processing = sdpid.Processing(cutoff_hz=8.0, decimation=None, covariance=None, **options)
+    terms = (sdpid.friction.Coulomb(width=0.4), "viscous")
+    results = identified(run, "told", processing=processing, friction=terms)
+    told = "; ".join(verified(run, results).made_again)
+    for words in ("shrinkage=0.3", "trim_s=0.5", "Coulomb(width=0.4", "0.95"):
+        assert words in told
+
+
+def test_a_file_beside_those_of_the_run_is_named(run: Path, results: Path) -> None:
+    (results / "identified_v2.urdf").write_text("<robot/>")
+    reseal(results)
+    found = verified(run, results)
+    assert any("identified_v2.urdf" in each for each in found.unchecked)
+
+
+def test_another_loss_is_refused(run: Path, results: Path) -> None:
+    edit_json(results / "certificate.json", lambda data: data["origin"].update(loss="huber"))
+    refused(run, results, "loss of the certificate")
+
+
 def other_axis(text: str) -> str:
     return text.replace('xyz="0 0 1"', 'xyz="0 0 -1"', 1)
 

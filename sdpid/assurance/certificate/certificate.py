@@ -38,8 +38,7 @@ from sdpid.verifier.exact import above, product
 from sdpid.verifier.reading import digest
 from sdpid.verifier.result import Result
 
-# A certificate passes when the cost is proven to be within this share of the global optimum.
-GAP = 1e-6
+GAP = checker.GAP
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -163,7 +163,8 @@ def _as_tensor(match: re.Match[str]) -> str:
     """Return the element of a body with its tensor: axes may come in any order and sign."""
     pairs = _ATTRIBUTE.findall(match[0])
     given = dict(pairs)
-    if len(given) != len(pairs):
+    # Python's numbers may have underscores, which MuJoCo refuses.
+    if len(given) != len(pairs) or "_" in given.get("quat", "") + given.get("diaginertia", ""):
         return match[0]
     try:
         w, *v = (float(each) for each in given["quat"].split())

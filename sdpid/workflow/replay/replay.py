@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -232,7 +232,7 @@ class _Run:
         )
         if rows != problem.n_rows:
             text += f", {problem.n_rows} of them independent"
-        text += f", by {recipe.processing!r}"
+        text += f", by Processing({_changed(recipe.processing)})"
         if recipe.without_effort:
             text += f", without the efforts of {', '.join(map(shown, recipe.without_effort))}"
         if recipe.force_scale != 1.0:
@@ -247,21 +247,23 @@ class _Run:
         problem, recipe, data = self.problem, self.sealed.recipe, self.sealed.data
         assert problem is not None
         base, robot = problem.base, problem.robot
-        found = {
+        found: dict[str, Any] = {
             "links": robot.link_names,
             "joints": robot.joint_names,
             "theta_names": base.theta_names,
             "base_names": base.names,
             "weighting": recipe.weighting,
         }
+        if not problem.constant:
+            found["loss"] = problem.meaning
         for name, value in found.items():
-            if (value if isinstance(value, str) else list(value)) != data["origin"][name]:
+            if (list(value) if isinstance(value, tuple) else value) != data["origin"][name]:
                 text = f"{name} of the certificate are others than those of robot and recipe"
                 self.say("base parameters", "not made again", text, stop=True)
                 return
         B = np.array(data["problem"]["base_matrix"], dtype=np.float64)
         off = float(np.abs(B - base.matrix).max(initial=0.0))
-        terms = ", ".join(type(term).__name__ for term in recipe.friction) or "none"
+        terms = ", ".join(self._terms()) or "none"
         text = (
             f"{base.count} base parameters of {len(base.theta_names)}, friction and effects "
             f"{terms}; the matrix is the certificate's to within {off:.3g}"
@@ -270,6 +272,18 @@ class _Run:
         if not off <= _REGROUPED * np.abs(base.matrix).max(initial=0.0):
             wrong = [f"the matrix is not the certificate's: entries differ by up to {off:.3g}"]
         self.judge("base parameters", wrong, text)
+
+    def _terms(self) -> Iterator[str]:
+        """Yield the terms with their settings, and whether bodies in them are the description's."""
+        assert self.robot is not None
+        for term in self.sealed.recipe.friction:
+            bodies = getattr(term, "bodies", None)
+            if bodies is None:
+                yield repr(term)
+            elif np.array_equal(bodies, self.robot.prior):
+                yield f"{type(term).__name__} of the description's bodies"
+            else:
+                yield f"{type(term).__name__} of bodies that the recipe states"
 
     def compare_weights(self) -> None:
         """Compare the covariance of efforts with the one that the recipe names."""
@@ -318,7 +332,11 @@ class _Run:
         """Compare the parameters with the nearest to the description that cost the same."""
         problem, data = self.problem, self.sealed.data
         assert problem is not None
-        if not self.stated or problem.prior is not None or problem.consistency == "none":
+        if not self.stated or problem.prior is not None:
+            return
+        if problem.consistency == "none":
+            text = "which of the parameters that cost the same were chosen: links may be any"
+            self.say("choice", "not checked", text)
             return
         if self.of_folder:
             text = "which of the parameters that cost the same were chosen: give --robot"
@@ -367,6 +385,15 @@ class _Run:
                 "prior: none is given (--robot)"
             )
             self.say(URDF, "not checked", text)
+
+
+def _changed(settings: Any) -> str:
+    """Return the settings that are not the defaults."""
+    return ", ".join(
+        f"{each.name}={value!r}"
+        for each in fields(settings)
+        if (value := getattr(settings, each.name)) != each.default
+    )
 
 
 def _weights(sigma: Array) -> str:

@@ -86,6 +86,8 @@ def told(sealed: Sealed, stated: StatedProblem, problem: Problem) -> str:
     same = described and prior.bodies is not None and np.array_equal(prior.bodies, robot.prior)
     towards = "the description's bodies" if same else "bodies that the recipe states"
     said = f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards}"
+    if not prior.friction:
+        said += ", none about friction"
     if prior.alike:
         said += f"; {described_pairs(prior.alike, prior.within)}"
     return said + ")"

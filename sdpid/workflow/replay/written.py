@@ -121,6 +121,15 @@ class Files:
         return confidence_intervals(self.estimate, method=self._method, level=level)
 
     @property
+    def _told(self) -> str:
+        """How intervals were made, and what counts as chosen by the data."""
+        if self._method is None:
+            return "none"
+        chosen = ", ".join(each.name for each in self.problem.profiled) or "nothing"
+        level = self._parameters["interval_level"]
+        return f"{self._method} at {level!r}; of friction terms the data chose {chosen}"
+
+    @property
     def _within(self) -> float:
         """How near intervals are to those that were made again."""
         return LIMIT if self._method in (None, "gauss_markov") else _SOLVED
@@ -147,8 +156,9 @@ class Files:
         }
         texts[MJCF] = texts[URDF]
         other = (
-            "written again from parameters and rows, with intervals, standard errors and shares, "
-            f"it is the same, to {self._within:g} of the numbers of a row"
+            f"written again from parameters and rows, with intervals ({self._told}), "
+            "standard errors and shares, it is the same, "
+            f"to {self._within:g} of the numbers of a row"
         )
         # Certificates of this version come with recipes that say it.
         old = self.sealed.data["version"] < certificate.VERSION
