@@ -34,8 +34,8 @@ MEASURED = {
 
 
 def measure(bench: Bench) -> Table:
-    """Time `sdpid identify` on the UR10's record, its report, and the README's first command."""
-    checkouts = {"now": ROOT} if bench.before is None else {"now": ROOT, "before": bench.before}
+    """Time `sdpid identify` on the UR10's record, and its report."""
+    checkouts = _checkouts(bench)
     rows: list[tuple[object, ...]] = []
     if bench.data is not None:
         folder = bench.data / "ur10_unisa"
@@ -47,10 +47,17 @@ def measure(bench: Bench) -> Table:
             each = {name: [run[key] for run in of] for name, of in found.items()}
             rows.append(_row(f"identify, UR10: {what}", unit, each))
         reports = {
-            name: partial(apart, report, *files, environment={"PYTHONPATH": str(path)})
+            name: partial(apart, report, *files, environment=_of(path))
             for name, path in checkouts.items()
         }
         rows.append(_row("identify, UR10: the report alone", "s", bench.in_turn(reports)))
+    return Table(COLUMNS, tuple(rows))
+
+
+def case_study(bench: Bench) -> Table:
+    """Time the README's first command."""
+    rows: list[tuple[object, ...]] = []
+    checkouts = _checkouts(bench)
     study = ["examples/denso_vp6242.py", "--out", "results", *(["--quick"] if bench.quick else [])]
     found = {
         name: [process([str(path / study[0]), *study[1:]], path) for _ in range(CASE_STUDY_REPEATS)]
@@ -60,6 +67,15 @@ def measure(bench: Bench) -> Table:
         each = {name: [run[key] for run in of] for name, of in found.items()}
         rows.append(_row(f"the case study: {MEASURED[key][0]}", "s", each))
     return Table(COLUMNS, tuple(rows))
+
+
+def _checkouts(bench: Bench) -> dict[str, Path]:
+    return {"now": ROOT} if bench.before is None else {"now": ROOT, "before": bench.before}
+
+
+def _of(checkout: Path) -> dict[str, str]:
+    """Return what makes Python import a checkout, wherever it is started."""
+    return {"PYTHONPATH": str(checkout), "PYTHONSAFEPATH": "1"}
 
 
 def _row(what: str, unit: str, found: dict[str, list[float]]) -> tuple[object, ...]:

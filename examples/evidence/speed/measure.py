@@ -51,6 +51,7 @@ PARTS: dict[str, Callable[[Bench], Iterable[Row] | Table]] = {
     "simulation": simulation.measure,
     "job": whole_job.measure,
     "commands": commands.measure,
+    "case_study": commands.case_study,
     "hour": fleet.hour,
     "cluster": fleet.scaling,
     "small_problems": small_problems.measure,
