@@ -200,17 +200,17 @@ class Settings(Shown):
     """A dataclass of settings, which shows those that are not the defaults, cut where long."""
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={text}" for name, text in _changed(self).items())
+        shown = ", ".join(f"{name}={brief(value)}" for name, value in changed(self).items())
         return f"{type(self).__name__}({_cut(shown)})"
 
     def _shown(self) -> Mapping[str, object]:
-        return _changed(self) or {"settings": "the defaults"}
+        return {k: brief(v) for k, v in changed(self).items()} or {"settings": "the defaults"}
 
 
-def _changed(settings: Any) -> dict[str, str]:
+def changed(settings: Any) -> dict[str, Any]:
     """Return the settings by name that are compared and are not the defaults."""
     return {
-        each.name: brief(value)
+        each.name: value
         for each in fields(settings)
         if each.repr and not _is_default(value := getattr(settings, each.name), each)
     }

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
+from sdpid.output.robots.friction_code import NAMES as FRICTION_FILES
 from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
@@ -17,15 +18,12 @@ from sdpid.verifier.reading import REFUSED, parse, read_bytes
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.workflow.replay.links import told
-from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, TABLES, check_numbers
+from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS, TABLES, check_numbers
 
 if TYPE_CHECKING:
     from sdpid.experiment.preparation.several import Logs
     from sdpid.robot.model.model import RobotModel
     from sdpid.workflow.replay.links import Link, Replay
-
-# Files of the robot that is written from the parameters.
-_ROBOTS = tuple(f"identified{end}" for end in (".urdf", ".xml", "_friction.py", "_friction.hpp"))
 
 # Links that show a cost and a base matrix to be those of a robot and its log.
 _OF_ROWS = {"log", "robot", "base parameters", "rows"}
@@ -259,7 +257,7 @@ def _covered(sealed: Mapping[str, Any], proof: Mapping[str, Any], log: Replay) -
 
 def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
     """Yield what of the files is compared with nothing."""
-    robots = [name for name in files if name in _ROBOTS]
+    robots = [name for name in files if name in (*ROBOTS, *FRICTION_FILES)]
     if robots and not with_log:
         yield f"{manifest.listed(robots)}: what they hold (--data LOG writes them again)"
     tables = [name for name in (PARAMETERS, *TABLES) if name in files]

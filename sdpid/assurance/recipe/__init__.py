@@ -1,1 +1,1 @@
-"""The proof from the log: rows, compression and bound, recomputed from what the robot wrote."""
+"""How the rows of a result are made of its logs, as plain values."""

@@ -119,7 +119,7 @@ def report_html(
         command=command,
         sha256=sha256,
         **short.values(result),
-        **joints.values(result, errors, charts),
+        **joints.values(result, errors, charts, line),
         **parameters.values(result, intervals),
         **links.values(result),
         **mass_matrix.values(result, charts),

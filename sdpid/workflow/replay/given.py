@@ -23,9 +23,7 @@ from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import REFUSED, shown
 from sdpid.workflow.replay.folder import Sealed
 from sdpid.workflow.replay.links import Link, State
-
-# The file in a results folder that has the robot's kinematics.
-URDF = "identified.urdf"
+from sdpid.workflow.replay.numbers import URDF
 
 
 def several(logs: Logs) -> list[Any]:

@@ -21,7 +21,7 @@ TABLES = {"parameters.csv": "standard", "base_parameters.csv": "base"}
 _ROUNDING = Fraction(1e-9)
 
 # Robots, which result.json lists.
-_ROBOTS = ("identified.urdf", "identified.xml")
+ROBOTS = URDF, MJCF = "identified.urdf", "identified.xml"
 
 
 class Certified:
@@ -120,11 +120,11 @@ def check_numbers(
     except (OSError, *REFUSED) as cause:
         written = []
         add(RESULT, "not made again", f"the robots it names cannot be read: {reason(cause)}")
-    for name in (RESULT, PARAMETERS, *TABLES, *_ROBOTS):
+    for name in (RESULT, PARAMETERS, *TABLES, *ROBOTS):
         if name not in files:
-            if name not in _ROBOTS or name in written or (folder / name).exists():
+            if name not in ROBOTS or name in written or (folder / name).exists():
                 add(name, "not made again", "it is a result, and not sealed")
-        elif name in _ROBOTS:
+        elif name in ROBOTS:
             if name not in written:
                 add(name, "not made again", f"{RESULT} does not name it among what was written")
         else:

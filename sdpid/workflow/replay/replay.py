@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
+from sdpid._common.tables import changed
 from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.rows_digest import rows_digest
@@ -29,8 +30,9 @@ from sdpid.workflow.replay.compare import LIMIT, differences
 from sdpid.workflow.replay.contacts import places
 from sdpid.workflow.replay.cost import distance
 from sdpid.workflow.replay.folder import Sealed
-from sdpid.workflow.replay.given import URDF, find_robot, log_links, read_log, several
+from sdpid.workflow.replay.given import find_robot, log_links, read_log, several
 from sdpid.workflow.replay.links import Link, Replay, State
+from sdpid.workflow.replay.numbers import URDF
 from sdpid.workflow.replay.stated import other_demands, told
 from sdpid.workflow.replay.written import Files, check_friction
 
@@ -232,7 +234,8 @@ class _Run:
         )
         if rows != problem.n_rows:
             text += f", {problem.n_rows} of them independent"
-        text += f", by Processing({_changed(recipe.processing)})"
+        settings = changed(recipe.processing).items()
+        text += f", by Processing({', '.join(f'{name}={value!r}' for name, value in settings)})"
         if recipe.without_effort:
             text += f", without the efforts of {', '.join(map(shown, recipe.without_effort))}"
         if recipe.force_scale != 1.0:
@@ -385,15 +388,6 @@ class _Run:
                 "prior: none is given (--robot)"
             )
             self.say(URDF, "not checked", text)
-
-
-def _changed(settings: Any) -> str:
-    """Return the settings that are not the defaults."""
-    return ", ".join(
-        f"{each.name}={value!r}"
-        for each in fields(settings)
-        if (value := getattr(settings, each.name)) != each.default
-    )
 
 
 def _weights(sigma: Array) -> str:

@@ -44,9 +44,7 @@ from sdpid.workflow.replay.compare import (
 )
 from sdpid.workflow.replay.folder import Sealed
 from sdpid.workflow.replay.links import Link, by_file
-from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, reason
-
-URDF, MJCF = "identified.urdf", "identified.xml"
+from sdpid.workflow.replay.numbers import MJCF, PARAMETERS, RESULT, URDF, reason
 
 # Descriptions of robots may be larger than proofs.
 _LARGEST = 64 * 2**20

@@ -22,13 +22,11 @@ from sdpid.robot.friction.stored import term_from_dict
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from sdpid.verifier.reading import REFUSED, numbers, parse, read_bytes, text
+from sdpid.workflow.replay.numbers import ROBOTS
 from sdpid.workflow.result import Identification
 
 # Bytes of a file that is read: result.json of an arm has 0.1 MB.
 _LIMIT = 32 * 2**20
-
-# Robots in a folder that hold its kinematics.
-_ROBOTS = ("identified.urdf", "identified.xml")
 
 # The prediction of the run itself among those of what was held out.
 OURS = "this estimate"
@@ -198,9 +196,9 @@ class SavedRun(Shown):
             When the folder has no robot, or terms whose code no file can hold.
         """
         what = self.folder or "a result that is not saved"
-        files = [each for name in _ROBOTS if self.folder and (each := self.folder / name).exists()]
+        files = [each for name in ROBOTS if self.folder and (each := self.folder / name).exists()]
         if not files or self.recipe is None:
-            lacking = " and no ".join(_ROBOTS) if self.recipe else "recipe in its manifest.json"
+            lacking = " and no ".join(ROBOTS) if self.recipe else "recipe in its manifest.json"
             raise DataError(f"{what}: has no {lacking}, so that no model can be made of it.")
         given = self.recipe["robot"]
         text = without_level(read_description(files[0]).text)

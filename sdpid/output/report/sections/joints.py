@@ -33,8 +33,10 @@ _POINTS = 1500
 _DOTS = 400
 
 
-def values(result: Judged, errors: tuple[JointErrors, ...], charts: Charts) -> dict[str, Any]:
-    """Return the values of the template."""
+def values(
+    result: Judged, errors: tuple[JointErrors, ...], charts: Charts, line: TimeLine
+) -> dict[str, Any]:
+    """Return the values of the template, over the time of what was judged."""
     samples, _ = judged(result)
     return {
         "fits": list(_fits(result)),
@@ -42,8 +44,8 @@ def values(result: Judged, errors: tuple[JointErrors, ...], charts: Charts) -> d
         "held_title": _held_title(result),
         "has_mask": samples.mask is not None,
         "timed": samples.time is not None,
-        "time_label": TimeLine.of(samples.time, samples.n_samples, samples.starts).label,
-        "plots": list(_plots(result, errors, charts)),
+        "time_label": line.label,
+        "plots": list(_plots(result, errors, charts, line)),
         "stretch": stretch(samples.n_samples, points=_POINTS),
     }
 
@@ -151,12 +153,11 @@ def joints_shown(result: Judged) -> Iterator[JointShown]:
 
 
 def _plots(
-    result: Judged, errors: tuple[JointErrors, ...], charts: Charts
+    result: Judged, errors: tuple[JointErrors, ...], charts: Charts, line: TimeLine
 ) -> Iterator[dict[str, Any]]:
     """Yield the charts of every joint."""
-    samples, fit = judged(result)
+    _, fit = judged(result)
     shown = {each.joint: each for each in errors}
-    line = TimeLine.of(samples.time, samples.n_samples, samples.starts)
     for j, (own, seen) in enumerate(zip(joints_shown(result), driven(result), strict=True)):
         if own.name in shown:
             yield {
