@@ -48,6 +48,7 @@ ROOMS = {
         "prior",
         "effects",
         "information",
+        "error_source",
         "problem",
         "scaling",
         "coordinates",

@@ -119,8 +119,7 @@ def parameters(truth: Truth, log: sdpid.Recording, gains: sdpid.DriveGains) -> I
             replace(result.estimate, problem=exact), parameters=names, method="gauss_markov"
         )
     )
-    assert intervals.gains_share is not None
-    share = dict(zip(intervals.names, intervals.gains_share.tolist(), strict=True))
+    share = dict(zip(intervals.names, intervals.shares["gains"].tolist(), strict=True))
     for row in base_rows((ROBOT, ROBOT, 0), truth, result.estimate, ends_of(intervals), others):
         if row.lower is None or row.upper is None:
             continue

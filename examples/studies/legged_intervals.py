@@ -120,7 +120,7 @@ def asked(problem: Problem) -> tuple[Array, Array, Array]:
     at = np.linspace(0, problem.n_samples - 1, INSTANTS).astype(int)
     forces = np.concatenate([rows.rows(slice(k, k + 1))[0, :3, :-1] for k in at])
     base = problem.base.matrix
-    if problem.profiled:
+    if problem.origin.profiled:
         friction = [name.startswith("F") for name in problem.base.theta_names]
         base = base[~np.any(base[:, friction] != 0.0, axis=1)]
     return base, masses, forces @ problem.base.matrix
@@ -150,7 +150,7 @@ def cells(
     first = None
     for intervals, counted in (
         ("residuals", problem),
-        ("noise", replace(default, landing_bias=None, filter_bias=None, friction_bias=None)),
+        ("noise", replace(default, errors=default.errors[:1])),
         ("default", default),
     ):
         half = half_widths(replace(estimate, problem=counted), np.vstack([base, masses, forces]))

@@ -113,7 +113,7 @@ def run(
             )
         )
     rows += base_rows(known, truth, result.estimate, found, exact)
-    chosen = tuple(each.name for each in result.problem.effects if each.chosen)
+    chosen = tuple(each.name for each in result.problem.origin.effects if each.chosen)
     return Run(rows, count, outside, seconds, chosen)
 
 

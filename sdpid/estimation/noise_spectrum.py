@@ -131,7 +131,7 @@ class NoiseSpectrum:
         fit = least_squares(problem.A, problem.rhs)
         friction = rows.friction
         tail = np.zeros(0) if theta is None else theta[problem.n_theta - len(friction.parameters) :]
-        bending = Bending.of(friction, () if theta is None else problem.profiled, tail)
+        bending = Bending.of(friction, () if theta is None else problem.origin.profiled, tail)
         found = rows.map(_bands, 0.5 * problem.score_exponent, fit, bending, sigma=problem.sigma)
         count = np.sum([each for _, each in found], axis=0)
         places = sorted({place for bands, _ in found for place in bands})

@@ -22,6 +22,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.coordinates import Coordinates
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
@@ -114,9 +115,9 @@ def beside(errors: FitErrors, estimate: Estimated) -> FitErrors:
         T = problem.excitation.root
         pull = (problem.A @ T).T @ (problem.A @ root)
         root = T @ np.linalg.solve(estimate.curvature, pull)
-    elif not len(problem.biases):
+    elif not problem.errors:
         return errors
-    return _Beside(errors, np.hstack([root, problem.biases.T]))
+    return _Beside(errors, np.hstack([root, *(source.moves for source in problem.errors)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +251,9 @@ class Posterior:
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
         return np.asarray(unseen > _LOST * np.hypot(seen, unseen))
 
-    def bias_share(self, functions: Array, bias: Array) -> Array:
-        """Return the share (k,) of one of the fit's biases (b,) in the variances of functions."""
-        return self._share(functions, ((functions @ self.from_fit) @ bias) ** 2)
+    def share_of(self, source: ErrorSource, functions: Array) -> Array:
+        """Return the share (k,) of a source of errors in the variances of functions (k, p)."""
+        return self._share(functions, source.variance(functions @ self.from_fit @ source.moves))
 
     def gains_share(self, functions: Array) -> Array:
         """Return the share (k,) of the gains' errors in the variances of functions (k, p)."""

@@ -24,6 +24,7 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import Profiled, close_terms
 from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
@@ -38,6 +39,35 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What a problem was made by, and what its cost is.
+
+    Attributes
+    ----------
+    weighting : str
+        How residuals are weighted (see `build_problem`).
+    profiled : tuple of Profiled
+        Numbers of friction terms that were chosen by the data (see
+        `sdpid.estimation.effects.choose`).
+    effects : tuple of Tried
+        Effects that were chosen by the data, and those that were tried and left out (see
+        `sdpid.estimation.selection.choose`).
+    meaning : str or None
+        What the cost is where it is not that of the measured motion's own rows, such as the last
+        one that an iteration solved; None where it is.
+    constant : float
+        Part of the problem's `floor` that is of no row: what a robust loss adds to the weighted
+        rows.
+    """
+
+    weighting: Weighting
+    profiled: tuple[Profiled, ...] = ()
+    effects: tuple[Tried, ...] = ()
+    meaning: str | None = None
+    constant: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -56,8 +86,6 @@ class Problem(Shown):
         Friction and drive terms.
     base : BaseParameters
         Names, units and the matrix B.
-    weighting : str
-        How residuals are weighted (see `build_problem`).
     sigma : ndarray, shape (n, n) or (K, n, n)
         The covariance that was used; without rows its mean over the samples.
     A : ndarray, shape (b, b)
@@ -73,30 +101,14 @@ class Problem(Shown):
         The constraints.
     prior : PriorTerms or None
         The prior, as further terms of the cost.
-    profiled : tuple of Profiled
-        Numbers of friction terms that were chosen by the data (see
-        `sdpid.estimation.effects.choose`).
-    effects : tuple of Tried
-        Effects that were chosen by the data, and those that were tried and left out (see
-        `sdpid.estimation.selection.choose`).
     rows : Rows or None
         The rows that the cost is made of, here or on a cluster; None where they were not kept.
         Solvers do not need them, standard errors and residuals do.
-    constant : float
-        Part of `floor` that is of no row: what a robust loss adds to the weighted rows.
-    motion_bias : ndarray, shape (b,), or None
-        By how much noise in the measured motion is thought to move the unconstrained fit; it counts
-        as an error of the estimate. None where nobody looked.
-    landing_bias : ndarray, shape (b,), or None
-        Likewise by landings, whose samples are among its own. None where there are none, or too
-        few others.
-    filter_bias : ndarray, shape (b,), or None
-        Likewise by the filter, where no sample near a landing is among its own.
-    friction_bias : ndarray, shape (b,), or None
-        Likewise by a law of friction that is not the robot's, where the data chose its speeds.
-    meaning : str or None
-        What the cost is where it is not that of the measured motion's own rows, such as the last
-        one that an iteration solved; None where it is.
+    origin : Origin
+        Weighting, what the data chose, and what the cost is.
+    errors : tuple of ErrorSource
+        By what the unconstrained fit is thought to be off beside its noise: none where nobody
+        looked (see `sdpid.estimation.motion_noise`).
 
     Examples
     --------
@@ -114,7 +126,6 @@ class Problem(Shown):
     robot: RobotModel
     friction: FrictionModel
     base: BaseParameters
-    weighting: Weighting
     sigma: Array
     A: Array
     rhs: Array
@@ -123,15 +134,9 @@ class Problem(Shown):
     n_rows: int
     feasible: FeasibleSet
     prior: PriorTerms | None = None
-    profiled: tuple[Profiled, ...] = ()
-    effects: tuple[Tried, ...] = ()
     rows: Rows | None = None
-    constant: float = 0.0
-    motion_bias: Array | None = None
-    landing_bias: Array | None = None
-    filter_bias: Array | None = None
-    friction_bias: Array | None = None
-    meaning: str | None = None
+    origin: Origin
+    errors: tuple[ErrorSource, ...] = ()
 
     def _shown(self) -> dict[str, object]:
         terms = ", ".join(str(each["term"]) for each in self.friction.described())
@@ -147,9 +152,14 @@ class Problem(Shown):
             "prior": "no" if self.prior is None else "yes",
             "condition number": self.excitation.condition_number,
         }
-        if self.meaning is not None:
-            facts["cost"] = self.meaning
+        if self.origin.meaning is not None:
+            facts["cost"] = self.origin.meaning
         return facts
+
+    @property
+    def weighting(self) -> Weighting:
+        """How residuals are weighted (see `build_problem`)."""
+        return self.origin.weighting
 
     @property
     def consistency(self) -> Consistency:
@@ -210,12 +220,9 @@ class Problem(Shown):
         """
         return self.squared.gradient(theta) + self.log_det.gradient(theta)
 
-    @property
-    def biases(self) -> Array:
-        """By how much the unconstrained fit is thought to be off beside its noise, (k, b)."""
-        biases = self.motion_bias, self.landing_bias, self.filter_bias, self.friction_bias
-        known = [each for each in biases if each is not None]
-        return frozen(np.reshape(known, (-1, self.base.count)))
+    def with_origin(self, **changes: Any) -> Problem:
+        """Return the same problem with other fields of its `origin`."""
+        return replace(self, origin=replace(self.origin, **changes))
 
     @property
     def samples(self) -> Samples:
@@ -272,11 +279,11 @@ class Problem(Shown):
                 f"{purpose}: the cost of weighting {self.weighting!r} is that of normal equations, "
                 "no sum over rows; build the problem with 'residual', 'gls' or 'gls_per_sample'."
             )
-        if self.meaning is not None or self.constant:
+        if self.origin.meaning is not None or self.origin.constant:
             raise DataError(
                 f"{purpose}: the problem is not that of the measured samples "
-                f"({self.meaning or 'its rows are weighted by a robust loss'}); give the one that "
-                "was built of the recording."
+                f"({self.origin.meaning or 'its rows are weighted by a robust loss'}); give the "
+                "one that was built of the recording."
             )
 
     def without_rows(self) -> Problem:
@@ -444,7 +451,6 @@ def build_problem(
         robot=robot,
         friction=model,
         base=base,
-        weighting=weighting,
         sigma=frozen(found.sigma),
         A=frozen(A),
         rhs=frozen(rhs),
@@ -453,8 +459,8 @@ def build_problem(
         n_rows=found.used,
         feasible=FeasibleSet.build(bounds, consistency, Layout(robot, model)),
         prior=terms,
-        profiled=profiled,
         rows=rows,
+        origin=Origin(weighting=weighting, profiled=profiled),
     )
     if prior is None and check_excitation:
         require_excitation(problem.excitation)
@@ -496,8 +502,8 @@ def describe(problem: Problem) -> dict[str, Any]:
         "margin": problem.constraints.margin,
         "prior": problem.prior is not None,
         "friction_terms": problem.friction.described(),
-        "profiled": [asdict(each) for each in problem.profiled],
-        "effects": [asdict(each) for each in problem.effects],
-        "cost_of": problem.meaning,
+        "profiled": [asdict(each) for each in problem.origin.profiled],
+        "effects": [asdict(each) for each in problem.origin.effects],
+        "cost_of": problem.origin.meaning,
         "condition_number": problem.excitation.condition_number,
     }

@@ -216,7 +216,7 @@ def identify(
     if intervals is not False:
         problem, unknown = with_motion_bias_of(problem, prepared)
         notes += unknown
-    notes += [each.words for each in problem.effects]
+    notes += [each.words for each in problem.origin.effects]
     if (alike := in_words(collinear_friction(problem))) is not None:
         notes.append(alike)
     with progress(_STEPS, "estimating") as advance:
@@ -308,7 +308,7 @@ def with_motion_bias_of(problem: Problem, prepared: Prepared) -> tuple[Problem, 
     except SdpidError as reason:
         return problem, [f"intervals do not count what noise in the motion does: {reason}"]
     landed = landings_used(problem, prepared.logs, prepared.processing)
-    unknown = landed and found.landing_bias is None
+    unknown = landed and all(source.name != "landing" for source in found.errors)
     return found, [_NOT_APART] if unknown else []
 
 

@@ -132,7 +132,7 @@ class Identification(Judged, Shown):
     @property
     def effects(self) -> tuple[Tried, ...]:
         """Effects that were chosen by the data, and those that were tried and left out."""
-        return self.problem.effects
+        return self.problem.origin.effects
 
     @property
     def verdict(self) -> tuple[str, ...]:

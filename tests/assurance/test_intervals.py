@@ -22,6 +22,7 @@ from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, solve_conic
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import Groups, Posterior
@@ -634,7 +635,7 @@ def test_a_bias_of_the_fit_is_in_the_band() -> None:
     viscous = problem.base.names.index("Fv1")
     bias = np.zeros(problem.base.count)
     bias[viscous] = 0.4
-    moved = replace(estimate, problem=replace(problem, motion_bias=bias))
+    moved = replace(estimate, problem=replace(problem, errors=(ErrorSource.bias("motion", bias),)))
     speeds, quantile = np.array([0.5, 1.0]), 1.96
     plain, wider = (friction_curve(each, speeds).half_width[:, 0] for each in (estimate, moved))
     np.testing.assert_allclose(wider, np.hypot(plain, quantile * 0.4 * speeds), rtol=0.02)

@@ -83,7 +83,7 @@ def same(one: Problem, other: Problem) -> None:
     one_file, other_file = sdpid.certify(first).to_dict(), sdpid.certify(second).to_dict()
     for key in ("samples", "rows", "rows_sha256"):
         assert one_file["origin"][key] == other_file["origin"][key]
-    assert one.profiled == other.profiled
+    assert one.origin.profiled == other.origin.profiled
 
 
 def kill_one(client: Any) -> None:

@@ -92,8 +92,9 @@ def test_true_values_are_found(truth: FrictionTerm, asked: FrictionTerm) -> None
         if hasattr(truth, name):
             found, expected = getattr(closed, name), getattr(truth, name)
             np.testing.assert_allclose(found, expected, rtol=5 * FOUND if "wid" in name else FOUND)
-    assert all(p.lower <= p.flat_from <= p.value <= p.flat_to <= p.upper for p in problem.profiled)
-    assert all(p.determined for p in problem.profiled)
+    chosen = problem.origin.profiled
+    assert all(p.lower <= p.flat_from <= p.value <= p.flat_to <= p.upper for p in chosen)
+    assert all(p.determined for p in chosen)
 
 
 def test_several_terms_with_noise() -> None:
@@ -104,9 +105,9 @@ def test_several_terms_with_noise() -> None:
     problem = build_problem(ARM3, samples, friction=asked)
     exact = build_problem(ARM3, samples, friction=truth)
     assert problem.floor <= 1.001 * exact.floor
-    assert len(problem.profiled) == 6
+    assert len(problem.origin.profiled) == 6
     again = build_problem(ARM3, samples, friction=asked)
-    assert again.profiled == problem.profiled
+    assert again.origin.profiled == problem.origin.profiled
     np.testing.assert_array_equal(again.A, problem.A)
 
 
@@ -178,7 +179,7 @@ class Flat(JointwiseTerm):
 
 def test_without_effect_the_middle_is_kept() -> None:
     problem = build_problem(ARM3, made("viscous"), friction=("viscous", Flat()))
-    for p in problem.profiled:
+    for p in problem.origin.profiled:
         assert p.value == pytest.approx(np.sqrt(p.lower * p.upper))
         assert (p.flat_from, p.flat_to) == (p.lower, p.upper)
         assert not p.determined
@@ -208,7 +209,7 @@ class Power(FrictionTerm):
 
 def test_a_term_of_ones_own_with_one_number_for_all_joints() -> None:
     problem = build_problem(ARM3, made(Power(0.4), "offset"), friction=(Power(), "offset"))
-    (found,) = problem.profiled
+    (found,) = problem.origin.profiled
     assert (found.term, found.name, found.unit) == ("Power", "exponent", "1")
     assert found.value == pytest.approx(0.4, rel=FOUND)
 
@@ -221,7 +222,7 @@ def test_every_weighting(weighting: Any) -> None:
     problem = build_problem(
         ARM3, samples, friction=(Coulomb(width=None), "viscous"), weighting=weighting
     )
-    np.testing.assert_allclose([p.value for p in problem.profiled], truth.width, rtol=0.1)
+    np.testing.assert_allclose([p.value for p in problem.origin.profiled], truth.width, rtol=0.1)
 
 
 def test_only_rows_in_use_count() -> None:
@@ -259,7 +260,7 @@ def test_long_records_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
     monkeypatch.setattr(profile_module, "_MOST_SAMPLES", 130)
     thinned = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
-    for a, b in zip(whole.profiled, thinned.profiled, strict=True):
+    for a, b in zip(whole.origin.profiled, thinned.origin.profiled, strict=True):
         assert a.value == pytest.approx(b.value, rel=FOUND)
     assert thinned.n_rows == whole.n_rows
 
@@ -267,7 +268,7 @@ def test_long_records_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_closed_terms_are_left_alone() -> None:
     samples = made("coulomb", "viscous")
     problem = build_problem(ARM3, samples)
-    assert problem.profiled == ()
+    assert problem.origin.profiled == ()
     assert describe(problem)["profiled"] == []
 
 
@@ -328,10 +329,10 @@ def simulated(rng: np.random.Generator, count: int = 400) -> tuple[Problem, np.n
 def test_derivatives_are_those_of_the_shape() -> None:
     problem, theta = simulated(np.random.default_rng(1))
     values = theta[20:]
-    found = Bending.of(problem.friction, problem.profiled, values)
+    found = Bending.of(problem.friction, problem.origin.profiled, values)
     v = np.linspace(-2.0, 2.0, 30)[:, None] * np.ones(2)
     motion = Motion(position=v, velocity=v, acceleration=v, robot=ARM)
-    speeds = np.array([each.value for each in problem.profiled])
+    speeds = np.array([each.value for each in problem.origin.profiled])
     # d(tanh(v/w))/d(log w) = -(v/w)·sech²(v/w)
     ratio = v / speeds
     expected = -values[:2] * ratio / np.cosh(ratio) ** 2
@@ -339,7 +340,7 @@ def test_derivatives_are_those_of_the_shape() -> None:
     assert columns.shape == (30, 2, 2)
     np.testing.assert_allclose(np.einsum("kjj->kj", columns), expected, atol=2e-3)
     assert not columns[:, [0, 1], [1, 0]].any()
-    limits = [np.log(each.upper / each.lower) / np.sqrt(12.0) for each in problem.profiled]
+    limits = [np.log(each.upper / each.lower) / np.sqrt(12.0) for each in problem.origin.profiled]
     np.testing.assert_allclose(found.deviations, limits)
 
 
@@ -445,7 +446,7 @@ def chosen(samples: Samples, robot: RobotModel = ARM4) -> Problem:
 
 
 def names(problem: Problem) -> set[str]:
-    return {each.name for each in problem.effects if each.chosen}
+    return {each.name for each in problem.origin.effects if each.chosen}
 
 
 @pytest.mark.parametrize(
@@ -463,7 +464,7 @@ def test_what_is_there_is_chosen(effects: tuple[str, ...]) -> None:
         np.testing.assert_allclose(np.degrees([found["Gx"], found["Gy"]]), [1.5, -0.5], atol=0.05)
     if "load" in effects:
         np.testing.assert_allclose([found[f"Fl{j}"] for j in (2, 3, 4)], 0.1, atol=0.02)
-    for each in problem.effects:
+    for each in problem.origin.effects:
         if each.chosen:
             assert each.fall >= each.least_fall
             assert "lowers the cost by" in each.words
@@ -475,8 +476,8 @@ def test_what_is_absent_is_not_chosen(count: int, color: float) -> None:
     for seed in range(3):
         problem = chosen(logged(seed=10 + seed, count=count, color=color))
         assert names(problem) == set()
-        assert {each.name for each in problem.effects} == {*TRUTHS}
-        assert all("would lower" in each.words for each in problem.effects)
+        assert {each.name for each in problem.origin.effects} == {*TRUTHS}
+        assert all("would lower" in each.words for each in problem.origin.effects)
 
 
 def test_records_too_short_to_tell_choose_nothing() -> None:
@@ -491,7 +492,7 @@ def test_a_tilt_that_would_be_seen_is_doubted() -> None:
     gravity = ARM4.gravity + np.cross([0.2, 0.0, 0.0], ARM4.gravity)
     tilted = RobotModel.from_pinocchio(ARM4.pin_model, gravity=gravity.tolist())
     problem = chosen(logged(), tilted)
-    (tilt,) = [each for each in problem.effects if each.name == "tilt"]
+    (tilt,) = [each for each in problem.origin.effects if each.name == "tilt"]
     assert not tilt.chosen
     assert tilt.fall > 0.5
     assert "would be seen" in tilt.words
@@ -500,7 +501,7 @@ def test_a_tilt_that_would_be_seen_is_doubted() -> None:
 def test_the_choice_is_the_same_every_time() -> None:
     samples = logged("load")
     first, second = chosen(samples), chosen(samples)
-    assert first.effects == second.effects
+    assert first.origin.effects == second.origin.effects
     np.testing.assert_array_equal(first.A, second.A)
 
 
@@ -524,8 +525,8 @@ def test_effects_by_name() -> None:
     kinds = {type(term) for term in problem.friction.terms}
     assert {RotorInertia, Coupling, Tilt} <= kinds
     assert LoadFriction not in kinds
-    assert {each.name for each in problem.effects} == {"rotor_inertia", "coupling", "tilt"}
-    assert all(each.fall is None for each in problem.effects)
+    assert {each.name for each in problem.origin.effects} == {"rotor_inertia", "coupling", "tilt"}
+    assert all(each.fall is None for each in problem.origin.effects)
     assert with_effects(problem, TERMS, ("tilt",), build) is problem
 
 
@@ -533,7 +534,7 @@ def test_a_coupling_by_name_brings_rotor_inertia_along() -> None:
     build = builder(logged())
     problem = with_effects(build(TERMS), TERMS, ("coupling",), build)
     assert {RotorInertia, Coupling} <= {type(term) for term in problem.friction.terms}
-    told = {each.name: each.words for each in problem.effects}
+    told = {each.name: each.words for each in problem.origin.effects}
     assert told == {
         "rotor_inertia": "rotor inertia: in the model with what was asked beside it",
         "coupling": "a coupled wrist: in the model as asked",
@@ -598,5 +599,5 @@ def test_a_solver_that_fails_costs_the_choice_and_not_the_problem(
     monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", failing)
     problem = chosen(logged("tilt"))
     assert names(problem) == ({"tilt"} if found else set())
-    assert bool(problem.effects) == found
+    assert bool(problem.origin.effects) == found
     assert (Tilt in {type(term) for term in problem.friction.terms}) == found

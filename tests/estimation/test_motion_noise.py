@@ -12,6 +12,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise.bias import with_motion_bias
 from sdpid.estimation.motion_noise.friction import friction_bias
@@ -52,32 +53,42 @@ def problem_of(log: sdpid.Recording) -> Problem:
     return sdpid.build_problem(ARM, samples, friction=(), weighting="residual")
 
 
+def moved_by(problem: Problem, name: str) -> Array | None:
+    """Return the bias of a name, None where there is none."""
+    return next((each.moves[:, 0] for each in problem.errors if each.name == name), None)
+
+
+def without_error(problem: Problem, name: str) -> Problem:
+    """Return a problem that does not know one bias."""
+    return replace(problem, errors=tuple(each for each in problem.errors if each.name != name))
+
+
 def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     log = recorded(NOISE)
     problem = with_motion_bias(problem_of(log), [log], PROCESSING)
-    bias, truth = problem.motion_bias, problem.base_of(BODIES.ravel())
+    bias, truth = moved_by(problem, "motion"), problem.base_of(BODIES.ravel())
     # Three seeds of noise, against the fit of the same motion without.
     fits = [sdpid.solve_wls(problem_of(recorded(NOISE, seed))).base for seed in range(3)]
     moved = np.mean(fits, axis=0) - sdpid.solve_wls(problem_of(recorded(0.0))).base
     size = np.abs(moved) > 0.2 * np.abs(moved).max()
     np.testing.assert_allclose(bias[size], moved[size], rtol=0.4)
     wls = sdpid.solve_wls(problem)
-    without = replace(wls, problem=replace(problem, motion_bias=None))
+    without = replace(wls, problem=without_error(problem, "motion"))
     short, honest = gauss_markov(without), gauss_markov(wls)
     assert not short.contains(truth).all()
     assert honest.contains(truth).all()
-    assert short.motion_share is None
+    assert "motion" not in short.shares
     # The bootstrap draws the bias too.
     options = {"parameters": problem.base.names, "resamples": 200, "n_jobs": 1}
     drawn, shorter = (
         sdpid.confidence_intervals(each, method="bootstrap", **options) for each in (wls, without)
     )
-    assert drawn.motion_share is not None
-    most_moved = honest.motion_share > 0.8
+    assert "motion" in drawn.shares
+    most_moved = honest.shares["motion"] > 0.8
     assert most_moved.any()
     np.testing.assert_allclose(drawn.width[most_moved], honest.width[most_moved], rtol=0.3)
     assert np.all(shorter.width[most_moved] < 0.7 * drawn.width[most_moved])
-    most = problem.base.names[int(np.argmax(honest.motion_share))]
+    most = problem.base.names[int(np.argmax(honest.shares["motion"]))]
     words = noise_in_words(honest)
     assert most in words
     assert noise_in_words(short) is None
@@ -143,17 +154,17 @@ def with_and_without(
     """Return intervals that count a bias, and those that do not; its share is the difference."""
     honest, short = gauss_markov(estimate), gauss_markov(replace(estimate, problem=without))
     # Shares say how much of the variance it is.
-    share = getattr(honest, name)
-    assert getattr(short, name) is None
+    share = honest.shares[name]
+    assert name not in short.shares
     np.testing.assert_allclose(honest.width**2 * (1.0 - share), short.width**2, rtol=0.05)
     return honest, short
 
 
 def counted_bias(problem: Problem, run: LeggedRun, name: str, alike: float) -> Intervals:
     """Return intervals that hold the truth as they count a bias, which is alike the fit's error."""
-    bias, truth = getattr(problem, f"{name}_bias"), problem.base_of(run.theta)
-    wls, without = sdpid.solve_wls(problem), replace(problem, **{f"{name}_bias": None})
-    honest, short = with_and_without(wls, without, f"{name}_share")
+    bias, truth = moved_by(problem, name), problem.base_of(run.theta)
+    wls, without = sdpid.solve_wls(problem), without_error(problem, name)
+    honest, short = with_and_without(wls, without, name)
     size = short.width
     assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > alike
     assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
@@ -166,24 +177,24 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     run = sdpid.simulate_legged(robot, "trot", duration=2.0, seed=1, sensors=Sensors.exact())
     problem = legged_problem(robot, run.recording, LEGGED)
     honest = counted_bias(problem, run, "landing", 0.5)
-    assert honest.landing_share is not None
     assert "from landings, %" in honest.table()
     words = noise_in_words(honest)
-    assert honest.names[int(np.argmax(honest.landing_share))] in words
+    assert honest.names[int(np.argmax(honest.shares["landing"]))] in words
     # Where landings are left out there is nothing to count.
     apart = legged_problem(robot, run.recording, replace(LEGGED, impact_s=0.0))
-    assert apart.landing_bias is None
+    assert moved_by(apart, "landing") is None
     assert not landings_used(apart, [run.recording], replace(LEGGED, impact_s=0.0))
     # Where too few samples would stay they are used after all, and counted as much.
     kept = replace(LEGGED, impact_s=0.0, kept_share=0.9)
     again = legged_problem(robot, run.recording, kept)
     assert landings_used(again, [run.recording], kept)
-    assert again.filter_bias is None
-    np.testing.assert_allclose(again.landing_bias, problem.landing_bias, rtol=1e-9)
+    assert moved_by(again, "filter") is None
+    moved = [moved_by(each, "landing") for each in (again, problem)]
+    np.testing.assert_allclose(*moved, rtol=1e-9)
     # No sample is two seconds away from a landing: what they do is not known.
     wide = replace(LEGGED, impact_s=2.0, kept_share=0.1)
     unknown = legged_problem(robot, run.recording, wide)
-    assert unknown.landing_bias is None
+    assert moved_by(unknown, "landing") is None
     assert landings_used(unknown, [run.recording], wide)
 
 
@@ -235,10 +246,10 @@ def test_intervals_of_a_stand_count_what_the_filter_does(
 ) -> None:
     robot, run = stand
     problem = legged_problem(robot, run.recording, SLOW)
-    assert problem.landing_bias is None
+    assert moved_by(problem, "landing") is None
     honest = counted_bias(problem, run, "filter", 0.8)
     assert "from the filter, %" in honest.table()
-    words = noise_in_words(replace(honest, filter_share=np.full(len(honest), 0.9)))
+    words = noise_in_words(replace(honest, shares={"filter": np.full(len(honest), 0.9)}))
     assert "what the filter takes away moves" in words
 
 
@@ -248,7 +259,7 @@ def test_what_no_other_filter_tells_is_not_counted(
     robot, run = stand
     # Between these and half the rate there is no room for a higher one.
     fast = replace(SLOW, cutoff_hz=0.4 / run.recording.step)
-    assert legged_problem(robot, run.recording, fast).filter_bias is None
+    assert moved_by(legged_problem(robot, run.recording, fast), "filter") is None
 
 
 # ---- What a law of friction that is not the robot's does to a fit whose speeds the data chose.
@@ -288,10 +299,10 @@ def test_the_bias_is_what_the_fit_is_off_by() -> None:
     assert np.linalg.norm(left) < 0.7 * np.linalg.norm(off / size)
     assert not bias[~links].any()
     # Intervals count it, say so, and name what it moves.
-    counted = replace(wls, problem=replace(problem, friction_bias=bias))
-    honest, _ = with_and_without(counted, wls.problem, "friction_share")
+    counted = replace(wls, problem=replace(problem, errors=(ErrorSource.bias("friction", bias),)))
+    honest, _ = with_and_without(counted, wls.problem, "friction")
     assert "from friction's law, %" in honest.table()
-    words = noise_in_words(replace(honest, friction_share=np.full(len(honest), 0.9)))
+    words = noise_in_words(replace(honest, shares={"friction": np.full(len(honest), 0.9)}))
     assert "a law of friction that is not the model's moves" in words
 
 
@@ -305,9 +316,8 @@ def test_motion_and_friction_are_asked_together() -> None:
     bias = bias_of(problem)
     assert bias.any()
     found = with_motion_bias(problem, [log], PROCESSING)
-    np.testing.assert_array_equal(found.friction_bias, bias)
-    # Noise in motion, the filter, and the law.
-    assert len(found.biases) == 3
+    np.testing.assert_array_equal(moved_by(found, "friction"), bias)
+    assert [source.name for source in found.errors] == ["motion", "filter", "friction"]
 
 
 def test_a_law_that_is_right_has_next_to_none() -> None:

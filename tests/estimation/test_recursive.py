@@ -254,7 +254,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
 def test_a_covariance_that_fails_halfway_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     # A few samples a chunk.
     monkeypatch.setattr("sdpid.estimation.compression.rows.CHUNK_BYTES", 1 << 12)
-    start = replace(build_problem(ARM, measured(covariance=SIGMA)), weighting="gls_per_sample")
+    start = build_problem(ARM, measured(covariance=SIGMA)).with_origin(weighting="gls_per_sample")
     stream, other = (RecursiveEstimator(start, memory=1.0) for _ in range(2))
     piece = measured(covariance=random_covariance(RNG, 2, 90), time=0.01 * np.arange(90))
     # The last sample's has no inverse.

@@ -179,10 +179,10 @@ def test_what_holds_no_names_is_refused(effects: Any) -> None:
 
 def test_an_arm_without_effects_gets_none() -> None:
     problem = formulate(arm(), recorded(1))
-    assert not any(each.chosen for each in problem.effects)
-    assert problem.effects
+    assert not any(each.chosen for each in problem.origin.effects)
+    assert problem.origin.effects
     plain = formulate(arm(), recorded(1), effects="none")
-    assert plain.effects == ()
+    assert plain.origin.effects == ()
     assert plain.base.names == problem.base.names
 
 
@@ -215,14 +215,14 @@ def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
 
 def test_costs_that_are_no_likelihood_choose_nothing() -> None:
     problem = formulate(arm(), recorded(1), weighting="eq9")
-    assert problem.effects == ()
+    assert problem.origin.effects == ()
 
 
 def test_without_consistency_and_without_a_prior() -> None:
     for options in ({"consistency": "none"}, {"prior": False}):
         problem = formulate(arm(), recorded(1), **options)
-        assert problem.effects
-        assert not any(each.chosen for each in problem.effects)
+        assert problem.origin.effects
+        assert not any(each.chosen for each in problem.origin.effects)
 
 
 # Two results folders against each other, from their files alone.

@@ -202,7 +202,7 @@ class Certificate(Shown):
 
     def summary(self) -> str:
         """Return what is proven, in words."""
-        of = "" if self.problem.meaning is None else f"of {self.problem.meaning}: "
+        of = "" if self.problem.origin.meaning is None else f"of {self.problem.origin.meaning}: "
         if not self.feasible:
             reason = "; ".join(self._proof.problems)
             return (
@@ -241,9 +241,9 @@ def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
 
 def _loss(problem: Problem) -> str | None:
     """Return what the rows are where they are not the log's own, None where they are."""
-    if not problem.constant:
-        return problem.meaning
-    return f"robust: rows are weighted by it, and it adds {problem.constant!r} to the floor"
+    if not problem.origin.constant:
+        return problem.origin.meaning
+    return f"robust: rows are weighted by it, and it adds {problem.origin.constant!r} to the floor"
 
 
 def problem_dict(problem: Problem) -> dict[str, Any]:

@@ -118,4 +118,4 @@ def chosen_terms(
     elif names:
         problem = with_effects(problem, given, names, build)
     terms = problem.friction.terms
-    return terms, tuple(each.words for each in problem.effects if each.chosen)
+    return terms, tuple(each.words for each in problem.origin.effects if each.chosen)

@@ -165,7 +165,9 @@ def resample(
     gains = GainErrors.of(problem)
     T = pieces.coordinates
     turn = T.T if problem.weighting in PRINTED else (problem.A @ T).T
-    moves, biased = turn @ gains.root, turn @ problem.A @ problem.biases.T
+    moves = turn @ gains.root
+    biases = [np.zeros((problem.base.count, 0)), *(source.moves for source in problem.errors)]
+    biased = turn @ problem.A @ np.hstack(biases)
     draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves, biased)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)

@@ -157,7 +157,7 @@ class _Bands:
         self._posterior = Posterior.about(estimate, beside(self._spectrum, estimate))
         friction = self.problem.friction
         self._links = self.problem.n_theta - len(friction.parameters)
-        self.bending = Bending.of(friction, self.problem.profiled, self.theta[self._links :])
+        self.bending = Bending.of(friction, self.problem.origin.profiled, self.theta[self._links :])
 
     def about(self, columns: Array, slopes: Array, level: float) -> tuple[Array, Array]:
         """Return values and half widths (joints,) of columns (joints, f) with slopes (joints, d).

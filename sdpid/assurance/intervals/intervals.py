@@ -13,7 +13,7 @@ Three kinds, each with its own question (see docs/guides/intervals.md):
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 from typing import Any, Literal
@@ -38,6 +38,15 @@ Method = Literal["profile", "gauss_markov", "bootstrap"]
 FROM_DATA = "from data"
 FROM_PHYSICS = "from physics"
 FROM_PRIOR = "from the prior"
+
+# Sources of errors that residuals do not show, in words.
+_SOURCES = {
+    "gains": "gains",
+    "motion": "noise in motion",
+    "landing": "landings",
+    "filter": "the filter",
+    "friction": "friction's law",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -70,20 +79,11 @@ class Intervals(Shown):
         What was taken as independent: ``"frequencies"``, ``"blocks"`` or ``"periods"``.
     slack : ndarray, shape (k, 2), or None
         Of profile intervals: how far each end, which is proven, is outside of what is attained.
-    gains_share : ndarray, shape (k,), or None
-        Share of the errors of drive gains in the variance of each parameter, all inequalities
-        aside; None where efforts were not made of currents by gains with errors.
-    motion_share : ndarray, shape (k,), or None
-        Share of the bias by noise in the measured motion, likewise; None where it was not looked
-        for.
-    landing_share : ndarray, shape (k,), or None
-        Share of the bias by landings, likewise; None where no sample near a landing was used, or
-        too few others.
-    filter_share : ndarray, shape (k,), or None
-        Share of the bias by the filter, likewise; None where samples near landings were used.
-    friction_share : ndarray, shape (k,), or None
-        Share of the bias by a law of friction that is not the robot's, likewise; None where the
-        data chose no speeds.
+    shares : dict of ndarray, shape (k,)
+        Shares of errors that residuals do not show in the variance of each parameter, all
+        inequalities aside: of drive gains (``"gains"``), noise in the measured motion
+        (``"motion"``), landings (``"landing"``) or else the filter (``"filter"``), and a law of
+        friction that is not the robot's (``"friction"``). Those that were looked for and found.
     seconds : float
         In the solver.
     solves : int
@@ -112,11 +112,7 @@ class Intervals(Shown):
     method: str
     groups: str
     slack: Array | None = None
-    gains_share: Array | None = None
-    motion_share: Array | None = None
-    landing_share: Array | None = None
-    filter_share: Array | None = None
-    friction_share: Array | None = None
+    shares: Mapping[str, Array] = field(default_factory=dict)
     seconds: float = 0.0
     solves: int = field(default=0)
 
@@ -148,15 +144,9 @@ class Intervals(Shown):
             "upper": self.upper.tolist(),
             "label": self.label,
         }
-        for what, share in (
-            ("gains", self.gains_share),
-            ("noise in motion", self.motion_share),
-            ("landings", self.landing_share),
-            ("the filter", self.filter_share),
-            ("friction's law", self.friction_share),
-        ):
-            if share is not None:
-                columns[f"from {what}, %"] = [round(100.0 * each) for each in share.tolist()]
+        for source, share in self.shares.items():
+            shown = [round(100.0 * each) for each in share.tolist()]
+            columns[f"from {_SOURCES[source]}, %"] = shown
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -179,10 +169,7 @@ class Intervals(Shown):
             "label": self.label,
             "ends_at_largest_mass": self.by_mass.tolist(),
         }
-        shares = ("gains_share", "motion_share", "landing_share", "filter_share", "friction_share")
-        for name in shares:
-            if (share := getattr(self, name)) is not None:
-                columns[name] = share.tolist()
+        columns |= {f"{name}_share": share.tolist() for name, share in self.shares.items()}
         rows = zip(*columns.values(), strict=True)
         content = {
             "method": self.method,
@@ -462,7 +449,7 @@ def _made(
     level: float,
     method: str,
     groups: str,
-    shares: dict[str, Array | None],
+    shares: dict[str, Array],
     *,
     label: tuple[str, ...] | None = None,
     by_mass: Mask | None = None,
@@ -488,29 +475,21 @@ def _made(
         slack=slack,
         seconds=seconds,
         solves=solves,
-        **shares,
+        shares=shares,
     )
 
 
 def _shares(
     estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
-) -> dict[str, Array | None]:
-    """Return shares (k,) of what residuals do not show in the variances, None without it."""
-    problem = estimate.problem
-    biases = {
-        "motion_share": problem.motion_bias,
-        "landing_share": problem.landing_bias,
-        "filter_share": problem.filter_bias,
-        "friction_share": problem.friction_bias,
-    }
-    gains = GainErrors.of(problem).any
-    if posterior is None and (gains or len(problem.biases)):
+) -> dict[str, Array]:
+    """Return shares (k,) of what residuals do not show in the variances."""
+    sources, gains = estimate.problem.errors, GainErrors.of(estimate.problem).any
+    if posterior is None and (gains or sources):
         posterior = Posterior.of(estimate)
-    found: dict[str, Array | None] = dict.fromkeys(("gains_share", *biases))
+    found = {}
     if posterior is not None:
         if gains:
-            found["gains_share"] = frozen(posterior.gains_share(wanted.functions))
-        for name, bias in biases.items():
-            if bias is not None:
-                found[name] = frozen(posterior.bias_share(wanted.functions, bias))
+            found["gains"] = frozen(posterior.gains_share(wanted.functions))
+        for source in sources:
+            found[source.name] = frozen(posterior.share_of(source, wanted.functions))
     return found

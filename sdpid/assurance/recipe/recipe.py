@@ -173,7 +173,7 @@ class Recipe:
             sigma=None if each else _symmetric(problem.sigma),
             problem=StatedProblem.of(problem),
             force_scale=problem.rows.force_scale if isinstance(problem.rows, RowSource) else 1.0,
-            profiled=problem.profiled,
+            profiled=problem.origin.profiled,
         )
         recipe.to_dict()
         return recipe

@@ -218,9 +218,8 @@ class FirstStage:
         for piece, _ in rows.map(compress, sigma=problem.sigma):
             triangle.merge(piece)
         A, rhs, floor = triangle.split()
-        found = replace(
-            problem, A=frozen(A), rhs=frozen(rhs), floor=floor, rows=rows, meaning=words
-        )
+        found = replace(problem, A=frozen(A), rhs=frozen(rhs), floor=floor, rows=rows)
+        found = found.with_origin(meaning=words)
         if problem.prior is None:
             require_excitation(found.excitation)
         return SecondStage(

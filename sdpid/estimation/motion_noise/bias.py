@@ -18,11 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.estimation.compression.factor import compressed
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.information import least_squares
 from sdpid.estimation.motion_noise.friction import friction_bias
 from sdpid.estimation.motion_noise.landings import (
@@ -84,30 +85,38 @@ def with_motion_bias(
             )
     mask = problem.samples.mask
     fit, bias = _fits(problem, [_of(problem, rows, replace(each, mask=mask)) for each in noisy])
-    found = replace(problem, motion_bias=frozen(bias))
+    sources = [ErrorSource.bias("motion", bias)]
+    name, others = _others(problem, logs, pairs, noisy, processing)
+    if others:
+        apart, *moved = (_of(problem, rows, each) for each in others)
+        fit_apart, bias_apart = _fits(apart, moved)
+        counted = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
+        sources += [] if counted is None else [ErrorSource.bias(name, counted)]
     if (law := friction_bias(problem, rows)) is not None:
-        found = replace(found, friction_bias=frozen(law))
+        sources.append(ErrorSource.bias("friction", law))
+    return replace(problem, errors=tuple(sources))
+
+
+def _others(
+    problem: Problem,
+    logs: Sequence[Recording],
+    pairs: Sequence[Sequence[Recording]],
+    noisy: Sequence[Samples],
+    processing: Processing,
+) -> tuple[str, list[Samples]]:
+    """Return what to look for, and samples without it: of the logs, then of those with noise."""
     if (clear := away_from_landings(problem, logs, processing)) is not None:
-        others = [replace(each, mask=clear) for each in (problem.samples, *noisy)]
-    elif problem.sigma.ndim > 2 or landings_used(problem, logs, processing):
-        # Covariances of samples of their own are not those of another filter's samples.
-        return found
-    else:
-        faster = replace(processing, cutoff_hz=_FASTER * processing.cutoff_hz)
-        try:
-            others = [_processed(problem, each, faster) for each in (logs, *pairs)]
-        except DataError:
-            # The rate of a recording allows no such cut-off.
-            return found
-        others = [replace(each, mask=others[0].mask) for each in others]
-    apart, *moved = (_of(problem, rows, each) for each in others)
-    fit_apart, bias_apart = _fits(apart, moved)
-    counted = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
-    if counted is None:
-        return found
-    if clear is not None:
-        return replace(found, landing_bias=frozen(counted))
-    return replace(found, filter_bias=frozen(counted))
+        return "landing", [replace(each, mask=clear) for each in (problem.samples, *noisy)]
+    # Covariances of samples of their own are not those of another filter's samples.
+    if problem.sigma.ndim > 2 or landings_used(problem, logs, processing):
+        return "filter", []
+    faster = replace(processing, cutoff_hz=_FASTER * processing.cutoff_hz)
+    try:
+        others = [_processed(problem, each, faster) for each in (logs, *pairs)]
+    except DataError:
+        # The rate of a recording allows no such cut-off.
+        return "filter", []
+    return "filter", [replace(each, mask=others[0].mask) for each in others]
 
 
 def _processed(problem: Problem, logs: Sequence[Recording], processing: Processing) -> Samples:

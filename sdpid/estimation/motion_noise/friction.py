@@ -45,7 +45,7 @@ def friction_bias(problem: Problem, rows: RowSource) -> Array | None:
     rows : RowSource
         Its rows.
     """
-    chosen = {each.term for each in problem.profiled}
+    chosen = {each.term for each in problem.origin.profiled}
     names = rows.friction.joint_names
     curves = [
         replace(term, **{f: tuple(share * term.speed(f, len(names))) for f in term.speed_fields})

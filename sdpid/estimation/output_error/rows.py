@@ -122,8 +122,7 @@ def linearized(problem: Problem, rows: RowSource, factor: Factor) -> Problem:
         n_samples=rows.n_samples,
         n_rows=factor.used,
         rows=rows,
-        meaning=MEANING,
-    )
+    ).with_origin(meaning=MEANING)
 
 
 def compressed(rows: SensitivityRows, sigma: Array) -> Factor:

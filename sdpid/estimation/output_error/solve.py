@@ -128,7 +128,7 @@ def solve_output_error(
     >>> found = sdpid.solve_output_error(whole, run, controller=law)
     >>> found.method, found.status, found.feasible
     ('didim', 'optimal', True)
-    >>> found.problem.meaning
+    >>> found.problem.origin.meaning
     'the last linearized problem, and no more'
     """
     owner = getattr(problem, "estimate", problem)

@@ -130,9 +130,8 @@ class HuberLoss:
             A=frozen(A),
             rhs=frozen(rhs),
             floor=floor + constant,
-            constant=constant,
             sigma=frozen(self.rows.weighted_sigma(weights)),
-        )
+        ).with_origin(constant=constant)
 
     def curvature(self, base: Array, T: Array) -> Array:
         """Return half the second derivative of the cost along the columns of T (b, r), (r, r)."""

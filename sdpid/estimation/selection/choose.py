@@ -8,7 +8,7 @@ effect is not taken for what an impossible body would explain.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import pooled
@@ -118,8 +118,8 @@ def with_chosen_effects(
             )
             for trial in taken
         ]
-        return replace(final, effects=(*told, *map(_left_out, left_out)))
-    return replace(problem, effects=tuple(map(_left_out, left_out)))
+        return final.with_origin(effects=(*told, *map(_left_out, left_out)))
+    return problem.with_origin(effects=tuple(map(_left_out, left_out)))
 
 
 def with_effects(
@@ -170,7 +170,7 @@ def with_effects(
         )
         for effect in asked
     )
-    return replace(final, effects=tuple(told))
+    return final.with_origin(effects=tuple(told))
 
 
 def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
@@ -258,12 +258,12 @@ def _built(
     bent = any(effect.bends_friction for effect in effects)
     built = rebuild((*(given if bent else problem.friction.terms), *terms))
     if not bent:
-        built = replace(built, profiled=problem.profiled)
+        built = built.with_origin(profiled=problem.origin.profiled)
     if not any(isinstance(term, PosedTerm) for term in terms):
         return built
     found = _solved(built)
     closed = tuple(_at(term, found) for term in built.friction.terms)
-    return replace(rebuild(closed), profiled=built.profiled)
+    return rebuild(closed).with_origin(profiled=built.origin.profiled)
 
 
 def _left_out(trial: _Trial) -> Tried:

@@ -94,14 +94,13 @@ class Trials:
             self.problem,
             friction=friction,
             base=base,
-            weighting="residual",
             A=frozen(A),
             rhs=frozen(rhs),
             floor=floor,
             feasible=FeasibleSet.build(self.problem.constraints, self.problem.consistency, layout),
             prior=prior if self.prior is not None else None,
             rows=None,
-        )
+        ).with_origin(weighting="residual")
 
 
 def _part(base: BaseParameters, kept: Indices, theta: Indices) -> BaseParameters:

@@ -359,7 +359,7 @@ def _friction_functions(run: Rehearsal) -> tuple[Array, Array, Array]:
     """
     problem, friction = run.problem, run.problem.friction
     tail = len(friction.parameters)
-    bending = Bending.of(friction, problem.profiled, run.sizes[problem.n_theta - tail :])
+    bending = Bending.of(friction, problem.origin.profiled, run.sizes[problem.n_theta - tail :])
     top = np.abs(problem.samples.velocity).max()
     speeds = [speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]] if tail else []
     functions, slopes = [], []

@@ -148,7 +148,7 @@ def rehearse(
         base=rows.base,
         check_excitation=False,
     )
-    problem = replace(problem, profiled=profiled)
+    problem = problem.with_origin(profiled=profiled)
 
     def believed(frequency: Array) -> Array:
         return np.outer(density / sigma, gain(frequency * kept))

@@ -166,7 +166,7 @@ def _title(result: Judged) -> str:
 
 def _found(result: Judged) -> str | None:
     """Return the effects that were chosen by the data."""
-    chosen = [each.words for each in result.problem.effects if each.chosen and each.fall]
+    chosen = [each.words for each in result.problem.origin.effects if each.chosen and each.fall]
     return f"{'; '.join(chosen)} (--effects none leaves it out)" if chosen else None
 
 
@@ -268,7 +268,7 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     if largest is None or weights[largest] < SHARE:
         largest = name
     if largest in causes:
-        step = next_step(causes[largest], terms_of(result), result.problem.effects)
+        step = next_step(causes[largest], terms_of(result), result.problem.origin.effects)
         of_all = f", {percent(weights[largest])} of all joints' squared errors"
         yield f"{step} (for {largest}{'' if largest == name else of_all})"
     held_out = result.held_out

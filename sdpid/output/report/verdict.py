@@ -99,7 +99,7 @@ def findings(identification: Judged) -> tuple[Finding, ...]:
             judged(identification)[1],
             causes_of(identification),
             terms_of(identification),
-            identification.problem.effects,
+            identification.problem.origin.effects,
         ),
         *_friction(identification),
         *_rollouts(identification),

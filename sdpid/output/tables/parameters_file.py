@@ -133,7 +133,7 @@ def parameters_dict(
         "cost_at_most": None if certificate is None else certificate.cost,
         "certificate": None if certificate is None else certificate.to_dict()["sha256"],
         "friction_terms": problem.friction.described(),
-        "effects": [asdict(each) for each in problem.effects],
+        "effects": [asdict(each) for each in problem.origin.effects],
         "interval_method": getattr(intervals, "method", None),
         "interval_level": getattr(intervals, "level", None),
         "standard": standard,

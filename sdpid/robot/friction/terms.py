@@ -280,7 +280,7 @@ class SigmoidFriction(JointwiseTerm):
     >>> sdpid.friction.SigmoidFriction(velocity=0.1).shape(v, v).round(3)
     array([[-0.964,  0.   ,  0.762]])
     >>> problem = sdpid.build_problem(robot, samples, friction=("viscous", "sigmoid"))
-    >>> problem.profiled[0].name, problem.profiled[0].unit
+    >>> problem.origin.profiled[0].name, problem.origin.profiled[0].unit
     ('velocity1', 'rad/s')
     """
 

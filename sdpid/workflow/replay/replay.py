@@ -257,8 +257,8 @@ class _Run:
             "base_names": base.names,
             "weighting": recipe.weighting,
         }
-        if not problem.constant:
-            found["loss"] = problem.meaning
+        if not problem.origin.constant:
+            found["loss"] = problem.origin.meaning
         for name, value in found.items():
             if (list(value) if isinstance(value, tuple) else value) != data["origin"][name]:
                 text = f"{name} of the certificate are others than those of robot and recipe"
@@ -373,7 +373,7 @@ class _Run:
             # Words for base parameters have digits of the matrix, which has been compared.
             B = frozen(np.array(sealed.data["problem"]["base_matrix"]))
             base = replace(problem.base, matrix=B)
-            whole = replace(problem, base=base, profiled=sealed.recipe.profiled or ())
+            whole = replace(problem, base=base).with_origin(profiled=sealed.recipe.profiled or ())
             found += Files(
                 sealed,
                 whole,

@@ -123,7 +123,7 @@ class Files:
         """How intervals were made, and what counts as chosen by the data."""
         if self._method is None:
             return "none"
-        chosen = ", ".join(each.name for each in self.problem.profiled) or "nothing"
+        chosen = ", ".join(each.name for each in self.problem.origin.profiled) or "nothing"
         level = self._parameters["interval_level"]
         return f"{self._method} at {level!r}; of friction terms the data chose {chosen}"
 

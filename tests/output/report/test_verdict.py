@@ -582,7 +582,7 @@ def test_the_worst_joint_its_cause_and_the_step(full: Identification) -> None:
     assert f"(for {LAST})" in found.step
     # What the choice of effects left out is not proposed again.
     tried = Tried(name="rotor_inertia", chosen=False, words="", fall=0.006, least_fall=0.05)
-    problem = replace(full.problem, effects=(tried,))
+    problem = full.problem.with_origin(effects=(tried,))
     step = headline(replace(full, held_out=held_out, problem=problem)).step
     assert "--effects" not in step
     assert "rotor_inertia was tried and lowers the cost by 0.6 % alone" in step
@@ -695,7 +695,7 @@ def test_what_the_data_showed_is_told_with_how_to_leave_it_out(full: Identificat
     assert headline(full).found is None
     tilt = Tried(name="tilt", chosen=True, words="a tilted base lowers the cost by 17 %", fall=0.17)
     asked = Tried(name="load", chosen=True, words="friction of the load: asked for")
-    problem = replace(full.problem, effects=(tilt, asked))
+    problem = full.problem.with_origin(effects=(tilt, asked))
     found = headline(replace(full, problem=problem)).found
     assert found == "a tilted base lowers the cost by 17 % (--effects none leaves it out)"
 

@@ -1,0 +1,55 @@
+"""Errors of a fit that are the same in every row, so that no residual shows them as noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorSource:
+    """One source of such errors; no longer record averages them out.
+
+    Attributes
+    ----------
+    name : str
+        ``"gains"``, ``"motion"`` (noise in the measured one), ``"landing"``, ``"filter"`` or
+        ``"friction"`` (its law).
+    moves : ndarray, shape (b, k)
+        How the unconstrained fit moves with each of k errors.
+    covariance : ndarray, shape (k, k)
+        Of these errors.
+    freedom : ndarray, shape (k,)
+        Degrees of freedom of their variances.
+    """
+
+    name: str
+    moves: Array
+    covariance: Array
+    freedom: Array
+
+    @classmethod
+    def bias(cls, name: str, moved: Array) -> ErrorSource:
+        """Return a bias of the fit (b,): an error of that size in its direction."""
+        return cls(name, frozen(moved[:, None]), np.eye(1), np.full(1, np.inf))
+
+    @property
+    def root(self) -> Array:
+        """How the fit moves with independent errors of variance one, (b, k)."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        return np.asarray(self.moves @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+    def variance(self, slopes: Array) -> Array:
+        """Return the variances (m,) of functions that move by slopes (m, k) with the errors."""
+        found = np.einsum("ki,ij,kj->k", slopes, self.covariance, slopes)
+        return np.asarray(np.maximum(found, 0.0))
+
+    def degrees(self, slopes: Array) -> Array:
+        """Return degrees of freedom of these variances (m,): those of the errors that decide."""
+        own = slopes**2 * np.diag(self.covariance)
+        total, spread = own.sum(axis=1), (own**2 / self.freedom).sum(axis=1)
+        out = np.full(len(own), np.inf)
+        return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
