@@ -48,10 +48,7 @@ _INDEX = re.compile("0|[1-9][0-9]{0,8}")
 # More links than any robot has.
 _MOST_LINKS = 1000
 
-# Terms of an inequality that are printed: all of those that people make.
-_MOST_TERMS = 200
-
-# Parameters, signs or faults that are printed; of more, how many there are.
+# Terms, parameters, signs or faults that are printed; of more, how many there are.
 _MOST_SHOWN = 12
 
 _MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
@@ -216,7 +213,7 @@ def inequality(proof: Refutation) -> str:
         if above < below:
             least, most = below, above
             break
-    terms, more = dict(list(proof.weights.items())[:_MOST_TERMS]), len(proof.weights) - _MOST_TERMS
+    terms, more = dict(list(proof.weights.items())[:_MOST_SHOWN]), len(proof.weights) - _MOST_SHOWN
     left = linear_text(terms) + (f" and {more} more terms" if more > 0 else "")
     return (
         f"{left} >= {decimal_text(least)} for links that can exist, but "

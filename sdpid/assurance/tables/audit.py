@@ -14,17 +14,22 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
-from sdpid.assurance.tables.proof_file import TableFile
-from sdpid.assurance.tables.proof_search import bound_margin, refute, strongest
+from sdpid.assurance.tables.answers import (
+    Number,
+    Realization,
+    Refutation,
+    TableFile,
+    exact,
+    realization,
+)
 from sdpid.assurance.tables.question import base_question
-from sdpid.assurance.tables.refutation import Refutation
-from sdpid.assurance.tables.witness import Number, Question, Realization, exact, realization
-from sdpid.assurance.tables.witness_search import Search
+from sdpid.assurance.tables.search import DIGITS, Found, Search
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.decimals import decimal_text
+from sdpid.verifier.realizable import Question
 
 # Beside halfwidths next to zero a change may have more units than a double holds.
 _LARGEST = Fraction(sys.float_info.max)
@@ -33,6 +38,12 @@ Verdict = Literal["realisable", "not realisable", "undecided"]
 
 # Changes below this, in units of the halfwidths, are a solver's rounding.
 _NO_CHANGE = 1e-4
+
+# Digits of the weights of proofs that people can read.
+_FEW_DIGITS = 6
+
+# A margin this little below the one that is asked for, kg·m², may be the solver's rounding.
+_NEAR = 1e-6
 
 # By what share the smallest change is exceeded, for the changed table to have a witness.
 _BEYOND = 1e-4
@@ -58,7 +69,7 @@ class BaseAudit(Shown):
         where no bound was found.
     certificate : Realization, Refutation or None
         The proof, which `to_json` writes for ``sdpid verify``: links that can exist and have the
-        base parameters, or an inequality that says that there are none, as short as was found.
+        base parameters, or an inequality that says that there are none.
         None when undecided.
     change : float or None
         By what factor, less one, all halfwidths must grow for a witness: a witness was found
@@ -160,7 +171,6 @@ class BaseAudit(Shown):
                 if used
             ]
             lines.append(f"proof: {proof.inequality()}")
-            lines += [f"  {reason}" for reason in proof.reasons()]
             lines.append(f"  needs {' and '.join(needs) if needs else 'no bound on the masses'}")
         if self.verdict != "realisable":
             lines += self._change_lines()
@@ -201,7 +211,6 @@ class BaseAudit(Shown):
             if witness is None
             else dict(zip(q.theta_names, witness.tolist(), strict=True)),
             "inequality": None if proof is None else proof.inequality(),
-            "reasons": None if proof is None else list(proof.reasons()),
             "needs_mass_bound": self.needs_mass_bound,
             "needs_theta_max": self.needs_theta_max,
             "change": self.change,
@@ -295,85 +304,87 @@ def audit_base_parameters(
         robot,
         values,
         halfwidths,
+        bounds={
+            "margin": margin,
+            "mass_min": mass_min,
+            "mass_max": mass_max,
+            "theta_max": theta_max,
+        },
         consistency=consistency,
-        margin=margin,
-        mass_min=mass_min,
-        mass_max=mass_max,
-        theta_max=theta_max,
         friction=friction,
         friction_nonnegative=friction_nonnegative,
         base=base,
         table=table,
     )
-    return _audited(robot.name, question, characteristic_length(robot))
-
-
-def _audited(name: str, question: Question, length: float) -> BaseAudit:
+    length = characteristic_length(robot)
     search = Search.of(question, length)
-    theta = search.most_interior()
-    margins = None if theta is None else search.margins(theta)
+    inner = search.most_interior()
+    bound = None if inner is None else search.refutation(inner)
+    limit = bound.margin_bound if bound is not None and bound.valid else None
+    margins = None if inner is None else search.margins(inner.theta)
     best = None if margins is None or np.isnan(margins).any() else float(margins.min())
-    bound = bound_margin(search)
-    limit = None if bound is None else bound.margin_bound
-    units = dict(zip(question.names, search.give.tolist(), strict=True))
     common: dict[str, Any] = {
-        "robot": name,
+        "robot": robot.name,
         "question": question,
         "margin": best,
         "margin_bound": None if limit is None else float(limit),
-        "units": units,
+        "units": dict(zip(question.names, search.give.tolist(), strict=True)),
     }
-    if theta is not None and (best is None or best >= float(question.margin) - 1e-6):
-        found = realization(question, search.made_exact(theta))
+    if inner is not None and (best is None or best >= float(question.margin) - _NEAR):
+        found = realization(question, search.made_exact(inner.theta))
         if found is not None:
             return BaseAudit(
-                **common,
-                verdict="realisable",
-                certificate=found,
-                change=0.0,
-                changes={},
+                **common, verdict="realisable", certificate=found, change=0.0, changes={}
             )
-    proof = refute(search)
-    change, changes = _changes(search, length)
-    strong = None
-    if proof is not None:
-        strong = strongest(search) or proof
-    least = None if strong is None else strong.change_bound
+    least = search.smallest_changes(each=False)
+    strongest, proof = _proofs(search, least)
+    most = None if strongest is None else strongest.change_bound
     return BaseAudit(
         **common,
         verdict="undecided" if proof is None else "not realisable",
         certificate=proof,
-        change=change,
-        change_bound=None if least is None else float(min(least, _LARGEST)),
-        changes=changes,
+        change=None if least is None else _factor(search, length, least),
+        change_bound=None if most is None else float(min(most, _LARGEST)),
+        changes=_changes(search),
     )
 
 
-def _changes(search: Search, length: float) -> tuple[float | None, dict[str, float]]:
-    """Return the least common change for which there is a witness, and the least in sum."""
+def _proofs(search: Search, least: Found | None) -> tuple[Refutation | None, Refutation | None]:
+    """Return the refutation that asks for the largest change, and the one to show.
+
+    That is one of few digits where it holds, and one without the bound on masses.
+    """
+    strongest = None if least is None else search.refutation(least)
+    strongest = strongest if strongest is not None and strongest.holds else None
+    heavy = search.with_any_mass().smallest_changes(each=False)
+    for digits in (_FEW_DIGITS, DIGITS):
+        free = None if heavy is None else search.refutation(heavy, digits, mass_bound=False)
+        if free is not None and free.holds:
+            return strongest, free
+    return strongest, strongest
+
+
+def _factor(search: Search, length: float, least: Found) -> float | None:
+    """Return by what factor, less one, halfwidths grow until there is a witness."""
     question = search.question
-    factor = None
-    found = search.smallest_changes(each=False)
-    if found is not None:
-        least = float(np.max(found[1] / search.give))
-        for beyond in (_BEYOND, 10 * _BEYOND, 100 * _BEYOND, 1000 * _BEYOND):
-            trial = least * (1.0 + beyond) + beyond
-            add = [exact(trial * x) for x in search.give.tolist()]
-            wide = replace(
-                question,
-                halfwidths=tuple(h + a for h, a in zip(question.halfwidths, add, strict=True)),
-            )
-            wider = Search.of(wide, length)
-            theta = wider.most_interior()
-            if theta is not None and wide.is_witness(wider.made_exact(theta)):
-                factor = trial
-                break
-    changes = {}
+    smallest = float(np.max(least.beyond / search.give))
+    for beyond in (_BEYOND, 10 * _BEYOND, 100 * _BEYOND, 1000 * _BEYOND):
+        trial = smallest * (1.0 + beyond) + beyond
+        add = [exact(trial * x) for x in search.give.tolist()]
+        halves = tuple(h + a for h, a in zip(question.halfwidths, add, strict=True))
+        wider = Search.of(replace(question, halfwidths=halves), length)
+        found = wider.most_interior()
+        if found is not None and wider.question.is_witness(wider.made_exact(found.theta)):
+            return trial
+    return None
+
+
+def _changes(search: Search) -> dict[str, float]:
+    """Return the smallest changes in sum, what is to be added to entries."""
     found = search.smallest_changes(each=True)
-    if found is not None:
-        theta, beyond_box = found
-        signs = np.sign(search.R @ theta - search.value)
-        for name, x, sign, unit in zip(question.names, beyond_box, signs, search.give, strict=True):
-            if x > _NO_CHANGE * unit:
-                changes[name] = float(sign * x)
-    return factor, changes
+    if found is None:
+        return {}
+    signed = np.sign(search.R @ found.theta - search.value) * found.beyond
+    moved = found.beyond > _NO_CHANGE * search.give
+    changes = zip(search.question.names, signed.tolist(), moved, strict=True)
+    return {name: change for name, change, is_moved in changes if is_moved}

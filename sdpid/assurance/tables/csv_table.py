@@ -12,8 +12,7 @@ from fractions import Fraction
 
 from sdpid._common.files import read_regular
 from sdpid._common.tables import Table
-from sdpid.assurance.tables.proof_file import TableFile
-from sdpid.assurance.tables.witness import exact_decimal
+from sdpid.assurance.tables.answers import TableFile, exact_decimal
 from sdpid.errors import DataError, ExportError
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm

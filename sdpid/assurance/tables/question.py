@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid.assurance.tables.proof_file import TableFile
-from sdpid.assurance.tables.witness import Number, Question, exact
+from sdpid.assurance.tables.answers import Number, TableFile, exact
 from sdpid.errors import DataError
 from sdpid.robot.friction.model import BY_NAME, FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
@@ -20,6 +19,7 @@ from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.realizable import Question
 
 # Regrouping coefficients that are within this share of a decimal of this many digits are that
 # decimal: they come from a scan in floating point, which leaves some 1e-15 to 1e-13.
@@ -32,38 +32,26 @@ def base_question(
     values: Mapping[str, Number | Decimal | str],
     halfwidths: Mapping[str, Number | Decimal | str] | Number,
     *,
-    consistency: Consistency = "pseudo_inertia",
-    margin: Number = 0.0,
-    mass_min: Number = 1e-3,
-    mass_max: Number = 100.0,
-    theta_max: Number = 1e4,
+    bounds: Mapping[str, Number],
+    consistency: Consistency,
     friction: Iterable[str | FrictionTerm] | None = None,
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
     table: TableFile | None = None,
 ) -> Question:
-    """Return the question of a table; for the arguments see `sdpid.audit_base_parameters`.
+    """Return the question of a table; for arguments and errors see `audit_base_parameters`.
 
-    Raises
-    ------
-    DataError
-        For a name that the robot does not have, a number that is none, a negative halfwidth, a
-        consistency that says nothing, or no values at all.
+    Bounds are those on margin, masses and theta, by the names of its arguments.
     """
     if consistency not in ("pseudo_inertia", "spatial_inertia"):
         raise DataError(
             f"audit: consistency is {consistency!r}; give 'pseudo_inertia' or 'spatial_inertia'."
         )
-    bounds = {
-        "margin": _positive(margin, "margin", zero=True),
-        "mass_min": _positive(mass_min, "mass_min"),
-        "mass_max": _positive(mass_max, "mass_max"),
-        "theta_max": _positive(theta_max, "theta_max"),
-    }
-    if not bounds["mass_min"] <= bounds["mass_max"] <= bounds["theta_max"]:
+    limits = {name: _positive(x, name, zero=name == "margin") for name, x in bounds.items()}
+    if not limits["mass_min"] <= limits["mass_max"] <= limits["theta_max"]:
         raise DataError(
-            f"audit: expected mass_min <= mass_max <= theta_max, have {mass_min}, {mass_max} and "
-            f"{theta_max}."
+            "audit: expected mass_min <= mass_max <= theta_max, have "
+            f"{bounds['mass_min']}, {bounds['mass_max']} and {bounds['theta_max']}."
         )
     if not values:
         raise DataError("audit: no values are given; name at least one base parameter.")
@@ -76,7 +64,6 @@ def base_question(
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     base = structural_base(robot, model) if base is None else base
     _check_posed(model, base)
-    rows, leading = zip(*(coefficients(robot, base, name) for name in values), strict=True)
     first = 10 * robot.n_links
     signs = (first + i for i, p in enumerate(model.parameters) if p.nonnegative)
     return Question(
@@ -85,14 +72,13 @@ def base_question(
         table=None if table is None else table.name,
         table_sha256=None if table is None else table.sha256,
         names=tuple(values),
-        rows=tuple(rows),
+        rows=tuple(coefficients(robot, base, name) for name in values),
         values=tuple(exact(value) for value in values.values()),
         halfwidths=tuple(_halfwidth(halfwidths, name) for name in values),
         theta_names=base.theta_names,
         nonnegative=frozenset(signs if friction_nonnegative else ()),
         consistency=consistency,
-        leading=tuple(leading),
-        **bounds,
+        **limits,
     )
 
 
@@ -131,10 +117,8 @@ def _check_posed(model: FrictionModel, base: BaseParameters) -> None:
             )
 
 
-def coefficients(
-    robot: RobotModel, base: BaseParameters, name: str
-) -> tuple[dict[int, Fraction], int | None]:
-    """Return a parameter's coefficients in theta, and a column that is its own.
+def coefficients(robot: RobotModel, base: BaseParameters, name: str) -> dict[int, Fraction]:
+    """Return a parameter's coefficients in theta.
 
     Raises
     ------
@@ -144,10 +128,9 @@ def coefficients(
     if name in base.names:
         k = base.names.index(name)
         used = np.flatnonzero(base.matrix[k])
-        return {int(j): _coefficient(float(base.matrix[k, j])) for j in used}, int(base.kept[k])
+        return {int(j): _coefficient(float(base.matrix[k, j])) for j in used}
     if name in base.theta_names:
-        j = base.theta_names.index(name)
-        return {j: Fraction(1)}, None if j in base.kept else j
+        return {base.theta_names.index(name): Fraction(1)}
     raise DataError(
         f"audit: '{robot.name}' has no parameter {name!r}; its base parameters are "
         f"{', '.join(base.names)}, and standard ones are called like {base.theta_names[0]}."

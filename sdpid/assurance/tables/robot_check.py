@@ -52,7 +52,7 @@ def check_coefficients(question: Question, robot: RobotModel) -> Result:
     worst = Fraction(0)
     for name, row in zip(question.names, question.rows, strict=True):
         try:
-            found = {own[j]: x for j, x in coefficients(robot, base, name)[0].items()}
+            found = {own[j]: x for j, x in coefficients(robot, base, name).items()}
         except DataError:
             problems.append(f"robot {shown(robot.name)} has no parameter {shown(name)}")
             continue

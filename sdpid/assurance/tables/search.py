@@ -1,17 +1,19 @@
-"""Cone programs that look for witnesses, and for the smallest change of a table.
+"""Cone programs that look for witnesses and for the smallest change of a table, with their duals.
 
-Everything here is in floating point and only proposes; `sdpid.assurance.tables.witness` decides.
+Everything here is in floating point and only proposes. Multipliers of a program's rows are the
+weights of an inequality that all bodies obey: rounded to rationals they are a proof, which
+`sdpid.verifier.realizable` decides, whatever the solver says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.tables.witness import Question, rational
+from sdpid.assurance.tables.answers import Refutation
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import (
@@ -20,6 +22,9 @@ from sdpid.robot.inertia import (
     margin_shift,
     matrix_basis,
 )
+from sdpid.verifier.decimals import rounded
+from sdpid.verifier.exact import positive_semidefinite
+from sdpid.verifier.realizable import ExactMatrix, Question, coefficient_matrices
 
 # Witnesses keep this share of its width away from the ends of the box, and of the bounds, so that
 # rounding does not carry them out of it.
@@ -38,6 +43,37 @@ _MASSES = (1e-2, 1e3)
 
 # Radius of gyration, as a share of the robot's length, of the bodies that are used as sizes.
 _GYRATION = 0.5
+
+# Digits of the weights of a proof, those of a double; and the share of the largest weight below
+# which one is a solver's rounding. Tried from 1e-4 to 1e-14 on the tables of the Denso paper: from
+# 1e-8 on the proofs reach what the program found.
+DIGITS = 15
+_NOTHING = 1e-10
+
+# Rounding of the matrices that follow from weights, as a share of their largest entry.
+_TINY = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a program found.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (p,)
+        Standard parameters.
+    beyond : ndarray, shape (r,)
+        By how much each of the table's numbers is off beyond its halfwidth.
+    rows : ndarray, shape (r,)
+        Multipliers of the table's numbers, in units of their rows.
+    masses : ndarray, shape (links,)
+        Multipliers of the upper bound on masses.
+    """
+
+    theta: Array
+    beyond: Array
+    rows: Array
+    masses: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +133,13 @@ class Search:
         scaling = Scaling(length, mass, np.tile(sphere, (links, 1)), friction, 1.0)
         return cls(question, R, value, half, unit, give, scaling)
 
-    def most_interior(self) -> Array | None:
+    def most_interior(self) -> Found | None:
         """Return theta in the box with the largest margin, None where there is none."""
-        lower, upper = self._box()
-        found = self._theta_program(
-            np.zeros((len(self.R), 0)), lower, upper, gains_margin=True, cost=np.zeros(0)
-        )
-        return None if found is None else found[0]
+        half = (1.0 - _INSIDE) * self.half
+        return self._solved(np.zeros((len(self.R), 0)), half, np.zeros(0))
 
-    def smallest_changes(self, *, each: bool) -> tuple[Array, Array] | None:
-        """Return (theta, changes beyond the box), the smallest for which theta exists.
+    def smallest_changes(self, *, each: bool) -> Found | None:
+        """Return the smallest changes beyond the box for which theta exists.
 
         Parameters
         ----------
@@ -114,26 +147,19 @@ class Search:
             Minimize the sum over the entries of what each one changes by, in units of `give`,
             instead of the largest.
         """
-        count = len(self.R)
         extra = np.diag(self.give) if each else self.give[:, None]
-        cost = np.ones(count if each else 1)
-        found = self._theta_program(
-            extra, self.value - self.half, self.value + self.half, gains_margin=False, cost=cost
-        )
-        if found is None:
-            return None
-        theta = found[0]
-        beyond = np.maximum(np.abs(self.R @ theta - self.value) - self.half, 0.0)
-        return theta, beyond
+        return self._solved(extra, self.half, np.ones(extra.shape[1]))
 
-    def _box(self) -> tuple[Array, Array]:
-        half = (1.0 - _INSIDE) * self.half
-        return self.value - half, self.value + half
+    def with_any_mass(self) -> Search:
+        """Return the search with masses bounded by `theta_max` alone."""
+        q = self.question
+        return replace(self, question=replace(q, mass_max=q.theta_max))
 
-    def _theta_program(
-        self, extra: Array, lower: Array, upper: Array, *, gains_margin: bool, cost: Array
-    ) -> tuple[Array, Array] | None:
-        """Solve over (x, e, t): rows within the box but for ``extra·e``, margins at least t."""
+    def _solved(self, extra: Array, half: Array, cost: Array) -> Found | None:
+        """Solve over (x, e, t): rows within the box but for ``extra·e``, margins at least t.
+
+        Without extra columns the margin is the largest that there is, else the one asked for.
+        """
         q, scaling = self.question, self.scaling
         basis = scaling.basis()
         n, more = basis.shape[1], extra.shape[1]
@@ -150,8 +176,8 @@ class Search:
 
         rows = self.R @ basis / size[:, None]
         none = np.full(len(rows), np.inf)
-        add(rows, extra / size[:, None], lower / size, none)
-        add(rows, -extra / size[:, None], -none, upper / size)
+        add(rows, extra / size[:, None], (self.value - half) / size, none)
+        add(rows, -extra / size[:, None], -none, (self.value + half) / size)
         bounded = np.full(n, (1.0 - _INSIDE) * float(q.theta_max))
         floor = -bounded.copy()
         room = _INSIDE * float(q.mass_max - q.mass_min)
@@ -168,9 +194,8 @@ class Search:
         last[:, n:] = np.eye(more + 1)
         C.append(last)
         # The margin is counted from the one that is asked for, and not beyond all sense.
-        low.append(np.append(np.zeros(more), -np.inf if gains_margin else 0.0))
-        top = float(q.theta_max) / body if gains_margin else 0.0
-        high.append(np.append(np.full(more, np.inf), top))
+        low.append(np.append(np.zeros(more), 0.0 if more else -np.inf))
+        high.append(np.append(np.full(more, np.inf), 0.0 if more else float(q.theta_max) / body))
         units, shift = matrix_basis(q.consistency), margin_shift(q.consistency)
         blocks = []
         for link, root in enumerate(np.linalg.inv(scaling.roots(len(shift)))):
@@ -187,19 +212,60 @@ class Search:
         program = ConicProgram(
             M=np.zeros((0, width)),
             m=np.zeros(0),
-            cost=np.concatenate([np.zeros(n), cost, [-1.0 if gains_margin else 0.0]]),
+            cost=np.concatenate([np.zeros(n), cost, [0.0 if more else -1.0]]),
             C=np.vstack(C),
             lower=np.concatenate(low),
             upper=np.concatenate(high),
             blocks=tuple(blocks),
         )
-        if more:
-            x = _solved(program)
-        else:
-            known = np.flatnonzero(self.half == 0.0)
-            E = np.hstack([rows[known], np.zeros((len(known), width - n))])
-            x = _solved_along(program, E, (self.value / size)[known])
-        return None if x is None else (basis @ x[:n], x[n:])
+        known = np.flatnonzero((self.half == 0.0) & (more == 0))
+        E = np.hstack([rows[known], np.zeros((len(known), width - n))])
+        found = _solved_along(program, E, (self.value / size)[known])
+        if found is None:
+            return None
+        x, multipliers, of_known = found
+        count = len(rows)
+        both = multipliers[:count] + multipliers[count : 2 * count]
+        both[known] += of_known
+        bounds = multipliers[2 * count : 2 * count + 10 * q.n_links : 10]
+        masses = np.maximum(-bounds / scaling.theta[: 10 * q.n_links : 10], 0.0)
+        theta = basis @ x[:n]
+        beyond = np.maximum(np.abs(self.R @ theta - self.value) - self.half, 0.0)
+        return Found(theta, beyond, both, masses)
+
+    def refutation(
+        self, found: Found, digits: int = DIGITS, *, mass_bound: bool = True
+    ) -> Refutation | None:
+        """Return the inequality that multipliers make, in rationals; None where they are zero.
+
+        What rounding takes off its matrices is added to their diagonals, at the cost of the bound
+        on masses or of `theta_max`.
+        """
+        q = self.question
+        weights = -found.rows / (self.scaling.mass * self.unit)
+        order = np.argsort(-np.abs(found.rows), kind="stable")
+        used = order[np.abs(found.rows[order]) > _NOTHING * np.abs(found.rows).max()]
+        if not used.size:
+            return None
+        scale = float(np.abs(weights[used]).max())
+        proof = Refutation(
+            question=q,
+            weights={q.names[k]: Fraction(f"{weights[k] / scale:.{digits}g}") for k in used},
+        )
+        masses, slack = {}, {}
+        for link, multiplier in enumerate(found.masses.tolist()):
+            if all(map(positive_semidefinite, _matrices(proof, link))):
+                continue
+            if mass_bound and multiplier > 0.0:
+                masses[link] = rounded(Fraction(multiplier / scale), DIGITS, up=True)
+            matrices = _matrices(replace(proof, masses=masses), link)
+            doubles = [np.array(matrix, dtype=float) for matrix in matrices]
+            lowest = min(float(np.linalg.eigvalsh(each)[0]) for each in doubles)
+            rounding = _TINY * max(float(np.abs(each).max()) for each in doubles)
+            if lowest < rounding:
+                less = Fraction(max(-lowest, 0.0) + 2.0 * rounding)
+                slack[link] = rounded(less, 3, up=True)
+        return replace(proof, masses=masses, slack=slack)
 
     def margins(self, theta: Array) -> Array:
         """Return every link's margin, NaN where the mass is not positive."""
@@ -208,37 +274,40 @@ class Search:
 
     def made_exact(self, theta: Array) -> list[Fraction]:
         """Return theta, which is in the box but for rounding, as rationals within it."""
-        q, out = self.question, rational(theta)
+        q, out = self.question, [Fraction(float(x)) for x in theta]
         for j in range(0, 10 * q.n_links, 10):
             out[j] = min(max(out[j], q.mass_min), q.mass_max)
         for j in q.nonnegative:
             out[j] = max(out[j], Fraction(0))
-        # Rows that are one standard parameter first: base parameters make up for them.
-        order = sorted(range(len(q.rows)), key=lambda k: len(q.rows[k]) > 1)
-        for k in order:
-            row, value, half, column = q.rows[k], q.values[k], q.halfwidths[k], q.leading[k]
+        # Each row is met by a parameter that no row before it has: short rows go first.
+        taken: set[int] = set()
+        for k in sorted(range(len(q.rows)), key=lambda k: len(q.rows[k])):
+            row, value, half = q.rows[k], q.values[k], q.halfwidths[k]
+            own = max(row.keys() - taken, key=lambda j: abs(row[j]), default=None)
+            taken.update(row)
             miss = sum((x * out[j] for j, x in row.items()), -value)
-            if column is not None and abs(miss) > half:
+            if own is not None and abs(miss) > half:
                 inside = half * (1 - Fraction(_INSIDE))
-                out[column] -= (miss - inside if miss > 0 else miss + inside) / row[column]
+                out[own] -= (miss - inside if miss > 0 else miss + inside) / row[own]
         return out
 
 
-def _solved(program: ConicProgram) -> Array | None:
-    """Return the solution of a program, None where there is none."""
-    solution = solve_conic(program)
-    return None if solution.x is None or "Infeasible" in solution.status else solution.x
+def _matrices(proof: Refutation, link: int) -> list[ExactMatrix]:
+    """Return the matrices of a link that an inequality needs to be positive semidefinite."""
+    C, Q = coefficient_matrices(proof.link(link))
+    return [C, Q] if proof.question.consistency == "spatial_inertia" else [Q]
 
 
-def _solved_along(program: ConicProgram, E: Array, target: Array) -> Array | None:
-    """Return the solution of a program along equations that its inequalities contain.
+def _solved_along(
+    program: ConicProgram, E: Array, target: Array
+) -> tuple[Array, Array, Array] | None:
+    """Solve a program along equations that its inequalities contain; return x and multipliers.
 
-    As pairs of inequalities they would leave it no interior, and solvers need one.
+    As pairs of inequalities they would leave it no interior, and solvers need one. Multipliers are
+    those of C's rows, and of the equations.
     """
-    if not len(E):
-        return _solved(program)
     U, singular, V = np.linalg.svd(E)
-    rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max()))
+    rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max(initial=0.0)))
     origin = V[:rank].T @ ((U[:, :rank].T @ target) / singular[:rank])
     along = V[rank:].T
     along[np.abs(along) < _DEPENDENT] = 0.0
@@ -254,7 +323,7 @@ def _solved_along(program: ConicProgram, E: Array, target: Array) -> Array | Non
         constant = block.constant + np.einsum("k,kij->ij", origin[block.index], block.linear)
         blocks.append(Matrix(index, linear, constant))
     assert program.cost is not None
-    z = _solved(
+    solution = solve_conic(
         ConicProgram(
             M=np.zeros((0, along.shape[1])),
             m=np.zeros(0),
@@ -265,4 +334,13 @@ def _solved_along(program: ConicProgram, E: Array, target: Array) -> Array | Non
             blocks=tuple(blocks),
         )
     )
-    return None if z is None else origin + along @ z
+    if solution.x is None or "Infeasible" in solution.status:
+        return None
+    multipliers = np.zeros(len(C))
+    multipliers[moves] = solution.rows
+    # The equations' own are what a stationary point has left.
+    left = program.cost - program.C.T @ multipliers
+    for block, Z in zip(program.blocks, solution.blocks, strict=True):
+        left[block.index] -= np.einsum("kij,ij->k", block.linear, Z)
+    of_equations = np.asarray(np.linalg.lstsq(E.T, left)[0], dtype=float)
+    return origin + along @ solution.x, multipliers, of_equations

@@ -1,24 +1,31 @@
-"""The question of a table in exact numbers, and the bodies that answer it.
+"""The question of a table in exact numbers, its two answers, and their files.
 
 Every number here is a rational. What is an answer is decided by `sdpid.verifier.realizable`.
 """
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid.assurance.tables.proof_file import Stored
-from sdpid.errors import DataError
+from sdpid import __version__
+from sdpid._common.files import atomic_write_text
+from sdpid.errors import CertificateError, DataError
 from sdpid.robot.inertia import margin as margins_of
-from sdpid.verifier import realizable
+from sdpid.verifier import realizable, tables
 from sdpid.verifier.bodies import has_margin
 from sdpid.verifier.decimals import rounded
+from sdpid.verifier.reading import MalformedError
+from sdpid.verifier.realizable import Question
 
 Number = float | Fraction
 
@@ -34,23 +41,71 @@ _MARGIN_DIGITS = 9
 _TRIALS = 8
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Question(realizable.Question):
-    """Whether bodies can have the numbers of a table, with what helps to find them.
+@dataclass(frozen=True)
+class TableFile:
+    """The file that a table was read from: its name, and the SHA-256 of its bytes."""
 
-    Attributes
-    ----------
-    leading : tuple of int or None
-        A column of each row along which theta may be moved without changing other base
-        parameters.
-    """
+    name: str
+    sha256: str
 
-    leading: tuple[int | None, ...] = ()
+    @classmethod
+    def of(cls, path: str | os.PathLike[str], content: bytes) -> TableFile:
+        """Return the identity of a file with this content."""
+        return cls(Path(path).name, sha256(content).hexdigest())
+
+
+class Stored:
+    """An answer that can be written to a file."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the file's content: the whole question and the answer, numbers as text.
+
+        Raises
+        ------
+        CertificateError
+            When a number has more digits than the checker reads.
+        """
+        data = tables.answer_dict(cast(tables.Answer, self), f"sdpid {__version__}")
+        try:
+            tables.answer_of(data)
+        except MalformedError as cause:
+            raise CertificateError(
+                f"the proof cannot be written: {cause}; give values with fewer digits."
+            ) from None
+        return data
+
+    def to_json(self, path: str | os.PathLike[str]) -> None:
+        """Write the file, whole or not at all, for ``sdpid verify`` to check."""
+        atomic_write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Realization(Stored, realizable.Realization):
     """Bodies that have the numbers of a table (see `sdpid.verifier.realizable.Realization`)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refutation(Stored, realizable.Refutation):
+    """An inequality that all links which can exist obey, and that a table contradicts.
+
+    See `sdpid.verifier.realizable.Refutation` for its parts, and when it holds.
+    """
+
+    @property
+    def margin_bound(self) -> Fraction | None:
+        """Largest margin that it allows, None where it says nothing of it."""
+        return (self.most + self.cost) / self.spread if self.spread > 0 else None
+
+    @property
+    def change_bound(self) -> Fraction | None:
+        """By what factor at least the halfwidths must grow, less one; None where none helps."""
+        halves = dict(zip(self.question.names, self.question.halfwidths, strict=True))
+        room = sum((abs(w) * halves[name] for name, w in self.weights.items()), Fraction(0))
+        return (self.least - self.most) / room if room > 0 else None
+
+    def inequality(self) -> str:
+        """Return the inequality in one line."""
+        return tables.inequality(self)
 
 
 def exact(value: Number | Decimal | str) -> Fraction:
@@ -117,8 +172,3 @@ def _margin(question: Question, body: Sequence[Fraction]) -> Fraction:
         if margin > question.margin and has_margin(body, margin, question.consistency):
             return margin
     return question.margin
-
-
-def rational(theta: Array) -> list[Fraction]:
-    """Return doubles as the rationals that they are."""
-    return [Fraction(float(x)) for x in np.asarray(theta)]
