@@ -5,20 +5,11 @@ given. Nothing is shown and no global state of matplotlib is touched. `save_figu
 figure of some axes to a file.
 """
 
-from sdpid.plots.convergence import plot_convergence
+from sdpid.plots.estimates import plot_convergence, plot_forest, plot_parameters
 from sdpid.plots.figures import save_figure
-from sdpid.plots.forest import plot_forest
-from sdpid.plots.friction_curve import plot_friction_curve
-from sdpid.plots.joints import plot_joint, plot_joint_errors
-from sdpid.plots.mass_matrix import plot_mass_matrix
-from sdpid.plots.motion import (
-    plot_against_limits,
-    plot_motion,
-    plot_rollout,
-)
-from sdpid.plots.parameters import plot_parameters
-from sdpid.plots.reconstruction import plot_fit, plot_reconstruction
-from sdpid.plots.signals import plot_signals
+from sdpid.plots.joints import plot_friction_curve, plot_joint, plot_joint_errors
+from sdpid.plots.motion import plot_against_limits, plot_mass_matrix, plot_motion, plot_rollout
+from sdpid.plots.reconstruction import plot_fit, plot_reconstruction, plot_signals
 
 __all__ = [
     "plot_against_limits",

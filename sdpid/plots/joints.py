@@ -1,7 +1,4 @@
-"""Figures of one joint for the report: efforts and errors over time, and what the errors look like.
-
-No names stand in them, so nothing that a robot's description says is drawn.
-"""
+"""Figures of one joint: efforts over time, what the errors look like, friction over velocity."""
 
 from __future__ import annotations
 
@@ -11,19 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, envelope, shade, stretch
-from sdpid.plots.panels import Panel, keys, logarithmic, stacked
+from sdpid.plots.figures import BLUE, GRAY, RED, SHADE, dress, legend_above, panels
+from sdpid.plots.lines import TimeLine, long_line, shade, stretch
 
-# Stretches along a line, of which the least and the greatest value are kept: more than a page shows
-# of it in pixels would not be seen.
-COLUMNS = 400
-
-# Stretches of a band about zero, which hardly varies.
-_SMOOTH = 100
-
-# Heights of the panels, points (they are 280 wide): of two, of three of which two share an axis,
-# and of three. All pictures are as high, and three joints fit on a printed page.
-_EFFORT, _ERROR, _SHARED, _THIRD = 116.0, 86.0, 57.0, 50.0
+# Samples about the largest error that are shown in full.
+_DETAIL = 400
 
 # Densities below this share of the highest are not shown: what a filter left above its cut-off is
 # nothing to look at.
@@ -32,49 +21,39 @@ FLOOR, _TOP = 1e-5, 3.0
 # What the autocorrelation of independent errors stays within, nineteen times of twenty.
 WITHIN = 1.96
 
+# Room about the curve and the middle of the cloud: single dots further out are cut off.
+_ROOM, _MIDDLE = 0.08, 0.995
 
-class JointErrors(Protocol):
-    """The errors of one joint, as `sdpid.assurance.diagnostics.residuals` finds them."""
+# Inches: of a figure's width and a panel's height.
+_WIDE, _HIGH = 6.0, 1.5
 
-    @property
-    def frequency(self) -> Array:
-        """In Hz, or per sample, (f,)."""
 
-    @property
-    def effort_density(self) -> Array:
-        """Amplitude density of the measured effort, N·m/√Hz, (f,)."""
-
-    @property
-    def error_density(self) -> Array:
-        """Amplitude density of the error, N·m/√Hz, (f,)."""
-
-    @property
-    def lag(self) -> Array:
-        """In s, or in samples, (l,)."""
-
-    @property
-    def autocorrelation(self) -> Array:
-        """Of the errors, (l,)."""
-
-    @property
-    def independent(self) -> float:
-        """About how many independent errors the rows are worth."""
+class FrictionCurve(Protocol):
+    """Friction of one joint over its velocity, as `sdpid.robot.friction.curve` has it."""
 
     @property
     def velocity(self) -> Array:
-        """Mean velocity of each bin, rad/s, (bins,)."""
+        """Velocities, rad/s or m/s, (s,)."""
 
     @property
-    def mean(self) -> Array:
-        """Mean error of each bin, N·m, (bins,)."""
+    def effort(self) -> Array:
+        """Friction and offset, N·m or N, (s,)."""
 
     @property
-    def low(self) -> Array:
-        """Error of each bin that a tenth of its errors are below, N·m, (bins,)."""
+    def unit(self) -> str:
+        """Unit of the effort."""
 
     @property
-    def high(self) -> Array:
-        """Error of each bin that a tenth of its errors are above, N·m, (bins,)."""
+    def lower(self) -> Array | None:
+        """Lower end of the interval of each effort, (s,), where it is known."""
+
+    @property
+    def upper(self) -> Array | None:
+        """Upper end, (s,)."""
+
+    @property
+    def level(self) -> float | None:
+        """Probability with which each interval should hold the truth."""
 
 
 def plot_joint(
@@ -127,68 +106,54 @@ def plot_joint(
     measured, predicted = line.broken(measured), line.broken(predicted)
     error = np.where(used, measured - predicted, np.nan)
     # Of a long record, what is about the largest error once more in full.
-    near = detail(error) if axes is None and _is_long(t) else None
-    high = (_EFFORT, _ERROR) if near is None else (_SHARED, _SHARED)
-    panels = [
-        Panel(high[0], f"effort [{unit}]", keys=True),
-        Panel(high[1], f"error [{unit}]", x=line.label),
-    ]
-    if near is not None:
-        label = f"{line.label.partition(',')[0]}, about the largest error"
-        panels.append(Panel(_SHARED, f"effort [{unit}]", x=label))
-    drawn = stacked(panels, axes)
-    above, below, *more = drawn
-    _efforts(above, t, measured, predicted, half, used)
-    keys(above)
-    shade(below, t, ~used)
-    _band(below, t, np.zeros(len(t)), half, points=_SMOOTH)
-    _line(below, t, error, color=GRAY, linewidth=0.6)
-    if near is not None:
-        signals = t[near], measured[near], predicted[near], half[near]
-        _efforts(more[0], *signals, used[near])
+    parts = [slice(None)]
+    if axes is None and stretch(len(t), points=2 * _DETAIL) > 1:
+        parts.append(detail(error))
+    count = 1 + len(parts)
+    drawn = panels(axes, count, size=(_WIDE, 0.5 + _HIGH * count))[:, 0]
+    for axis, part in zip(drawn[::2], parts, strict=True):
+        axis.margins(x=0.0)
+        shade(axis, t[part], ~used[part])
+        _band(axis, t[part], predicted[part], half[part], label="95 % band")
+        long_line(axis, t[part], measured[part], color=BLUE, linewidth=1.4, label="measured")
+        long_line(axis, t[part], predicted[part], color=RED, label="predicted")
+        dress(axis, ylabel=f"effort [{unit}]")
+    legend_above(drawn[0])
+    drawn[1].margins(x=0.0)
+    shade(drawn[1], t, ~used)
+    _band(drawn[1], t, np.zeros(len(t)), half)
+    long_line(drawn[1], t, error, color=GRAY, linewidth=0.6)
+    dress(drawn[1], ylabel=f"error [{unit}]", xlabel=line.label)
+    if len(parts) > 1:
+        dress(drawn[2], xlabel=f"{line.label.partition(',')[0]}, about the largest error")
     return drawn
 
 
-def _is_long(time: Array) -> bool:
-    """Return whether a picture of all samples leaves some out."""
-    return stretch(len(time), points=2 * COLUMNS) > 1
-
-
-def _efforts(
-    axis: Any, t: Array, measured: Array, predicted: Array, half: Array, used: Mask
-) -> None:
-    axis.margins(x=0.0)
-    shade(axis, t, ~used)
-    _band(axis, t, predicted, half, points=COLUMNS, label="95 % band")
-    _line(axis, t, measured, color=BLUE, linewidth=1.4, label="measured")
-    _line(axis, t, predicted, color=RED, linewidth=0.8, label="predicted")
-
-
-def _band(axis: Any, t: Array, middle: Array, half: Array, *, points: int, **style: Any) -> None:
-    """Shade a band; of a long one what each of some `points` stretches holds."""
-    if not np.any(half > 0.0):
-        return
-    ends = envelope(t, middle - half, middle + half, points=points)
-    axis.fill_between(*ends, color=RED, alpha=0.25, linewidth=0.0, **style)
+def _band(axis: Any, t: Array, middle: Array, half: Array, **label: str) -> None:
+    """Shade a band, in files of vectors as pixels."""
+    if np.any(half > 0.0):
+        style = {"color": RED, "alpha": 0.25, "linewidth": 0.0, "rasterized": True}
+        axis.fill_between(t, middle - half, middle + half, **style, **label)
 
 
 def detail(error: Array) -> slice:
     """Return the samples around the largest error, which are drawn in full."""
     size = np.abs(error)
     at = 0 if np.isnan(size).all() else int(np.nanargmax(size))
-    first = min(max(at - COLUMNS // 2, 0), max(len(error) - COLUMNS, 0))
-    return slice(first, first + COLUMNS)
+    first = min(max(at - _DETAIL // 2, 0), max(len(error) - _DETAIL, 0))
+    return slice(first, first + _DETAIL)
 
 
 def plot_joint_errors(
-    errors: JointErrors, *, timed: bool = True, unit: str = "N·m", axes: Any = None
+    errors: Any, *, timed: bool = True, unit: str = "N·m", axes: Any = None
 ) -> Any:
     """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
 
     Parameters
     ----------
     errors : JointErrors
-        Spectra, autocorrelation and means over velocity.
+        Spectra, autocorrelation and means over velocity, as
+        `sdpid.assurance.diagnostics.residuals` finds them.
     timed : bool, optional
         Whether frequencies are in Hz and lags in s, rather than in samples.
     unit : str, optional
@@ -208,45 +173,101 @@ def plot_joint_errors(
     >>> axes[0].get_xlabel()
     'frequency [Hz]'
     """
-    frequency = "frequency [Hz]" if timed else "cycles per sample"
-    panels = (
-        Panel(_THIRD, f"{unit}/√Hz" if timed else unit, x=frequency, keys=True),
-        Panel(_THIRD, "autocorrelation", x="lag [s]" if timed else "lag [samples]"),
-        Panel(_THIRD, f"error [{unit}]", x=f"velocity [{'m/s' if unit == 'N' else 'rad/s'}]"),
-    )
-    drawn = stacked(panels, axes)
+    drawn = panels(axes, 3, size=(_WIDE, 0.5 + 3.0 * _HIGH))[:, 0]
     spectrum, correlation, friction = drawn
-    _spectrum(spectrum, errors)
-    level = WITHIN / float(np.sqrt(errors.independent))
-    correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
-    _line(correlation, errors.lag, errors.autocorrelation, color=RED, linewidth=0.8)
-    correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
-    if len(errors.velocity):
-        friction.fill_between(errors.velocity, errors.low, errors.high, color=SHADE, linewidth=0.0)
-        friction.plot(
-            errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, linewidth=0.8
-        )
-    friction.axhline(0.0, color=GRAY, linewidth=0.6)
-    return drawn
-
-
-def _spectrum(axis: Any, errors: JointErrors) -> None:
     f = errors.frequency
     positive = f > 0.0
     top = max(float(errors.effort_density.max()), float(errors.error_density.max())) or 1.0
-    ends = (0.1, 1.0)
-    if np.count_nonzero(positive) > 1:
-        ends = float(f[positive][0]), float(f[-1])
-    logarithmic(axis, ends, (FLOOR * top, _TOP * top))
+    ends = (float(f[positive][0]), float(f[-1])) if np.count_nonzero(positive) > 1 else (0.1, 1.0)
+    spectrum.set(xscale="log", yscale="log", xlim=ends, ylim=(FLOOR * top, _TOP * top))
     for density, color, label in (
         (errors.effort_density, BLUE, "measured effort"),
         (errors.error_density, RED, "error"),
     ):
         shown = positive & (density > 0.0)
-        _line(axis, f[shown], density[shown], color=color, linewidth=0.8, label=label)
-    keys(axis)
+        long_line(spectrum, f[shown], density[shown], color=color, label=label)
+    dress(
+        spectrum,
+        xlabel="frequency [Hz]" if timed else "cycles per sample",
+        ylabel=f"{unit}/√Hz" if timed else unit,
+    )
+    legend_above(spectrum)
+    level = WITHIN / float(np.sqrt(errors.independent))
+    correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
+    long_line(correlation, errors.lag, errors.autocorrelation, color=RED)
+    correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
+    dress(correlation, xlabel="lag [s]" if timed else "lag [samples]", ylabel="autocorrelation")
+    friction.fill_between(errors.velocity, errors.low, errors.high, color=SHADE, linewidth=0.0)
+    style = {"color": RED, "marker": "o", "markersize": 2.5, "linewidth": 0.8}
+    friction.plot(errors.velocity, errors.mean, **style)
+    friction.axhline(0.0, color=GRAY, linewidth=0.6)
+    dress(friction, xlabel=_velocity(unit), ylabel=f"error [{unit}]")
+    return drawn
 
 
-def _line(axis: Any, x: Array, y: Array, **style: Any) -> None:
-    """Draw a line; of a long one the least and the greatest of each of `COLUMNS` stretches."""
-    axis.plot(*decimate(x, y, points=2 * COLUMNS), solid_joinstyle="round", **style)
+def _velocity(unit: str) -> str:
+    """Return the label of an axis of velocities, by the unit of the joint's effort."""
+    return f"velocity [{'m/s' if unit == 'N' else 'rad/s'}]"
+
+
+def plot_friction_curve(
+    curve: FrictionCurve,
+    *,
+    cloud: tuple[Array, Array] | None = None,
+    driven: tuple[float, float] | None = None,
+    axes: Any = None,
+) -> Any:
+    """Show the friction of a joint over its velocity, with its band.
+
+    Parameters
+    ----------
+    curve : JointCurve
+        From `RobotDynamics.friction_curve` or `Identification.friction_curve`.
+    cloud : tuple of ndarray, shapes (K,) and (K,), optional
+        Velocities, and measured efforts less what the model predicts beside friction.
+    driven : tuple of float, optional
+        Least and greatest velocity of the data that were fitted; what is beyond is shaded.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> axes = sdpid.plots.plot_friction_curve(result.friction_curve("joint_1"))
+    >>> axes.get_xlabel()
+    'velocity [rad/s]'
+    """
+    ((axis,),) = panels(axes, size=(_WIDE, 3.6))
+    ends = float(curve.velocity.min()), float(curve.velocity.max())
+    if driven is not None:
+        for low, high in ((ends[0], driven[0]), (driven[1], ends[1])):
+            if low < high:
+                axis.axvspan(low, high, color=SHADE, alpha=0.6, linewidth=0.0)
+    if cloud is not None:
+        style = {"color": BLUE, "alpha": 0.45, "markersize": 2.5, "rasterized": True}
+        axis.plot(*cloud, ".", label="measured", **style)
+    if curve.lower is not None and curve.upper is not None:
+        band = f"{100.0 * (curve.level or 0.0):g} % band"
+        style = {"color": RED, "alpha": 0.25, "linewidth": 0.0, "label": band}
+        axis.fill_between(curve.velocity, curve.lower, curve.upper, **style)
+    axis.plot(curve.velocity, curve.effort, color=RED, linewidth=1.2, label="friction")
+    axis.axhline(0.0, color=GRAY, linewidth=0.6)
+    axis.set_xlim(*ends)
+    axis.set_ylim(*heights(curve, cloud))
+    dress(axis, xlabel=_velocity(curve.unit), ylabel=f"friction [{curve.unit}]")
+    legend_above(axis)
+    return axis
+
+
+def heights(curve: FrictionCurve, cloud: tuple[Array, Array] | None) -> tuple[float, float]:
+    """Return the ends of the vertical axis: about the curve and nearly all of the cloud."""
+    shown = [curve.effort]
+    if cloud is not None and len(cloud[1]):
+        shown.append(np.quantile(cloud[1], (1.0 - _MIDDLE, _MIDDLE)))
+    every = np.concatenate([*shown, [0.0]])
+    low, high = float(every.min()), float(every.max())
+    room = _ROOM * (high - low) or 1.0
+    return low - room, high + room

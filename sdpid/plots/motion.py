@@ -1,4 +1,4 @@
-"""Figures of a motion: joints against limits, rollouts, a base that stands."""
+"""Figures of a motion: joints against limits, rollouts, a base that stands, the mass matrix."""
 
 from __future__ import annotations
 
@@ -8,44 +8,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError
 from sdpid.plots.figures import (
     BLUE,
+    DASHED,
     GRAY,
-    GREEN,
-    INK,
-    NORMAL,
-    ORANGE,
-    PLAIN,
-    PURPLE,
+    PALETTE,
     RED,
-    SKY,
-    SMALL,
-    axes_of,
-    decimate,
+    SHADE,
     dress,
-    head,
     legend,
-    new_figure,
+    legend_above,
+    panels,
 )
-from sdpid.plots.panels import Panel, stacked
-
-# Heights of panels, points.
-_SMALL, _STANDING = 52.0, 90.0
+from sdpid.plots.lines import TimeLine, long_line, same_length
 
 # A limit beyond so many times the motion is not drawn: the motion would be a flat line.
 _FAR = 4.0
 
-# Points of a line.
-_POINTS = 800
+# Beyond this ratio between curves one axis shows the small ones as zero: it is linear up to the
+# smallest and logarithmic beyond.
+_RATIO = 30.0
 
-# Of lines in one panel; red is left to limits.
-COLORS = (BLUE, GREEN, ORANGE, PURPLE, SKY, GRAY, INK)
-
-
-# Of models beside the one that is judged, which is blue.
-_OTHERS = (RED, ORANGE, PURPLE, GREEN, GRAY, SKY)
+# Inches: of a figure's width and a panel's height.
+_WIDE, _HIGH = 6.0, 1.3
 
 
 def plot_against_limits(
@@ -77,19 +64,16 @@ def plot_against_limits(
     >>> axes[0].get_ylabel()
     'velocity, rad/s'
     """
-    last = len(rows) - 1
-    panels = [
-        Panel(_SMALL, label, x="time [s]" if k == last else "")
-        for k, (label, _, _, _) in enumerate(rows)
-    ]
-    drawn = stacked(panels, axes)
-    for axis, (_, values, lower, upper) in zip(drawn, rows, strict=True):
+    size = (_WIDE, 0.5 + _HIGH * len(rows))
+    drawn = panels(axes, len(rows), size=size, sharex=True)[:, 0]
+    for axis, (label, values, lower, upper) in zip(drawn, rows, strict=True):
         axis.margins(x=0.0)
-        _line(axis, time, values, color=BLUE, linewidth=1.0)
+        long_line(axis, time, values, color=BLUE, linewidth=1.0)
         most = float(np.abs(values).max()) or 1.0
         for limit in (lower, upper):
             if limit is not None and abs(limit) <= _FAR * most:
-                axis.axhline(limit, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
+                axis.axhline(limit, **DASHED)
+        dress(axis, ylabel=label, xlabel="time [s]" if axis is drawn[-1] else "")
     return drawn
 
 
@@ -134,22 +118,12 @@ def plot_motion(
     if len(counts) != 1 or 0 in counts:
         raise DataError(f"plot: {len(joints)} joints with {sorted(counts)} quantities; draw one.")
     (count,) = counts
-    if axes is None:
-        figure = new_figure(0.6 + 2.4 * len(joints), 0.6 + 1.5 * count, title)
-        axes = figure.subplots(count, len(joints), sharex=True, squeeze=False)
-    else:
-        axes = axes_of(axes, count, len(joints))
-        head(axes, title)
+    size = (0.6 + 2.4 * len(joints), 0.6 + 1.5 * count)
+    axes = panels(axes, count, len(joints), size=size, title=title, sharex=True)
     for column, (name, rows) in zip(axes.T, joints.items(), strict=True):
         plot_against_limits(time, rows, axes=column)
-        column[0].set_title(name, fontsize=NORMAL, color=INK, loc="left", **PLAIN)
-        for axis in column:
-            axis.yaxis.label.set_fontsize(SMALL)
+        dress(column[0], title=name)
     return axes
-
-
-def _line(axis: Any, x: ArrayLike, y: ArrayLike, **style: Any) -> None:
-    axis.plot(*decimate(x, y, points=_POINTS), solid_joinstyle="round", **style)
 
 
 def plot_rollout(
@@ -191,16 +165,12 @@ def plot_rollout(
     >>> axes.get_ylabel()
     'position error, mrad'
     """
-    if axes is None:
-        axis = new_figure(7.0, 4.0, title).subplots()
-    else:
-        axis = axes_of(axes, 1)[0, 0]
-        head(axis, title)
-    colors = iter(_OTHERS * len(curves))
+    ((axis,),) = panels(axes, size=(7.0, 4.0), title=title)
+    others = iter(PALETTE[1:] * len(curves))
     for name, curve in curves.items():
         ours = name == own
         shown = np.where(np.isfinite(curve) & (curve > 0.0), 1e3 * np.asarray(curve), np.nan)
-        color, width = (BLUE, 2.2) if ours else (next(colors), 1.2)
+        color, width = (BLUE, 2.2) if ours else (next(others), 1.2)
         axis.plot(time, shown, label=name, color=color, linewidth=width)
     axis.set_yscale("log")
     dress(axis, xlabel="time since the start, s", ylabel="position error, mrad")
@@ -249,18 +219,93 @@ def plot_standing(
         ("normal force, N", normal, tuple(feet), load),
         ("friction used", used, tuple(feet), 1.0),
     )
-    last = len(rows) - 1
-    panels = [
-        Panel(_STANDING, label, x="time [s]" if k == last else "")
-        for k, (label, *_) in enumerate(rows)
-    ]
-    drawn = stacked(panels, axes)
-    step = max(1, len(time) // _POINTS)
-    for axis, (_, values, names, limit) in zip(drawn, rows, strict=True):
+    size = (_WIDE, 0.5 + 1.5 * _HIGH * len(rows))
+    drawn = panels(axes, len(rows), size=size, sharex=True)[:, 0]
+    for axis, (label, values, names, limit) in zip(drawn, rows, strict=True):
         axis.margins(x=0.0)
-        for name, column, color in zip(names, np.asarray(values).T, COLORS, strict=False):
-            axis.plot(time[::step], column[::step], color=color, linewidth=1.0, label=name)
+        # Red is left to limits.
+        colors = [color for color in PALETTE if color != RED]
+        for name, column, color in zip(names, np.asarray(values).T, colors, strict=False):
+            long_line(axis, time, column, color=color, linewidth=1.0, label=name)
         if limit is not None:
-            axis.axhline(limit, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
+            axis.axhline(limit, **DASHED)
+        dress(axis, ylabel=label, xlabel="time [s]" if axis is drawn[-1] else "")
         legend(axis)
     return drawn
+
+
+def plot_mass_matrix(
+    time: ArrayLike | None,
+    eigenvalues: Mapping[str, ArrayLike],
+    *,
+    bound: float | None = None,
+    starts: Sequence[int] = (0,),
+    unit: str = "kg·m²",
+    axes: Any = None,
+) -> Any:
+    """Show the least eigenvalue of mass matrices along a motion; below zero none is possible.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,), or None
+        In s; None: the positions are counted.
+    eigenvalues : mapping of str to array_like, shape (K,)
+        Least eigenvalue by model, the most important last.
+    bound : float, optional
+        No position has a smaller one of the last model; drawn dashed.
+    starts : sequence of int, optional
+        First position of each piece recorded without a break.
+    unit : str, optional
+        Of the eigenvalues.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    DataError
+        When there is nothing to draw, or lengths do not fit.
+
+    Examples
+    --------
+    >>> matrices = estimate.mass_matrix(samples.position)
+    >>> least = np.linalg.eigvalsh(matrices)[:, 0]
+    >>> axes = sdpid.plots.plot_mass_matrix(samples.time, {"this estimate": least})
+    >>> axes.get_ylabel()
+    'least eigenvalue [kg·m²]'
+    """
+    values = {name: real_array(each, name, ndim=1) for name, each in eigenvalues.items()}
+    if not values:
+        raise DataError("plot: no eigenvalues; nothing to draw.")
+    first = next(iter(values.values()))
+    t = None if time is None else real_array(time, "time", ndim=1)
+    same_length(values.items(), len(first if t is None else t))
+    line = TimeLine.of(t, len(first), starts)
+    ((axis,),) = panels(axes, size=(_WIDE, 2.8))
+    _scale(axis, list(values.values()), bound)
+    # The last of several is the one that the figure is about.
+    colors = (PALETTE * len(values))[: len(values)][::-1]
+    for (name, each), color in zip(values.items(), colors, strict=True):
+        long_line(axis, line.time, line.broken(each), color=color, linewidth=1.2, label=name)
+    if bound is not None:
+        axis.axhline(bound, **{**DASHED, "color": BLUE})
+    low, high = axis.get_ylim()
+    if low < 0.0:
+        axis.axhspan(low, 0.0, color=SHADE, alpha=0.6, linewidth=0.0, zorder=0.5)
+        axis.set_ylim(low, high)
+    axis.axhline(0.0, color=GRAY, linewidth=0.8)
+    axis.margins(x=0.0)
+    dress(axis, xlabel=line.label, ylabel=f"least eigenvalue [{unit}]")
+    legend_above(axis)
+    return axis
+
+
+def _scale(axis: Any, values: Sequence[Array], bound: float | None) -> None:
+    """Choose the scale of the vertical axis."""
+    least = [float(np.abs(each).max()) for each in values]
+    small = min(x for x in (*least, abs(bound or 0.0) or np.inf) if x > 0.0) if any(least) else 0.0
+    if small and max(least) >= _RATIO * small:
+        axis.set_yscale("symlog", linthresh=small)

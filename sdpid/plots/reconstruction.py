@@ -1,8 +1,8 @@
-"""Figures of measured against predicted effort."""
+"""Figures of measured against predicted effort, and of signals before and after filtering."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,29 +14,15 @@ from sdpid.errors import DataError
 from sdpid.plots.figures import (
     BLUE,
     GRAY,
-    INK,
-    NORMAL,
-    PLAIN,
     RED,
     SHADE,
     SMALL,
-    TimeLine,
-    axes_of,
-    bottom_legend,
     dress,
-    head,
-    legend,
-    long_line,
-    new_figure,
-    same_length,
-    shade,
-    stretch,
+    figure_of,
+    legend_of_all,
+    panels,
 )
-
-# Of a figure of efforts, inches: its width, what is free at its edges and under a heading, between
-# the columns and the rows of panels, from a panel to its label; and the left column's share.
-_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _HEADING = 12.0, 0.95, 0.15, 0.35, 0.95, 0.35
-_BETWEEN, _ABOVE, _LABEL, _SHARE = 0.95, 0.42, 0.65, 0.61
+from sdpid.plots.lines import TimeLine, long_line, same_length, shade, stretch
 
 
 class Measured(Protocol):
@@ -198,78 +184,122 @@ def plot_reconstruction(
     sizes = _rmse(y, used)
     line = TimeLine.of(None if time is None else t, K, starts)
     t, shown = line.time, line.kept(used)
-    ticker = require("matplotlib.ticker", extra="plot")
-    height = 1.75 * n + _TOP + _BOTTOM + (_HEADING if title else 0.0)
-    figure = None
-    if axes is None:
-        figure = new_figure(_WIDTH, height, title, layout=None)
-        axes = _placed(figure, n, height, _HEADING if title else 0.0)
-    else:
-        axes = axes_of(axes, n, 2)
-    for j in range(n):
-        left, right = axes[j]
+    height = 1.3 + 1.75 * n + 0.35 * bool(title)
+    shape = {"sharex": True, "width_ratios": (0.61, 0.39)}
+    own, axes = axes is None, panels(axes, n, 2, size=(12.0, height), title=title, **shape)
+    for j, (left, right) in enumerate(axes):
         for axis in (left, right):
             shade(axis, t, ~shown[:, j])
-        long_line(left, t, line.broken(y[:, j]), color=BLUE, label="measured", linewidth=1.8)
-        long_line(left, t, line.broken(z[:, j]), color=RED, label="predicted", linewidth=0.9)
-        error = y[:, j] - z[:, j]
-        long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GRAY)
-        last = line.label if j == n - 1 else ""
-        size = sizes[j]
-        share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
-        dress(left, ylabel=f"effort [{unit[j]}]", xlabel=last)
-        dress(right, ylabel=f"error [{unit[j]}]", xlabel=last)
+        error = np.where(used[:, j], y[:, j] - z[:, j], np.nan)
+        efforts = {"measured": line.broken(y[:, j]), "predicted": line.broken(z[:, j])}
+        _compare(left, right, t, efforts, line.broken(error), line.label if j == n - 1 else "")
+        share = f"  ({100.0 * errors[j] / sizes[j]:.2g} % of RMS)" if sizes[j] > 0.0 else ""
+        dress(left, title=joint_names[j], ylabel=f"effort [{unit[j]}]")
         heading = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
-        for axis, words in ((left, joint_names[j]), (right, heading)):
-            # With a height, so that nothing is measured to find one.
-            axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0, **PLAIN)
-            axis.yaxis.set_major_locator(ticker.MaxNLocator(5, steps=(1, 2, 5, 10)))
-        left.set_xlim(t[0], t[-1])
-    # Shared by all panels. Few ticks: each costs as much as a line.
-    axes[0, 0].xaxis.set_major_locator(ticker.MaxNLocator(6, steps=(1, 2, 5, 10)))
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if not used.all():
-        patches = require("matplotlib.patches", extra="plot")
-        handles.append(patches.Patch(facecolor=SHADE, edgecolor=GRAY, linewidth=0.5))
-        labels.append("rows not used")
-    if figure is None:
-        head(axes, title)
-        legend(axes[0, 0], handles=handles, labels=labels)
-        return axes
-    bottom_legend(figure, handles, labels, loc="lower center")
-    if (each := stretch(len(t))) > 1:
+        dress(right, title=heading, ylabel=f"error [{unit[j]}]")
+    patch = require("matplotlib.patches", extra="plot").Patch
+    unused = patch(facecolor=SHADE, edgecolor=GRAY, linewidth=0.5, label="rows not used")
+    legend_of_all(axes, *([] if used.all() else [unused]))
+    if own and (each := stretch(len(t))) > 1:
         note = f"drawn: least and greatest value of each {each} samples"
-        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, note, ha="right", fontsize=SMALL, c=GRAY)
+        figure_of(axes).text(0.99, 0.08 / height, note, ha="right", fontsize=SMALL, c=GRAY)
     return axes
 
 
-def _placed(figure: Any, n: int, height: float, heading: float) -> Any:
-    """Return axes (n, 2) of a wide and a narrow panel a row, at fixed places."""
-    across = _WIDTH - _LEFT - _RIGHT - _BETWEEN
-    widths = np.array([_SHARE, 1.0 - _SHARE]) * across
-    tall = (height - _TOP - _BOTTOM - heading - (n - 1) * _ABOVE) / n
-    axes = figure.subplots(
-        n,
-        2,
-        sharex=True,
-        squeeze=False,
-        gridspec_kw={
-            "width_ratios": widths,
-            "left": _LEFT / _WIDTH,
-            "right": 1.0 - _RIGHT / _WIDTH,
-            "bottom": _BOTTOM / height,
-            "top": 1.0 - (_TOP + heading) / height,
-            "wspace": 2.0 * _BETWEEN / across,
-            "hspace": _ABOVE / tall,
-        },
-    )
-    for row in axes:
-        for axis, width in zip(row, widths, strict=True):
-            axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
-            axis.xaxis.set_label_coords(0.5, -0.34 / tall)
-    return axes
+def _compare(
+    left: Any, right: Any, t: Array, values: Mapping[str, Array], error: Array, xlabel: str
+) -> None:
+    """Draw two lines that should agree, and their difference beside them."""
+    for (name, each), color, width in zip(values.items(), (BLUE, RED), (1.6, 0.9), strict=True):
+        long_line(left, t, each, color=color, label=name, linewidth=width)
+    long_line(right, t, error, color=GRAY)
+    left.set_xlim(t[0], t[-1])
+    for axis in (left, right):
+        dress(axis, xlabel=xlabel)
 
 
 def _rmse(error: Array, used: np.ndarray) -> Array:
     count = np.maximum(used.sum(axis=0), 1)
     return np.asarray(np.sqrt(np.square(np.where(used, error, 0.0)).sum(axis=0) / count))
+
+
+def plot_signals(
+    time: ArrayLike,
+    before: Mapping[str, ArrayLike],
+    after: Mapping[str, ArrayLike],
+    *,
+    units: Mapping[str, str] | None = None,
+    window: tuple[float, float] | None = None,
+    title: str | None = None,
+    axes: Any = None,
+) -> Any:
+    """Show signals before and after filtering, and their differences.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Time in s.
+    before, after : mapping of str to array_like, shape (K,)
+        Signals by name (position, torque, velocity, acceleration), the same names in both; one
+        row of panels each, in the order of `before`.
+    units : mapping of str to str, optional
+        Unit of each signal, such as ``"rad/s"``.
+    window : (float, float), optional
+        Instants between which to show them, s; by default all.
+    title : str, optional
+        Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (signals, 2), optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes, shape (signals, 2)
+        Of the signals, and of what filtering took away.
+
+    Raises
+    ------
+    DataError
+        When names or lengths differ, or the window holds fewer than two samples.
+
+    Examples
+    --------
+    >>> noisy = np.sin(samples.time) + 0.01 * np.cos(99.0 * samples.time)
+    >>> axes = sdpid.plots.plot_signals(
+    ...     samples.time, {"position": noisy}, {"position": np.sin(samples.time)})
+    >>> axes.shape
+    (1, 2)
+    """
+    t = real_array(time, "time", ndim=1)
+    names = list(before)
+    if not names or set(names) != set(after):
+        raise DataError(
+            f"plot: signals before filtering are {', '.join(before) or 'none'}, after it "
+            f"{', '.join(after) or 'none'}; give the same names."
+        )
+    raw = {k: real_array(before[k], f"{k} before", ndim=1) for k in names}
+    smooth = {k: real_array(after[k], f"{k} after", ndim=1) for k in names}
+    for signals in (raw, smooth):
+        same_length(signals.items(), len(t))
+    inside = np.ones(len(t), dtype=bool)
+    if window is not None:
+        inside = (t >= window[0]) & (t <= window[1])
+        if np.count_nonzero(inside) < 2:
+            raise DataError(
+                f"plot: the window {window[0]:g} to {window[1]:g} s holds no samples; the record "
+                f"runs from {t.min():g} to {t.max():g} s."
+            )
+    t = t[inside]
+    size = (11.0, 1.2 + 1.95 * len(names))
+    axes = panels(axes, len(names), 2, size=size, title=title, sharex=True)
+    for name, (left, right) in zip(names, axes, strict=True):
+        symbol = units.get(name, "") if units else ""
+        unit = f" [{symbol}]" if symbol else ""
+        y, z = raw[name][inside], smooth[name][inside]
+        shown = {"before filtering": y, "after filtering": z}
+        _compare(left, right, t, shown, y - z, "time [s]" if name == names[-1] else "")
+        rms = float(np.sqrt(np.mean(np.square(y - z))))
+        dress(left, ylabel=f"{name[:1].upper()}{name[1:]}{unit}")
+        heading = f"RMS {rms:#.3g} {symbol}".rstrip()
+        dress(right, title=heading, ylabel=f"error{unit}")
+    legend_of_all(axes)
+    return axes

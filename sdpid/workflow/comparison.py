@@ -147,15 +147,14 @@ class Comparison(Shown):
         DataError
             When no start of the solver has a history.
         """
-        from sdpid.plots.convergence import plot_convergence
-        from sdpid.plots.in_notebooks import in_notebook
+        from sdpid.plots.estimates import plot_convergence
 
         runs = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
         histories = [e.history for e in runs if e is not None and e.history]
         if not histories:
             raise DataError(f"plot: no start of {solver!r} has a history; compare it first.")
         best = self.certificate.estimate
-        drawn = plot_convergence(
+        return plot_convergence(
             histories,
             self.certificate.lower_bound,
             {"SDP": (best.solve_time, best.cost)},
@@ -166,7 +165,6 @@ class Comparison(Shown):
             title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
             axes=axes,
         )
-        return in_notebook(drawn, axes)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the rows, a missing value being an empty field."""

@@ -185,9 +185,8 @@ class Identification(Judged, Shown):
             One row a joint: effort and error over time, friction over velocity.
         """
         from sdpid.output.report.sections.overview import plot_overview
-        from sdpid.plots.in_notebooks import in_notebook
 
-        return in_notebook(plot_overview(self, title=title, axes=axes), axes)
+        return plot_overview(self, title=title, axes=axes)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""

@@ -1,7 +1,7 @@
 """Plots are drawn from arrays, without global state, and written whole."""
 
-import re
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
+from matplotlib.figure import Figure
 
 import sdpid
 from sdpid.assurance.diagnostics.residuals import JointErrors
@@ -18,17 +19,20 @@ from sdpid.estimation.estimate import Step
 from sdpid.plots import (
     plot_against_limits,
     plot_convergence,
+    plot_forest,
+    plot_friction_curve,
     plot_joint,
     plot_joint_errors,
+    plot_mass_matrix,
     plot_motion,
     plot_parameters,
     plot_reconstruction,
     plot_signals,
     save_figure,
 )
-from sdpid.plots.figures import BLUE, POINTS, decimate, figure_of, new_figure, runs, spans, stretch
-from sdpid.plots.joints import COLUMNS, detail
-from tests.helpers.pictures import svg_text
+from sdpid.plots.figures import BLUE, figure_of
+from sdpid.plots.joints import detail
+from sdpid.plots.lines import POINTS, decimate, spans, stretch
 from tests.helpers.refusals import refuses
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")
@@ -144,7 +148,7 @@ INTO: dict[str, tuple[int, Any]] = {
 @pytest.mark.parametrize("kind", INTO)
 def test_figures_are_drawn_into_given_axes(kind: str) -> None:
     count, draw = INTO[kind]
-    figure = new_figure(9.0, 9.0)
+    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
     axes = figure.subplots(2, 2).ravel()[:count]
     drawn = np.atleast_1d(draw(axes)).ravel()
     assert list(drawn) == list(axes)
@@ -153,7 +157,7 @@ def test_figures_are_drawn_into_given_axes(kind: str) -> None:
 
 
 def test_too_few_axes_are_refused() -> None:
-    axes = new_figure(9.0, 9.0).subplots(2, 2).ravel()
+    axes = Figure(figsize=(9.0, 9.0), layout="constrained").subplots(2, 2).ravel()
     refuses(DataError, "3 axes were given to draw in, 4 are needed", reconstruction, axes=axes[:3])
     with pytest.raises(DataError, match="1 axes were given to draw in, 2 are needed"):
         plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=axes[0])
@@ -164,7 +168,7 @@ def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
     assert one.figure is figure_of(one)
     assert many.shape == (2, 2)
     assert figure_of(many) is many[1, 1].figure
-    whole = new_figure(4.0, 3.0)
+    whole = Figure(figsize=(4.0, 3.0))
     part = whole.subfigures(1, 2)[1].subplots()
     assert figure_of([[part]]) is whole
     assert figure_of(whole) is whole
@@ -205,11 +209,6 @@ def test_long_records_are_drawn_with_few_points() -> None:
     lines = [line for axis in figure.axes for line in axis.get_lines()]
     assert max(len(line.get_xdata()) for line in lines) <= POINTS + 4
     assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=1e-4)
-
-
-def test_runs() -> None:
-    assert runs([True, True, False, True]) == [(0, 2), (3, 4)]
-    assert runs([False]) == []
 
 
 def test_a_recording_and_a_fit_are_drawn() -> None:
@@ -321,7 +320,7 @@ def test_bad_input_is_named() -> None:
     refuses(DataError, "nothing to draw", plot_parameters, [], [], {})
     with pytest.raises(DataError, match="2 joints with"):
         plot_motion(time, {"a": [("x", time, None, None)], "b": []})
-    refuses(DataError, "SDP has 2 entries", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]})
+    refuses(DataError, r"SDP has shape \(2,\)", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]})
 
 
 @pytest.mark.parametrize("make", [reconstruction, long_reconstruction])
@@ -398,40 +397,11 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
         assert not any(box.overlaps(other) for other in boxes[:i]), shown[i]
 
 
-def drawn_points(figure: Any, color: str) -> np.ndarray:
-    """Return the points of the first line of a color, in points from the upper left corner."""
-    path = re.search(rf'd="([^"]*)" [^>]*stroke: {color}', svg_text(figure).lower())
-    assert path
-    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path[1]), dtype=float)
-
-
-def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
-    x = np.linspace(0.0, 10.0, 50_001)
-    y = np.sin(x)
-    y[31_234] = 7.0
-    figure = figure_of(plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool)))
-    points = drawn_points(figure, BLUE.lower())
-    assert len(points) <= 2 * COLUMNS + 4
-    axis = figure.axes[0]
-    axis.figure.dpi = 72.0
-    high = 72.0 * figure.get_size_inches()[1]
-
-    def place(x: Any, y: Any) -> np.ndarray:
-        return np.abs(axis.transData.transform(np.c_[x, y]) - [0.0, high])
-
-    assert points[0] == pytest.approx(place(0.0, 0.0)[0], abs=0.02)
-    assert np.abs(points - place(x[31_234], 7.0)).max(axis=1).min() < 0.02
-    values = axis.transData.inverted().transform(np.c_[points[:, 0], high - points[:, 1]])
-    wave = values[values[:, 1] < 2.0]
-    assert np.abs(wave[:, 1] - np.sin(wave[:, 0])).max() < 0.02
-
-
 def test_gaps_break_a_line() -> None:
     y = np.zeros(9)
-    figure = plot_joint(None, y, y, y == 0.0, starts=(0, 4))
-    path = re.search(rf'd="([^"]*)" [^>]*stroke: {BLUE.lower()}', svg_text(figure))
-    assert path
-    assert path[1].count("M") == 2
+    line, _ = plot_joint(None, y, y, y == 0.0, starts=(0, 4))[0].get_lines()
+    assert line.get_color() == BLUE
+    assert np.flatnonzero(np.isnan(line.get_ydata())).tolist() == [4]
 
 
 @pytest.mark.parametrize("timed", [True, False])
@@ -445,18 +415,94 @@ def test_errors_without_anything_in_them_are_drawn(timed: bool, bins: int) -> No
             independent=1.0, velocity=np.arange(float(bins)), mean=some, low=some, high=some,
             share=0.0, with_sign=0.0, with_velocity=0.0,
         )  # fmt: skip
-        assert "nan" not in svg_text(plot_joint_errors(errors, timed=timed))
+        figure_of(plot_joint_errors(errors, timed=timed)).draw_without_rendering()
 
 
 def test_the_stretch_about_the_largest_error_is_shown() -> None:
     error = np.zeros(4000)
     error[2000] = -1.0
-    assert detail(error) == slice(2000 - COLUMNS // 2, 2000 + COLUMNS // 2)
+    assert detail(error) == slice(1800, 2200)
     error[3999] = 2.0
-    assert detail(error) == slice(4000 - COLUMNS, 4000)
+    assert detail(error) == slice(3600, 4000)
     error[:] = np.nan
-    assert detail(error) == slice(0, COLUMNS)
+    assert detail(error) == slice(0, 400)
     y = np.zeros(4000)
     assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
-    few = np.zeros(2 * COLUMNS)
+    few = np.zeros(800)
     assert len(plot_joint(None, few, few, few == 0.0)) == 2
+
+
+@dataclass
+class Curve:
+    velocity: np.ndarray
+    effort: np.ndarray
+    unit: str = "N·m"
+    lower: np.ndarray | None = None
+    upper: np.ndarray | None = None
+    level: float | None = None
+
+
+def curve(**fields: object) -> Curve:
+    v = np.linspace(-2.0, 2.0, 41)
+    effort = np.tanh(5.0 * v)
+    return Curve(v, effort, lower=effort - 0.2, upper=effort + 0.3, level=0.9, **fields)
+
+
+def labels(axis: object) -> list[str]:
+    return [text.get_text() for text in axis.get_legend().get_texts()]
+
+
+def test_a_friction_curve_shows_its_band_and_what_was_driven() -> None:
+    cloud = np.array([-1.0, 0.5, 0.5]), np.array([-1.1, 0.9, 30.0])
+    axis = plot_friction_curve(curve(), cloud=cloud, driven=(-1.0, 0.5))
+    assert labels(axis) == ["measured", "90 % band", "friction"]
+    assert axis.get_xlim() == (-2.0, 2.0)
+    assert axis.get_ylim()[1] < 33.0
+    shaded = [(span.get_x(), span.get_x() + span.get_width()) for span in axis.patches]
+    assert shaded == [(-2.0, -1.0), (0.5, 2.0)]
+    bare = plot_friction_curve(Curve(np.array([1.0, 2.0]), np.ones(2), unit="N"))
+    assert labels(bare) == ["friction"]
+    assert bare.get_xlabel() == "velocity [m/s]"
+
+
+def test_a_forest_has_a_scale_for_each_row() -> None:
+    names = ("m1", "xx2", "Fv3")
+    values = {
+        "description": [1.0, np.nan, np.nan],
+        "least squares": [1.5, -90.0, 0.1],
+        "this estimate": [2.0, 1e-3, 0.0],
+    }
+    lower, upper = [1.9, -1e-3, 0.0], [2.1, 3e-3, np.inf]
+    axis = plot_forest(names, values, lower=lower, upper=upper)
+    assert [tick.get_text() for tick in axis.get_yticklabels()] == list(names)
+    told = [text.get_text() for text in axis.texts]
+    assert told == ["2.00 ± 0.10", "0.0010 ± 0.0020", "0"]
+    # A limit cuts an interval off: its ends are written.
+    cut = plot_forest(("Fs1",), {"this estimate": [0.0]}, lower=[0.0], upper=[0.048])
+    assert [text.get_text() for text in cut.texts] == ["0.000 … 0.048"]
+    lines = {line.get_label(): line for line in axis.lines}
+    assert lines["this estimate"].get_xdata() == pytest.approx([2.0 / 2.1, 1.0 / 3.0, 0.0])
+    # What is far out is an arrow at the edge.
+    (arrow,) = [
+        line for line in axis.lines if line.get_marker() == "<" and any(line.get_xdata() < 0)
+    ]
+    assert arrow.get_ydata()[arrow.get_xdata() < -1.0].tolist() == [1.0]
+    own = Figure().subplots()
+    assert plot_forest(names[:1], {"this estimate": [1.0]}, axes=own) is own
+    refuses(DataError, "there are 3 names", plot_forest, names, {"this estimate": [1.0]})
+    refuses(DataError, "at least one", plot_forest, (), {"this estimate": []})
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e4])
+def test_eigenvalues_of_any_size_are_seen_beside_each_other(factor: float) -> None:
+    t = np.linspace(0.0, 5.0, 50)
+    own = 0.003 + 0.001 * np.sin(t)
+    axis = plot_mass_matrix(
+        t, {"least squares": -factor * own, "this estimate": own}, bound=0.0015, starts=(0, 20)
+    )
+    assert labels(axis) == ["least squares", "this estimate"]
+    low, high = axis.get_ylim()
+    place = axis.transData.transform([[0.0, x] for x in (low, 0.0, 0.003, high)])[:, 1]
+    assert (place[2] - place[1]) > 0.1 * (place[3] - place[0])
+    refuses(DataError, "nothing to draw", plot_mass_matrix, t, {})
+    refuses(DataError, "50", plot_mass_matrix, t, {"a": own[1:]})

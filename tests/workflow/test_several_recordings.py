@@ -23,7 +23,7 @@ from sdpid.experiment.preparation.several import (
 )
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.output.report.report import report_html
-from sdpid.plots.figures import TimeLine
+from sdpid.plots.lines import TimeLine
 from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.cross_validation import CrossValidation
 from sdpid.workflow.formulate import formulate

@@ -298,13 +298,11 @@ class Validation(Errors):
         DataError
             When the measurements are not here.
         """
-        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.reconstruction import plot_fit
 
         if self._samples is None:
             raise DataError("plot: this validation has no samples; call sdpid.validate.")
-        drawn = plot_fit(self._samples, self, count=count, title=title, axes=axes)
-        return in_notebook(drawn, axes)
+        return plot_fit(self._samples, self, count=count, title=title, axes=axes)
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""

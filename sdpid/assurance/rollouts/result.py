@@ -259,11 +259,9 @@ class Rollout(Shown):
         -------
         matplotlib.axes.Axes
         """
-        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_rollout
 
-        drawn = plot_rollout(self.time, self.medians, own=self.own, title=title, axes=axes)
-        return in_notebook(drawn, axes)
+        return plot_rollout(self.time, self.medians, own=self.own, title=title, axes=axes)
 
 
 def _gone(errors: MotionErrors) -> Array:

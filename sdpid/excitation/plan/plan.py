@@ -111,9 +111,8 @@ class Plan(Shown):
             One column a joint: position, velocity, acceleration, jerk and torque over time.
         """
         from sdpid.excitation.plan.limited import limited_quantities
-        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_motion
 
         motion = played(self.trajectory, _RATE_HZ)
         joints = limited_quantities(self.robot, self.joint_limits, motion)
-        return in_notebook(plot_motion(motion.time, dict(joints), axes=axes), axes)
+        return plot_motion(motion.time, dict(joints), axes=axes)

@@ -176,15 +176,13 @@ class StandingPlan(Shown):
             Displacement of the base, its angles, normal forces of the feet, and the share of
             friction that they use.
         """
-        from sdpid.plots.in_notebooks import in_notebook
         from sdpid.plots.motion import plot_standing
 
         motion = self.motion
         time, force = motion.time, motion.forces
         x = self.curve.evaluate(time)
         used = np.linalg.norm(force[:, :, :2], axis=2) / force[:, :, 2] / self.held.grip
-        found = plot_standing(
+        return plot_standing(
             time, x[:, :3], x[:, 3:6], self.stance.legs.frames, force[:, :, 2], used,
             load=self.held.load, axes=axes,
         )  # fmt: skip
-        return in_notebook(found, axes)

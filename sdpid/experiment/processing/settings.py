@@ -90,13 +90,11 @@ class Stages:
         -------
         ndarray of matplotlib.axes.Axes, shape (4, 2)
         """
-        from sdpid.plots.in_notebooks import in_notebook
-        from sdpid.plots.signals import plot_signals
+        from sdpid.plots.reconstruction import plot_signals
 
-        drawn = plot_signals(
+        return plot_signals(
             self.time, self.before, self.after, units=_UNITS, title=title, axes=axes
         )
-        return in_notebook(drawn, axes)
 
 
 def filter_stages(

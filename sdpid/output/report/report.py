@@ -28,7 +28,7 @@ from sdpid.output.report.sections import (
 )
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
-from sdpid.plots.figures import TimeLine
+from sdpid.plots.lines import TimeLine
 
 
 def write_report(

@@ -67,10 +67,9 @@ class JointCurve(Shown):
         -------
         matplotlib.axes.Axes
         """
-        from sdpid.plots.friction_curve import plot_friction_curve
-        from sdpid.plots.in_notebooks import in_notebook
+        from sdpid.plots.joints import plot_friction_curve
 
-        return in_notebook(plot_friction_curve(self, axes=axes), axes)
+        return plot_friction_curve(self, axes=axes)
 
     @property
     def _range(self) -> str:

@@ -219,15 +219,12 @@ class SavedRun(Shown):
 
     def plot(self, *, axes: Any = None) -> Any:
         """Draw base parameters with their intervals (extra ``plot``) and return the axes."""
-        from sdpid.plots.forest import plot_forest
-        from sdpid.plots.in_notebooks import in_notebook
+        from sdpid.plots.estimates import plot_forest
 
         columns = np.array([(e.value, e.lower, e.upper) for e in self.base.values()], dtype=float)
         value, lower, upper = columns.T
         sets = {"this estimate": value}
-        return in_notebook(
-            plot_forest([*self.base], sets, lower=lower, upper=upper, axes=axes), axes
-        )
+        return plot_forest([*self.base], sets, lower=lower, upper=upper, axes=axes)
 
     def files(self, role: str) -> tuple[str, ...]:
         """Return the SHA-256 of the files of a role, in their order."""

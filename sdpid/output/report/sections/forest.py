@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import Ends
-from sdpid.plots.forest import row_scales, told
+from sdpid.plots.estimates import row_scales, told
 
 # In the order of importance; NaN is not drawn.
 _MARKS = ("own", "free", "described", "low", "high")

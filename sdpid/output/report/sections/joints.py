@@ -17,9 +17,8 @@ from sdpid.errors import SdpidError
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged, grades_of, judged
 from sdpid.output.report.sections.recording import driven
-from sdpid.plots.figures import TimeLine, decimate, spans, stretch
-from sdpid.plots.friction_curve import heights
-from sdpid.plots.joints import FLOOR, WITHIN, detail
+from sdpid.plots.joints import FLOOR, WITHIN, detail, heights
+from sdpid.plots.lines import TimeLine, decimate, spans, stretch
 from sdpid.robot.friction.curve import JointCurve, default_velocities
 
 # Friction is shown up to the speed limit, but no further than this beyond what was recorded.

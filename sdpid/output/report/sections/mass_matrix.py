@@ -16,7 +16,7 @@ from sdpid.assurance.diagnostics.mass_matrix import (
 )
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged
-from sdpid.plots.figures import TimeLine
+from sdpid.plots.lines import TimeLine
 
 # Instants along the motion: more than a picture shows.
 _INSTANTS = 300

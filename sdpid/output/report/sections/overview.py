@@ -6,9 +6,8 @@ from typing import Any
 
 from sdpid.output.report.judged import Judged, judged
 from sdpid.output.report.sections.joints import joints_shown
-from sdpid.plots.figures import INK, NORMAL, PLAIN, axes_of, head, new_figure
-from sdpid.plots.friction_curve import plot_friction_curve
-from sdpid.plots.joints import plot_joint
+from sdpid.plots.figures import dress, panels
+from sdpid.plots.joints import plot_friction_curve, plot_joint
 
 # Inches: of the figure, and of a row.
 _WIDTH, _ROW = 14.0, 2.1
@@ -34,17 +33,12 @@ def plot_overview(result: Judged, *, title: str | None = None, axes: Any = None)
     """
     (samples, _), joints = judged(result), list(joints_shown(result))
     starts = samples.starts
-    if axes is None:
-        figure = new_figure(_WIDTH, 0.6 + _ROW * len(joints), title)
-        axes = figure.subplots(len(joints), 3, squeeze=False, width_ratios=(3.0, 2.0, 2.0))
-    else:
-        axes = axes_of(axes, len(joints), 3)
-        head(axes, title)
+    size = (_WIDTH, 0.6 + _ROW * len(joints))
+    axes = panels(axes, len(joints), 3, size=size, title=title, width_ratios=(3.0, 2.0, 2.0))
     for row, own in zip(axes, joints, strict=True):
         rows = own.measured, own.predicted, own.used
         plot_joint(samples.time, *rows, band=own.half, unit=own.unit, starts=starts, axes=row[:2])
-        row[0].set_xlabel(row[1].get_xlabel(), fontsize=NORMAL, color=INK, **PLAIN)
-        row[0].set_title(own.name, fontsize=NORMAL, color=INK, loc="left", **PLAIN)
+        dress(row[0], title=own.name, xlabel=row[1].get_xlabel())
         if own.curve is None:
             row[2].set_axis_off()
         else:
