@@ -1,6 +1,5 @@
 """Draws obey every constraint, and have the distribution that they should."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -16,12 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.sampling.density import Density, Matrices
 from sdpid.assurance.sampling.draw import Draws, draw
 from sdpid.assurance.sampling.mixing import effective_sizes, split_r_hat
-from sdpid.assurance.sampling.trajectories import (
-    Trajectories,
-    _fall,
-    _fall_of_bodies,
-    relative_eigenvalues,
-)
+from sdpid.assurance.sampling.walk import drawn_on_lines, hit_and_run, relative_eigenvalues
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.estimate import FEASIBLE, Estimate
@@ -199,6 +193,8 @@ def test_chains_that_agree_and_that_do_not() -> None:
     assert split_r_hat(values)[0] < 1.005
     apart, wider = values.copy(), values.copy()
     apart[:, 0] += 3.0
+    still = np.broadcast_to(values[:1], values.shape)
+    assert split_r_hat(still)[0] == np.inf
     # The same mean and another spread: only the distances from the median tell.
     wider[:, :5] *= 4.0
     assert split_r_hat(apart)[0] > 1.05
@@ -216,7 +212,7 @@ def test_a_parameter_that_is_fixed_is_known_as_well_as_can_be() -> None:
     assert split_r_hat(values) == 1.0
 
 
-# ---- Trajectories have the laws that random matrices are known to have.
+# ---- Chains have the laws that random matrices are known to have.
 
 
 WALKS, EACH = 50, 40
@@ -251,10 +247,12 @@ def cone(size: int, scale: Array | None = None, power: float = 0.0) -> Density:
 def matrices_of(density: Density, start: Array, covariance: Array) -> Array:
     """Return matrices (k, s, s) drawn from a density."""
     x = np.einsum("kij,ij->k", symmetric_basis(len(start)), start)
-    walk = Trajectories(density, np.tile(x, (WALKS, 1)), np.random.default_rng(5))
-    ends = walk.run(EACH + 10, 3.0, covariance)[10:].reshape(-1, density.n)
-    assert walk.lost == 0
-    return np.einsum("ck,kij->cij", ends, symmetric_basis(len(start)))
+    rng = np.random.default_rng(5)
+    begin = np.tile(x, (WALKS, 1))
+    rng = np.random.default_rng(5)
+    points = hit_and_run(density, begin, covariance=covariance, rng=rng, count=EACH + 5, sweeps=4)
+    found = points[5:].reshape(-1, density.n)
+    return np.einsum("ck,kij->cij", found, symmetric_basis(len(start)))
 
 
 @pytest.mark.parametrize("size", [4, 6])
@@ -288,36 +286,32 @@ def test_wishart_with_a_power_of_the_determinant(power: float) -> None:
         assert kstest(pivots[:, i], chi2(nu - i).cdf).pvalue > FALSE_ALARM
 
 
-def risen(slope: Callable[[Array], Array], end: float) -> float:
-    """Return the integral of the positive part of a slope, closer points nearer to the end."""
-    t = end * (1.0 - np.linspace(1.0, 0.0, 100_001) ** 3)
-    return float(np.trapezoid(np.maximum(slope(t), 0.0), t))
-
-
-@given(
-    slope=st.floats(-5.0, 5.0),
-    curvature=st.floats(0.1, 5.0),
-    drop=st.floats(1e-3, 3.0),
-    rates=st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=4),
-    strength=st.floats(0.5, 5.0),
+@pytest.mark.parametrize("strength", [0.0, 1.5])
+@pytest.mark.parametrize(
+    ("slope", "curvature"), [(0.0, 0.0), (0.7, 0.0), (-3.0, 0.0), (2.0, 5.0), (-40.0, 9.0)]
 )
-def test_the_density_falls_by_what_was_drawn(
-    slope: float, curvature: float, drop: float, rates: list[float], strength: float
-) -> None:
-    one = np.ones(1)
-    found = _fall(slope * one, curvature * one, drop * one)[0]
-    assert risen(lambda t: slope + curvature * t, found) == pytest.approx(drop, rel=1e-4)
-    values = np.array(rates)
-    among = slope * one, curvature * one, strength, values[None], drop * one
-    found = _fall_of_bodies(*among, 100.0 * one)[0]
-    assert _fall_of_bodies(*among, 0.9 * found * one)[0] == np.inf
-
-    def slope_at(t: Array) -> Array:
-        inner = values / (1.0 + t[:, None] * values)
-        return np.asarray(slope + curvature * t - strength * inner.sum(axis=1))
-
-    assert np.all(1.0 + found * values > 0.0)
-    assert risen(slope_at, found) == pytest.approx(drop, rel=1e-2)
+def test_points_on_a_line_have_its_density(slope: float, curvature: float, strength: float) -> None:
+    """From any point of the density a step leads to a point of the density."""
+    rates, count = np.array([-0.5, 0.2, 1.0]), 4000
+    bodies = rates if strength else rates[:0]
+    t = np.linspace(-1.0, 2.0, 100_001)[1:-1]
+    log = -slope * t - 0.5 * curvature * t**2
+    log += strength * np.log(1.0 + t[:, None] * bodies).sum(axis=1)
+    law = np.cumsum(np.exp(log - log.max()))
+    rng = np.random.default_rng(0)
+    begin = np.interp(rng.random(count), law / law[-1], t)
+    # On a line about another point everything is measured from there.
+    there = 1.0 + begin[:, None] * rates
+    moved = begin + drawn_on_lines(
+        slope + curvature * begin,
+        curvature,
+        strength,
+        (rates / there)[:, : len(bodies)],
+        rates / there,
+        rng,
+    )
+    assert kstest(np.interp(moved, t, law / law[-1]), "uniform").pvalue > FALSE_ALARM
+    assert not np.any(moved == begin)
 
 
 @given(seed=st.integers(0, 10**6), size=st.sampled_from([4, 6]))
@@ -325,7 +319,7 @@ def test_a_line_leaves_the_cone_where_an_eigenvalue_says(seed: int, size: int) -
     rng = np.random.default_rng(seed)
     X, D = rng.standard_normal((2, size, size))
     F, D = X @ X.T + 0.01 * np.eye(size), D + D.T
-    values = relative_eigenvalues(F[None], D[None])[0]
+    values = relative_eigenvalues(np.linalg.cholesky(F)[None], D[None])[0]
     far = np.linalg.eigvalsh(F - D / values[0])
     assert np.abs(far).min() == pytest.approx(0.0, abs=1e-9 * np.abs(far).max())
     if values[0] < 0.0:

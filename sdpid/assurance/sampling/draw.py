@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,26 +15,16 @@ from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.sampling.density import Density
 from sdpid.assurance.sampling.mixing import effective_sizes, split_r_hat
-from sdpid.assurance.sampling.trajectories import Trajectories
+from sdpid.assurance.sampling.walk import hit_and_run
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.posterior import Groups
 
-# Chains side by side: enough for NumPy's overhead to be shared, and for the directions' covariance
-# to be learned from draws of different chains.
+# Chains side by side: enough for NumPy's overhead to be shared.
 _CHAINS = 32
 
-# Length of a trajectory in standard deviations of its directions: draws at its ends are nearly
-# independent, where shorter ones cost more for each independent draw.
-_LENGTH = 3.0
-
-# Trajectories of each round of the warm-up, of which the last two thirds teach the covariance.
-_ROUND = 12
-
-# The warm-up ends when no direction has spread by more than this factor (of a variance) over what
-# its round began with, or after this many rounds. Of 32 chains of a hundred parameters the largest
-# of all is above 2 by chance.
-_SETTLED, _MOST_ROUNDS = 3.0, 12
+# Sweeps from points about the center to the first that count.
+_WARM_UP = 16
 
 # Each chain makes at least as many draws as show how chains mix, however few are asked for.
 _LEAST = 32
@@ -42,8 +33,8 @@ _LEAST = 32
 # the largest R-hat: of 32 chains of 32 draws that is 1.03 to 1.04 by chance alone.
 _EFFECTIVE, _AGREE = 0.4, 1.05
 
-# Where these are missed trajectories are made twice as long, this often.
-_LONGER = 3
+# Where these are missed draws are twice as many sweeps apart, this often.
+_DOUBLED = 5
 
 # Chains that differ more than this have not found the same density: no draws are returned.
 _DISAGREE = 1.2
@@ -133,11 +124,10 @@ def draw(
         raise DataError(f"draw: count is {count!r}; give a whole number from 1 on.")
     rng = generator(seed)
     density = Density.of(estimate, groups)
-    walk, covariance = _warmed_up(density, rng)
     each = max(_LEAST, -(-int(count) // _CHAINS))
-    values, sizes, r_hat = _mixed(density, walk, covariance, each)
+    values, sizes, r_hat = _mixed(density, rng, each)
     names = estimate.problem.base.theta_names
-    notes = _mixing_notes(names, sizes, r_hat, values.shape[0] * values.shape[1], walk)
+    notes = _mixing_notes(names, sizes, r_hat, each * _CHAINS)
     theta = values.reshape(-1, values.shape[2])[:count]
     _require_feasible(estimate, theta)
     notes += _open_notes(estimate, density, theta)
@@ -154,52 +144,31 @@ def draw(
     )
 
 
-def _warmed_up(density: Density, rng: np.random.Generator) -> tuple[Trajectories, Array]:
-    """Return chains that have found the density, and its covariance as far as they know it."""
+def _mixed(density: Density, rng: np.random.Generator, each: int) -> tuple[Array, Array, Array]:
+    """Return draws (each, chains, p) with sizes and R-hat, sweeps enough apart to mix."""
     center = density.center()
     covariance = density.covariance_at(center)
     # Anywhere in the ellipsoid that is inside of every wall.
     start = rng.standard_normal((_CHAINS, density.n))
-    start *= (0.9 * rng.random(_CHAINS) ** (1.0 / density.n) / np.linalg.norm(start, axis=1))[
-        :, None
-    ]
-    root = np.linalg.cholesky(covariance)
-    walk = Trajectories(density, center + start @ root.T, rng)
-    known = float(density.n)
-    for _ in range(_MOST_ROUNDS):
-        ends = walk.run(_ROUND, _LENGTH, covariance)[_ROUND // 3 :]
-        found = np.cov(ends.reshape(-1, density.n).T)
-        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
-        spread = float(np.linalg.eigvalsh(inverse @ found @ inverse.T)[-1])
-        # What was known counts as some draws: of few, no direction may seem to have no width.
-        weight = known / (known + ends.shape[0] * ends.shape[1])
-        covariance = weight * covariance + (1.0 - weight) * found
-        if spread < _SETTLED:
-            break
-    return walk, covariance
-
-
-def _mixed(
-    density: Density, walk: Trajectories, covariance: Array, each: int
-) -> tuple[Array, Array, Array]:
-    """Return draws (each, chains, p) with sizes and R-hat, of trajectories long enough to mix."""
-    length = _LENGTH
-    for longer in range(_LONGER + 1):
-        x = walk.run(each, length, covariance)
-        values = density.theta(x.reshape(-1, density.n)).reshape(*x.shape[:2], -1)
+    size = 0.9 * rng.random(_CHAINS) ** (1.0 / density.n) / np.linalg.norm(start, axis=1)
+    x = center + size[:, None] * start @ np.linalg.cholesky(covariance).T
+    walked = functools.partial(hit_and_run, density, covariance=covariance, rng=rng)
+    points = walked(walked(x, count=1, sweeps=_WARM_UP)[-1], count=each)
+    for doubled in range(_DOUBLED + 1):
+        values = density.theta(points)
         sizes, r_hat = effective_sizes(values), split_r_hat(values)
-        enough = sizes.min() >= _EFFECTIVE * each * _CHAINS
-        if (enough and r_hat.max() <= _AGREE) or longer == _LONGER:
+        if sizes.min() >= _EFFECTIVE * each * _CHAINS and r_hat.max() <= _AGREE:
             break
-        length *= 2.0
+        if doubled < _DOUBLED:
+            # Every second of twice as many.
+            more = walked(points[-1], count=each, sweeps=2**doubled)
+            points = np.concatenate([points, more])[1::2]
     return values, sizes, r_hat
 
 
-def _mixing_notes(
-    names: tuple[str, ...], sizes: Array, r_hat: Array, total: int, walk: Trajectories
-) -> list[str]:
+def _mixing_notes(names: tuple[str, ...], sizes: Array, r_hat: Array, total: int) -> list[str]:
     """Return what the chains miss, or raise where they disagree."""
-    worst = int(np.argmax(r_hat))
+    worst, least = int(np.argmax(r_hat)), int(np.argmin(sizes))
     if r_hat[worst] > _DISAGREE:
         raise SolverError(
             f"draw: chains disagree about {names[worst]}: R-hat {r_hat[worst]:.2f}, at most "
@@ -212,16 +181,10 @@ def _mixing_notes(
             f"chains differ about {names[worst]}: R-hat {r_hat[worst]:.3f}, {_AGREE} is good; "
             "draw more"
         )
-    least = int(np.argmin(sizes))
     if sizes[least] < _EFFECTIVE * total:
         notes.append(
             f"{total} draws are worth {sizes[least]:.0f} independent ones of {names[least]}, "
             f"{_EFFECTIVE * total:.0f} are good; draw more"
-        )
-    if walk.lost:
-        notes.append(
-            f"{walk.lost} trajectories met a wall within rounding and began anew: data are so "
-            "precise that draws are next to the boundary"
         )
     return notes
 

@@ -6,6 +6,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 
+# A share of the variance that is rounding.
+_STILL = 1e-14
+
 
 def effective_sizes(values: Array) -> Array:
     """Return the effective sample size (k,) of the mean of ranks of draws (count, chains, k).
@@ -42,7 +45,9 @@ def split_r_hat(values: Array) -> Array:
     found = []
     for each in (halves, folded):
         within, total = _variances(_normal_scores(each))
-        found.append(np.sqrt(np.where(within > 0.0, total / np.where(within > 0.0, within, 1), 1)))
+        # Chains that each stand still agree only where they are all at one point.
+        still = np.where(total > 0.0, np.inf, 1.0)
+        found.append(np.sqrt(np.divide(total, within, out=still, where=within > _STILL * total)))
     return np.maximum(*found)
 
 
