@@ -10,12 +10,11 @@ from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
 from .assurance.rollouts.rollout import rollout
 from .assurance.tables.audit import audit_base_parameters
+from .estimation.closed_loop.bias import check_bias
+from .estimation.closed_loop.solve import solve_instrumental, solve_output_error
 from .estimation.constraints.constraints import Constraints
-from .estimation.instrumental.bias import check_bias
-from .estimation.instrumental.solve import solve_instrumental
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
-from .estimation.output_error.solve import solve_output_error
 from .estimation.prior.prior import Prior
 from .estimation.problem import build_problem
 from .estimation.recursive import RecursiveEstimator

@@ -31,9 +31,9 @@ from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.errors import SolverError
+from sdpid.estimation.closed_loop.instruments import products
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.instrumental.moments import Columns, Moments, Pair
 from sdpid.estimation.posterior import fit_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.default_plant import default_parameters
@@ -240,13 +240,10 @@ def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
     """Return p of the test of all columns of V, samples taken as independent."""
     from scipy.special import fdtrc
 
-    pair = Pair(measured=problem.samples, instruments=instruments)
-    found = Moments.of(Columns.of(problem), (pair,))
-    r = len(found.target)
-    gram = np.block([[found.instruments, found.cross], [found.cross.T, found.measured]])
-    target = np.concatenate([found.target, found.plain])
+    sums = products(problem, ((problem.samples, instruments),))
+    gram, target, r = sums[:-1, :-1], sums[:-1, -1], len(sums) // 2
     explained = target @ np.linalg.lstsq(gram, target, rcond=1e-12)[0]
-    fit = found.plain @ np.linalg.solve(found.measured, found.plain)
+    fit = target[r:] @ np.linalg.solve(gram[r:, r:], target[r:])
     total = float(problem.rhs @ problem.rhs) + problem.floor
     freedom = problem.n_rows - 2 * r
     statistic = (explained - fit) / r / ((total - explained) / freedom)

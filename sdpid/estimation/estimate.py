@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,8 @@ from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed", "given"]
+
+Kind = TypeVar("Kind", bound="Estimate")
 
 # A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
 FEASIBLE = 1e-9
@@ -311,6 +313,11 @@ class Estimate(Shown):
         if self.theta is None:
             return None
         return dict(zip(self.problem.base.theta_names, self.theta.tolist(), strict=True))
+
+
+def extended(kind: type[Kind], found: Estimate, **more: Any) -> Kind:
+    """Return an estimate as one of a kind that says more, with other or further attributes."""
+    return kind(**{**{each.name: getattr(found, each.name) for each in fields(Estimate)}, **more})
 
 
 def _with_masses(problem: Problem, theta: Array) -> Array:

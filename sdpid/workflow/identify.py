@@ -20,12 +20,12 @@ from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.assurance.recipe.inputs import input_files
 from sdpid.assurance.recipe.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
+from sdpid.estimation.closed_loop.bias import BiasTest, check_bias
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.instrumental.bias import BiasTest, check_bias
 from sdpid.estimation.motion_noise.bias import with_motion_bias
 from sdpid.estimation.motion_noise.landings import landings_used
 from sdpid.estimation.prior.prior import Prior

@@ -14,8 +14,8 @@ from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.estimation.closed_loop.bias import BiasTest
 from sdpid.estimation.effects.tried import Tried
-from sdpid.estimation.instrumental.bias import BiasTest
 from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.judged import Judged, grades_of

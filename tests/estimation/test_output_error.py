@@ -9,8 +9,8 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.output_error.checks import ControllerCheck
-from sdpid.estimation.output_error.followed import ClosedLoop, _between
+from sdpid.estimation.closed_loop.controller_check import ControllerCheck
+from sdpid.estimation.closed_loop.loop import ClosedLoop
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.robot.friction.model import FrictionModel
@@ -134,17 +134,23 @@ def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> Non
     assert shift < 0.01
 
 
+def loop_of(law: Any, told: Any, rate_hz: float = 500.0, **options: Any) -> ClosedLoop:
+    """Return the loop of a log that is simulated."""
+    moved = sdpid.simulate_closed_loop(truth(), told, law, rate_hz=rate_hz, **options)
+    own = sdpid.Recording(
+        time=moved.time, position=moved.measured, effort=moved.effort, reference=told,
+        joint_names=truth().robot.joint_names,
+    )  # fmt: skip
+    twin = Twin.of(truth().robot, own, PROCESSING)
+    return ClosedLoop.of(twin, law, control_hz=options.get("control_hz"))
+
+
 def test_noise_that_the_loop_feeds_back_does_not_hide_the_controller() -> None:
-    told = np.asarray(log().reference)
-    moved = sdpid.simulate_closed_loop(
-        truth(), told, LAW, rate_hz=500.0, control_hz=2000.0, position_noise=1e-4, seed=3
-    )
-    noisy = replace(log(), position=moved.measured, effort=moved.effort, reference=told)
-    twin = Twin.of(truth().robot, noisy, PROCESSING)
+    noisy = loop_of(LAW, log().reference, control_hz=2000.0, position_noise=1e-4, seed=3)
 
     def check(factor: float) -> ControllerCheck:
         law = sdpid.controllers.PD(factor * LAW.kp, factor * LAW.kd)
-        return ControllerCheck.of(ClosedLoop.of(twin, law, None, 2000.0))
+        return ControllerCheck.of(replace(noisy, controller=law))
 
     exact = check(1.0)
     assert exact.misfit.min() > 0.1
@@ -152,6 +158,19 @@ def test_noise_that_the_loop_feeds_back_does_not_hide_the_controller() -> None:
     exact.require(0.03)
     for factor in (0.9, 1.1):
         refuses(DataError, "standard error", check(factor).require, 0.03)
+
+
+def test_a_controller_with_an_integral_is_checked_too() -> None:
+    law = sdpid.controllers.PID(LAW.kp, LAW.kd, np.array([200.0, 60.0]))
+    loop = loop_of(law, log().reference)
+    np.testing.assert_allclose(ControllerCheck.of(loop).ratio, 1.0, atol=1e-3)
+    step = 1e-3 * truth().theta
+    missed = [
+        loop.missed(loop.follow(replace(truth(), theta=truth().theta + k * step))) for k in (-1, 1)
+    ]
+    slopes = loop.slopes(truth(), problem().base, loop.follow(truth()))
+    moved_by, expected = slopes @ problem().base_of(step), 0.5 * (missed[0] - missed[1])
+    np.testing.assert_allclose(moved_by, expected, atol=0.02 * np.abs(expected).max())
 
 
 SOFT = sdpid.controllers.PD(np.array([5.0, 1.0]), np.array([1.0, 1.0]))
@@ -193,7 +212,7 @@ def test_a_fitted_controller_serves_where_the_log_shows_it() -> None:
         ({"controller": "lqr"}, "controller is 'lqr': give one of sdpid.controllers"),
         ({"controller": sdpid.controllers.PD(np.ones(3), np.ones(3))}, "gains of 3 joints"),
         ({"reference": np.zeros((7, 2))}, r"reference: has shape \(7, 2\)"),
-        ({"start": np.zeros(5)}, r"start: has shape \(5,\)"),
+        ({"start": np.zeros(5)}, r"start: has shape \(5,\); give an Estimate"),
         ({"max_iterations": 0}, "at least 1"),
         ({"processing": sdpid.Processing(cutoff_hz=10.0)}, "give the recordings"),
     ],
@@ -226,18 +245,11 @@ def test_friction_without_derivatives_is_refused(term: Any, words: str) -> None:
         sdpid.solve_output_error(own, log(), method="closed_loop", controller=LAW)
 
 
-# ---- Sensitivities of a few instants, brought to all stamps.
-
-
-@pytest.mark.parametrize("stride", [1, 2, 3, 5])
-@pytest.mark.parametrize("count", [50, 51, 52])
-def test_between_instants_lie_cubics_and_the_instants_themselves(stride: int, count: int) -> None:
-    time = np.arange(count) / 10.0
-    last = (count - 1) // stride * stride
-    few = np.append(np.arange(0, last, stride), np.arange(last, count))
-    values = np.stack([time**3 - time, np.cos(0.3 * time)], axis=1)[:, None]
-    found = _between(values[few], stride, count)
-    np.testing.assert_allclose(found[few], values[few], rtol=1e-15)
-    inside = slice(stride, last - stride)
-    np.testing.assert_allclose(found[inside, :, 0], values[inside, :, 0], atol=1e-12)
-    np.testing.assert_allclose(found[inside, :, 1], values[inside, :, 1], atol=1e-4)
+def test_sensitivities_at_few_instants_are_those_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = 0.4 * np.sin(np.arange(0.0, 2.0, 5e-4)[:, None] * [3.0, 7.0])
+    loop = loop_of(LAW, told, 2000.0)
+    given = truth(), problem().base, loop.follow(truth())
+    few = loop.slopes(*given)
+    monkeypatch.setattr("sdpid.estimation.closed_loop.loop._LINEARIZED", 5e-4)
+    exact = loop.slopes(*given)
+    assert 0.0 < np.abs(few - exact).max() < 0.02 * np.abs(exact).max()

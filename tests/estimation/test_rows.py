@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from sdpid import Prior, Samples, build_problem, solve_sdp, solve_wls, validate
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.estimation.closed_loop.rounds import InstrumentalRows, SensitivityRows
 from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
 from sdpid.estimation.compression import whitening
@@ -33,8 +34,6 @@ from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
-from sdpid.estimation.instrumental.rows import InstrumentalRows
-from sdpid.estimation.output_error.rows import SensitivityRows
 from sdpid.robot.friction.terms import AsymmetricCoulomb, Coupling
 from sdpid.robot.model import regressor_kernel as kernels
 from tests.helpers import world

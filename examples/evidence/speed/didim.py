@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from harness import Bench, Row
 
-from sdpid.estimation.output_error.solve import solve_output_error
+from sdpid.estimation.closed_loop.solve import solve_output_error
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.plant.drives import load_drives

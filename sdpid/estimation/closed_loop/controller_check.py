@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.estimation.output_error.followed import ClosedLoop, Followed
+from sdpid.estimation.closed_loop.loop import ClosedLoop
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.simulation.closed_loop import Motion
 
 # Efforts of joints below this share of the largest hold nothing to compare: they are rounding.
 _SILENT = 1e-6
@@ -65,40 +67,29 @@ class ControllerCheck:
         feeds it back; least squares would find too small or too large ratios (0.6 to 2.7 on BIRDy's
         RV2SQ). The commanded motion, as instrument, has no noise.
         """
-        measured, told = loop.twin.measured, loop.told_samples()
-        gains = getattr(loop.controller, "gains", None)
+        measured, told = loop.twin.measured, loop.twin.samples(loop.told)
         integral = None
-        if gains is not None and np.any(gains.integral):
+        if loop.integral_gain is not None:
             integral = _integral(told.position - measured.position, loop)
-        given = loop.controller.effort(
-            measured.position,
-            measured.velocity,
-            told.position,
-            told.velocity,
-            told.acceleration,
-            integral,
-        )
-        effort, block = measured.effort, max(measured.block, 1)
-        instruments = _instruments(told)
+        states = measured.position, measured.velocity, told.position, told.velocity
+        given = loop.controller.effort(*states, told.acceleration, integral)
+        effort, instruments = measured.effort, _instruments(told)
         if integral is not None:
             # Where the integral of each piece began is not known.
             given, effort, instruments = (
-                _centered(each, measured) for each in (given, effort, instruments)
+                np.concatenate([each[part] - each[part].mean(axis=0) for part in measured.parts])
+                for each in (given, effort, instruments)
             )
         basis = np.linalg.qr(instruments)[0]
         seen = basis @ (basis.T @ given)
-        n = effort.shape[1]
-        ratio, error, misfit = np.ones(n), np.full(n, np.inf), np.zeros(n)
-        largest = float(np.sqrt(np.mean(effort**2, axis=0)).max())
-        for j in range(n):
-            z, u, y = seen[:, j], given[:, j], effort[:, j]
-            power, size = float(z @ u), float(np.sqrt(np.mean(y**2)))
-            if power <= 0.0 or size <= _SILENT * largest:
-                continue
-            ratio[j] = float(z @ y) / power
-            sums = np.add.reduceat(z * (y - ratio[j] * u), np.arange(0, len(y), block))
-            error[j] = float(np.sqrt(np.sum(sums**2))) / power
-            misfit[j] = float(np.sqrt(np.mean((y - u) ** 2))) / size
+        power, size = np.sum(seen * given, axis=0), np.sqrt(np.mean(effort**2, axis=0))
+        known = (power > 0.0) & (size > _SILENT * size.max())
+        power, size = np.where(known, power, 1.0), np.where(known, size, 1.0)
+        ratio = np.where(known, np.sum(seen * effort, axis=0) / power, 1.0)
+        starts = np.arange(0, len(effort), max(measured.block, 1))
+        sums = np.add.reduceat(seen * (effort - ratio * given), starts, axis=0)
+        error = np.where(known, np.sqrt(np.sum(sums**2, axis=0)) / power, np.inf)
+        misfit = np.where(known, np.sqrt(np.mean((effort - given) ** 2, axis=0)) / size, 0.0)
         return cls(ratio=ratio, error=error, misfit=misfit, names=loop.twin.robot.joint_names)
 
     def require(self, tolerance: float) -> None:
@@ -127,12 +118,12 @@ class ControllerCheck:
             "commanded positions are those of this log, in rad, and at its time."
         )
 
-    def fault(self, loop: ClosedLoop, followed: Followed, share: float) -> str | None:
+    def fault(self, loop: ClosedLoop, motions: Sequence[Motion], share: float) -> str | None:
         """Return that a simulated motion is not the measured one, and what is to blame.
 
         None where no joint misses the measured motion by more than a share of it.
         """
-        missed = loop.missed(followed)
+        missed = loop.missed(motions)
         size = np.sqrt(np.mean(missed**2, axis=0))
         measured = loop.twin.measured.position
         motion = np.std(measured, axis=0)
@@ -140,7 +131,7 @@ class ControllerCheck:
         j = int(np.argmax(size / least))
         if size[j] <= share * least[j]:
             return None
-        error = loop.told_samples().position[:, j] - measured[:, j]
+        error = loop.twin.positions(loop.told)[:, j] - measured[:, j]
         own, simulated = (float(np.sqrt(np.mean(e**2))) for e in (error, error + missed[:, j]))
         return (
             f"output error: joint {self.names[j]} does not follow what was commanded as it did in "
@@ -180,24 +171,11 @@ def _instruments(told: Samples) -> Array:
     return np.asarray(table / np.where(size > 0.0, size, 1.0))
 
 
-def _centered(table: Array, samples: Samples) -> Array:
-    """Return columns less their mean in each piece."""
-    out = np.array(table)
-    for part in samples.parts:
-        out[part] -= out[part].mean(axis=0)
-    return out
-
-
 def _integral(error: Array, loop: ClosedLoop) -> Array:
     """Return the integral of filtered tracking errors (K, n), piece by piece."""
-    samples = loop.twin.measured
-    out = np.zeros_like(error)
-    for part in samples.parts:
-        if samples.time is not None:
-            steps = np.diff(samples.time[part], prepend=samples.time[part][0])
-        else:
-            steps = np.full(part.stop - part.start, loop.twin.logs[0].step)
-        own = error[part]
-        middle = 0.5 * (own + np.vstack([own[:1], own[:-1]]))
-        out[part] = np.cumsum(steps[:, None] * middle, axis=0)
-    return out
+    from scipy.integrate import cumulative_trapezoid
+
+    samples, seconds = loop.twin.measured, sum(log.duration for log in loop.twin.logs)
+    time = np.linspace(0.0, seconds, len(error)) if samples.time is None else samples.time
+    pieces = [(error[part], time[part]) for part in samples.parts]
+    return np.concatenate([cumulative_trapezoid(e, t, axis=0, initial=0.0) for e, t in pieces])

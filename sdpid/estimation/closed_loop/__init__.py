@@ -1,0 +1,1 @@
+"""Estimates from the closed loop, which noise in the measured motion does not bias."""

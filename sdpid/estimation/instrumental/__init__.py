@@ -1,1 +1,0 @@
-"""Instrumental variables: estimates that noise in the measured motion does not bias."""

@@ -1,1 +1,0 @@
-"""Output error: parameters whose simulated motion is the measured one."""
