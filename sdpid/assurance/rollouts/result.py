@@ -1,4 +1,4 @@
-"""`Rollout`: how far simulated motion leaves the measured one, model by model."""
+"""`Rollout`: how far simulated motion leaves the measured one, model by model, and in words."""
 
 from __future__ import annotations
 
@@ -10,9 +10,26 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.tables import Shown, Table, plain_dict
+from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
-from sdpid.assurance.rollouts.models import CLOSED_LOOP
-from sdpid.assurance.rollouts.words import level_of, notes_on, verdict_on
+
+# What takes the place of the joints that are free.
+CLOSED_LOOP = "closed loop"
+
+# What needs no model.
+CONSTANT_VELOCITY, STAND_STILL, FLOOR = "constant velocity", "stand still", "noise alone"
+
+# The verdict is on the first horizon from here on, s: before, a motion is mostly its own start, and
+# what holds its velocity beats the models of most arms (docs/evidence/rollouts.md).
+_JUDGED = 0.3
+
+# Another model does better where its error is below this share of the estimate's: medians over some
+# 40 starts differ by a tenth between models that are equally good.
+_BETTER = 0.9
+
+# A floor below this, rad, is none: encoders of arms have at most some 24 bits a turn, and noise
+# that a simulation does not magnify. The recording was smoothed before it was logged.
+_SMOOTHED = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -148,19 +165,86 @@ class Rollout(Shown):
         return self.models[self.own].diverged
 
     @property
+    def _judged(self) -> tuple[int, float, dict[str, float], list[str]]:
+        """The horizon judged, the estimate's median there, others', and which of them are better.
+
+        Better than the estimate are models of the robot, by a tenth.
+        """
+        k = next((k for k, h in enumerate(self.horizons) if h >= _JUDGED), len(self.horizons) - 1)
+        others = {name: float(each.quantile(0.5)[k]) for name, each in self.models.items()}
+        own = others.pop(self.own)
+        better = [name for name, value in others.items() if value < _BETTER * own]
+        return k, own, others, better
+
+    @property
     def verdict(self) -> str:
-        """What it says, in a sentence."""
-        return verdict_on(self)
+        """What it says, in a sentence: how far it is off, and what does better or worse."""
+        k, own, others, better = self._judged
+        horizon, diverged = f"{self.horizons[k]:g} s", self.diverged[k]
+        loop = CLOSED_LOOP if self.free == CLOSED_LOOP else "open loop"
+        told = (FRICTION_FITTED, LEAST_SQUARES, CONSTANT_VELOCITY, STAND_STILL, FLOOR)
+        beside = "".join(
+            f"{', ' if number else '; '}{name} {_angle(others[name])}"
+            for number, name in enumerate(
+                name
+                for name in told
+                if name in others and not (name == FLOOR and others[name] < _SMOOTHED)
+            )
+        )
+        if not np.isfinite(own):
+            return (
+                f"Simulated in {loop} it runs away: within {horizon} from {diverged:.0%} of the "
+                f"starts{beside}."
+            )
+        models = [each for each in (DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES) if each in better]
+        if self.level == "bad":
+            head = "It does not move as the robot does"
+        elif models:
+            head = f"It moves less like the robot than {' and '.join(models)}"
+        else:
+            head = "It moves as the robot does"
+        return f"{head}: after {horizon} in {loop} it is off by {_angle(own)}{beside}."
 
     @property
     def level(self) -> Literal["good", "caution", "bad"]:
-        """What `verdict` means for the model."""
-        return level_of(self)
+        """What `verdict` means: bad where it runs away or does no better than no model."""
+        _, own, others, better = self._judged
+        if own >= min(others.get(name, np.inf) for name in (CONSTANT_VELOCITY, STAND_STILL)):
+            return "bad"
+        return "caution" if any(name != FLOOR for name in better) else "good"
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done, and what to know about the numbers."""
-        return (*self.said, *notes_on(self))
+        first, last, gone = self.horizons[0], self.horizons[-1], self.diverged[-1]
+        still, floor = self.models.get(CONSTANT_VELOCITY), self.models.get(FLOOR)
+        notes = []
+        if first < _JUDGED and still is not None:
+            held, own = (
+                f"is off by {_angle(value)}" if np.isfinite(value) else "runs away"
+                for value in (float(still.quantile(0.5)[0]), float(self.median[0]))
+            )
+            notes.append(
+                f"never judge at {first:g} s alone: holding the starting velocity, without any "
+                f"model, {held} there, {self.own} {own}"
+            )
+        if floor is not None and float(floor.quantile(0.5)[-1]) < _SMOOTHED:
+            notes.append(
+                "the floor of noise is not known: nothing is left of it at high frequencies, as in "
+                "a recording that was smoothed before it was logged"
+            )
+        if gone > 0.0:
+            notes.append(
+                f"{gone:.0%} of the starts ran away before {last:g} s: an arm under given efforts "
+                "has nothing that brings it back, so that errors grow with time even for a good "
+                "model"
+            )
+        notes += [each.words for each in self.light]
+        if self.light:
+            remedy = max(self.light, key=lambda each: each.ratio).remedy
+            several = f" ({len(self.light)} joints, this one the worst)"
+            notes.append(remedy + several if len(self.light) > 1 else remedy)
+        return (*self.said, *notes)
 
     def as_table(self) -> Table:
         """Return a row a model, with four columns a horizon.
@@ -198,8 +282,13 @@ class Rollout(Shown):
         A dash stands for what ran away.
         """
         unit = "mrad, mm of sliding joints" if self.sliding.any() else "mrad"
+        loop = {
+            CLOSED_LOOP: CLOSED_LOOP,
+            "each": "open loop, one joint free at a time, the others on the record",
+            "all": "open loop, all joints free",
+        }.get(self.free, f"open loop, free: {self.free}")
         return (
-            f"position errors in {_free_words(self)}: median over {len(self.start)} "
+            f"position errors in {loop}: median over {len(self.start)} "
             f"starts\n{self.as_table().text(3)}\n\n{self.own} joint by joint, {unit}\n"
             f"{self.joint_table().text(3)}"
         )
@@ -215,7 +304,8 @@ class Rollout(Shown):
         rows = [
             (name, joint, horizon, middle[k, j], high[k, j], gone[k, j])
             for name, errors in self.models.items()
-            for middle, high, gone in [(errors.joints(), errors.joints(0.9), _gone(errors))]
+            for middle, high in [(errors.joints(), errors.joints(0.9))]
+            for gone in [np.isinf(errors.joint[:, errors.at]).mean(axis=0)]
             for j, joint in enumerate(self.joint_names)
             for k, horizon in enumerate(self.horizons)
         ]
@@ -264,14 +354,5 @@ class Rollout(Shown):
         return plot_rollout(self.time, self.medians, own=self.own, title=title, axes=axes)
 
 
-def _gone(errors: MotionErrors) -> Array:
-    """Return the share of simulations that ran away, of each joint, (H, n)."""
-    return np.asarray(np.isinf(errors.joint[:, errors.at]).mean(axis=0))
-
-
-def _free_words(rollout: Rollout) -> str:
-    if rollout.free == CLOSED_LOOP:
-        return CLOSED_LOOP
-    if rollout.free == "each":
-        return "open loop, one joint free at a time, the others on the record"
-    return f"open loop, {'all joints free' if rollout.free == 'all' else f'free: {rollout.free}'}"
+def _angle(value: float) -> str:
+    return f"{1e3 * value:.3g} mrad" if np.isfinite(value) else "runs away"

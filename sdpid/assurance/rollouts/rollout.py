@@ -8,23 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
 from sdpid._common.threads import one_thread
-from sdpid.assurance.rollouts.closed import REFERENCE, in_closed_loop, reference_on
-from sdpid.assurance.rollouts.errors import Runs
-from sdpid.assurance.rollouts.models import CLOSED_LOOP, FLOOR
-from sdpid.assurance.rollouts.result import Rollout
+from sdpid.assurance.rollouts.result import (
+    CLOSED_LOOP,
+    CONSTANT_VELOCITY,
+    FLOOR,
+    STAND_STILL,
+    MotionErrors,
+    Rollout,
+)
 from sdpid.assurance.rollouts.setting import HORIZONS, Setting, judged_model
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.law import Controller
-from sdpid.experiment.simulation.open_loop import Track
+from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
+from sdpid.experiment.simulation.tip import tip_positions
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
+
+# What the reference itself is called, beside the models.
+_REFERENCE = "reference followed exactly"
 
 
 @one_thread
@@ -144,49 +154,122 @@ def _simulated(
     """Simulate all models of a setting with some joints free, and compare."""
     if controller is not None and free == "each":
         free = "all"
-    robot, track, first = setting.model.robot, setting.track, setting.first
+    robot, track, first, after = setting.model.robot, setting.track, setting.first, setting.after
     groups, named = _groups(robot, free, setting.absent)
-    runs = Runs(robot=robot, first=first, groups=groups, after=setting.after, at=setting.at)
-    measured = runs.measured(track)
+    instants = first[:, None] + after
+    measured = track.position[instants]
     reference = None
     if controller is not None:
         if groups != (tuple(range(robot.n)),):
             raise DataError("controller: moves all joints; leave free and without_effort out.")
         controller = getattr(controller, "controller", controller)
-        reference = reference_on(track, robot, setting.log)
+        reference = _reference_on(track, robot, setting.log)
 
-    def simulated(its: SimulatedArm, along: Track) -> Array:
-        if controller is None or reference is None:
-            return runs.simulated(its, along)
-        return in_closed_loop(its, runs, along, reference, controller)
+    def moved(arm: SimulatedArm, along: Track) -> Array:
+        """Return simulated positions (G, S, L, n), not numbers from where one ran away."""
+        if controller is not None and reference is not None:
+            return _in_closed_loop(arm, along, first, after, reference, controller)
+        released = np.zeros((len(groups), len(first), robot.n), dtype=np.bool_)
+        for g, group in enumerate(groups):
+            released[g, :, list(group)] = True
+        starts = np.tile(first, len(groups))
+        found = simulate_stretches(arm, along, starts, released.reshape(-1, robot.n), after)
+        return found.reshape(len(groups), *instants.shape, robot.n)
 
-    own = simulated(setting.arm, track)
-    errors = {setting.name: runs.errors(own, measured)}
-    for other, model in setting.beside.items():
-        errors[other] = runs.errors(simulated(SimulatedArm.of(model), track), measured)
-    for other, positions in runs.idle(track).items():
-        errors[other] = runs.errors(positions, measured)
+    def errors(positions: Array, against: Array = measured) -> MotionErrors:
+        return _errors(robot, positions, against, groups, setting.at)
+
+    own = moved(setting.arm, track)
+    found = {setting.name: errors(own)}
+    for name, model in setting.beside.items():
+        found[name] = errors(moved(SimulatedArm.of(model), track))
+    here, speed = track.position[first][:, None], track.velocity[first][:, None]
+    # Joints that are not free move as recorded.
+    held = np.ones((len(groups), 1, 1, robot.n), dtype=np.bool_)
+    for g, group in enumerate(groups):
+        held[g, ..., list(group)] = False
+    ahead = here + speed * (after * track.step)[:, None]
+    found[CONSTANT_VELOCITY] = errors(np.where(held, measured, ahead))
+    found[STAND_STILL] = errors(np.where(held, measured, here))
     if reference is not None:
-        commanded = reference[first[:, None] + setting.after]
-        errors[REFERENCE] = runs.errors(commanded[None], measured)
+        found[_REFERENCE] = errors(reference[instants][None])
     if setting.again is not None:
-        moved = simulated(setting.arm, setting.again)
         # What is compared with is measured with noise, too.
-        errors[FLOOR] = runs.errors(moved, own + (runs.measured(setting.again) - measured))
+        noise = setting.again.position[instants] - measured
+        found[FLOOR] = errors(moved(setting.arm, setting.again), own + noise)
     joints = [j for group in groups for j in group]
+    filtered = "under the filtered efforts, which raw ones hardly change"
+    steps = f"in steps of {1e3 * track.step:.3g} ms {filtered}"
+    way = steps if controller is None else "in closed loop"
     return Rollout(
         robot=robot.name,
         joint_names=tuple(robot.joint_names[j] for j in joints),
         sliding=robot.slides[joints],
         free=named if controller is None else CLOSED_LOOP,
         horizons=setting.horizons,
-        time=np.asarray(setting.after * track.step, dtype=np.float64),
+        time=np.asarray(after * track.step, dtype=np.float64),
         start=track.time[first],
         own=setting.name,
-        models=errors,
+        models=found,
         light=setting.light,
-        said=setting.said(in_loop=controller is not None),
+        said=(f"{setting.starts}, simulated {way}", *setting.notes),
     )
+
+
+def _errors(
+    robot: RobotModel,
+    positions: Array,
+    reference: Array,
+    groups: tuple[tuple[int, ...], ...],
+    at: Indices,
+) -> MotionErrors:
+    """Return the errors of positions (G, S, L, n) against a reference that may be of one group."""
+    off = np.abs(positions - reference)
+    # A simulation that ran away is wrong in all of its joints.
+    off[~np.isfinite(off).all(axis=3)] = np.inf
+    joint = np.concatenate([off[g][..., list(group)] for g, group in enumerate(groups)], axis=2)
+
+    def tips(given: Array) -> Array:
+        seen = np.broadcast_to(given, positions.shape)[:, :, at]
+        return tip_positions(robot, seen.reshape(-1, robot.n)).reshape(*seen.shape[:-1], 3)
+
+    squares = np.sum(np.square(tips(positions) - tips(reference)), axis=-1)
+    squares = np.where(np.isfinite(squares), squares, np.inf)
+    return MotionErrors(joint=joint, tip=np.sqrt(squares.mean(axis=0)), at=at)
+
+
+def _reference_on(track: Track, robot: RobotModel, log: Recording | None) -> Array:
+    """Return commanded positions (T, n) at the instants of a track."""
+    from scipy.interpolate import CubicSpline
+
+    commanded = None if log is None else match_joints(robot, log).reference
+    if log is None or commanded is None:
+        raise DataError(
+            "controller: a simulation in closed loop follows commanded positions, and the "
+            "recording has none; give a recording with a reference, or leave the controller out."
+        )
+    return np.asarray(CubicSpline(log.time, commanded)(track.time))
+
+
+def _in_closed_loop(
+    arm: SimulatedArm, track: Track, starts: Indices, after: Indices, reference: Array, law: Any
+) -> Array:
+    """Return simulated positions (1, S, L, n) of all joints, not numbers from where one ran away.
+
+    Each starts in the measured state; a controller that integrates starts with nothing integrated.
+    """
+    out = np.full((1, len(starts), len(after), track.position.shape[1]), np.nan)
+    for s, first in enumerate(starts):
+        moved = simulate_closed_loop(
+            arm,
+            reference[first : first + int(after[-1]) + 1],
+            law,
+            rate_hz=1.0 / track.step,
+            start=(track.position[first], track.velocity[first]),
+        )
+        kept = after < len(moved.position)
+        out[0, s, kept] = moved.position[after[kept]]
+    return out
 
 
 def _groups(

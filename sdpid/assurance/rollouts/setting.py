@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,18 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Indices
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid._common.seeds import generator
-from sdpid.assurance.diagnostics.held_out import OURS
+from sdpid.assurance.diagnostics.described import described_dynamics
+from sdpid.assurance.diagnostics.held_out import (
+    DESCRIPTION,
+    FRICTION_FITTED,
+    LEAST_SQUARES,
+    OURS,
+    friction_fitted,
+)
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint, light_joints
 from sdpid.assurance.diagnostics.validation import validate_dynamics
-from sdpid.assurance.rollouts.models import MODEL, models_beside
-from sdpid.assurance.rollouts.noise import noisier
-from sdpid.errors import DataError
+from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.several import joints_without
 from sdpid.experiment.processing.choose import default_processing, with_changes
+from sdpid.experiment.processing.motion import noise_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
@@ -39,6 +47,9 @@ _EVERY, _MOST_STARTS = 0.25, 60
 
 # Instants at which curves over time are drawn.
 _INSTANTS = 20
+
+# A model that comes without an estimate.
+MODEL = "this model"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,18 +70,18 @@ class Setting:
         The recording; None where samples were given.
     track, again : Track, Track or None
         The recording, and with as much noise again.
-    wanted, horizons : tuple of float
-        Horizons asked for, and those that the recording is long enough for, s.
-    longest : float
-        The longest stretch of the recording without a break, s.
-    every : float
-        Time between starts, s.
+    horizons : tuple of float
+        Those of the horizons asked for that the recording is long enough for, s.
     first : ndarray of int, shape (S,)
         Instants of the track at which simulations start.
     after, at : ndarray of int, shapes (L,) and (H,)
         Steps after which errors are taken, and which of them are horizons.
     light : tuple of LightJoint
         Joints of the model that are too light.
+    starts : str
+        How many there are, how far apart.
+    notes : tuple of str
+        What is left out.
     """
 
     model: RobotDynamics
@@ -81,14 +92,13 @@ class Setting:
     log: Recording | None
     track: Track
     again: Track | None
-    wanted: tuple[float, ...]
     horizons: tuple[float, ...]
-    longest: float
-    every: float
     first: Indices
     after: Indices
     at: Indices
     light: tuple[LightJoint, ...]
+    starts: str
+    notes: tuple[str, ...]
 
     @classmethod
     def of(
@@ -105,62 +115,60 @@ class Setting:
     ) -> Setting:
         """Prepare what is given, as `sdpid.rollout` takes it."""
         model, judged, name = judged_model(estimate)
-        robot, arm = model.robot, SimulatedArm.of(model)
-        wanted = _checked_horizons(horizons)
-        absent = _without(judged, robot, without_effort)
+        arm = SimulatedArm.of(model)
+        wanted = np.atleast_1d(np.asarray(horizons, dtype=np.float64))
+        if wanted.ndim != 1 or not wanted.size or not np.all((wanted > 0) & np.isfinite(wanted)):
+            raise DataError(f"horizons: are {horizons!r:.80}; give times in s, each above 0.")
+        wanted = np.unique(wanted)
+        absent = _without(judged, model.robot, without_effort)
         rng = generator(seed)
-        log, samples, chosen = _prepared(robot, recording, processing)
+        log, samples, chosen = _prepared(model.robot, recording, processing)
         track = Track.of(samples)
-        longest = max(
-            float(samples.time[part][-1] - samples.time[part][0])  # type: ignore[index]
-            for part in samples.parts
-        )
-        kept = tuple(h for h in wanted if h < longest)
+        time = np.asarray(samples.time)
+        longest = max(float(time[part][-1] - time[part][0]) for part in samples.parts)
+        kept = tuple(wanted[wanted < longest].tolist())
         if not kept:
             raise DataError(
                 f"horizons: the shortest is {wanted[0]:g} s, and the recording has {longest:.3g} s "
                 "without a break once the filter's ends are cut off; record longer, or give "
                 "shorter horizons."
             )
-        every = _spacing(start_every, longest - kept[-1])
-        after, at = _instants(track, kept)
-        again = None
-        if log is not None:
-            again = Track.of(prepare(robot, noisier(log, rng), chosen))
+        every = start_every
+        if every is None:
+            every = max(_EVERY, (longest - kept[-1]) / _MOST_STARTS)
+        elif not (np.isfinite(every) and every > 0.0):
+            raise DataError(f"start_every: is {every!r}; give a time in s, above 0.")
+        first = track.starts(kept[-1], every)
+        ends = np.array([track.steps(h) for h in kept])
+        curve = np.linspace(1, ends[-1], min(_INSTANTS, ends[-1])).round().astype(np.intp)
+        after = np.unique(np.concatenate([ends, curve]))
+        notes = []
+        if absent:
+            notes.append(f"on the record, as their effort is not used: {', '.join(absent)}")
+        if left := ", ".join(f"{h:g}" for h in wanted[len(kept) :]):
+            notes.append(
+                f"no horizon of {left} s: the recording has {longest:.3g} s without a break"
+            )
+        if log is None:
+            notes.append("no floor of noise: samples do not tell the noise; give the recording")
+        again = None if log is None else Track.of(prepare(model.robot, _noisier(log, rng), chosen))
         return cls(
             model=model,
             arm=arm,
             name=name,
-            beside=models_beside(judged, samples) if judged is not None and baselines else {},
+            beside=_models_beside(judged, samples) if judged is not None and baselines else {},
             absent=absent,
             log=log,
             track=track,
             again=again,
-            wanted=wanted,
             horizons=kept,
-            longest=longest,
-            every=every,
-            first=track.starts(kept[-1], every),
+            first=first,
             after=after,
-            at=at,
+            at=np.searchsorted(after, ends),
             light=light_joints(model, samples, validate_dynamics(model, samples).moving),
+            starts=f"{len(first)} starts, {every:.3g} s apart",
+            notes=tuple(notes),
         )
-
-    def said(self, *, in_loop: bool) -> tuple[str, ...]:
-        """Return what is done, in words; in a loop efforts are those of a controller."""
-        starts = f"{len(self.first)} starts, {self.every:.3g} s apart, simulated"
-        steps = f"in steps of {1e3 * self.track.step:.3g} ms"
-        under = f"{steps} under the filtered efforts, which raw ones hardly change"
-        said = [f"{starts} {'in closed loop' if in_loop else under}"]
-        if self.absent:
-            said.append(f"on the record, as their effort is not used: {', '.join(self.absent)}")
-        if len(self.horizons) < len(self.wanted):
-            left = ", ".join(f"{h:g}" for h in self.wanted[len(self.horizons) :])
-            without = f"the recording has {self.longest:.3g} s without a break"
-            said.append(f"no horizon of {left} s: {without}")
-        if self.log is None:
-            said.append("no floor of noise: samples do not tell the noise; give the recording")
-        return tuple(said)
 
 
 def judged_model(given: Any) -> tuple[RobotDynamics, Estimate | None, str]:
@@ -174,14 +182,6 @@ def judged_model(given: Any) -> tuple[RobotDynamics, Estimate | None, str]:
             "result.estimate, or its model."
         )
     return found.model(), found, OURS
-
-
-def _checked_horizons(horizons: Sequence[float]) -> tuple[float, ...]:
-    """Return the horizons in rising order."""
-    values = np.atleast_1d(np.asarray(horizons, dtype=np.float64))
-    if values.ndim != 1 or not values.size or not np.all((values > 0.0) & np.isfinite(values)):
-        raise DataError(f"horizons: are {horizons!r:.80}; give times in s, each above 0.")
-    return tuple(sorted(set(values.tolist())))
 
 
 def _without(judged: Estimate | None, robot: RobotModel, given: Iterable[str]) -> tuple[str, ...]:
@@ -221,18 +221,34 @@ def _prepared(
     return log, prepare(robot, log, chosen), chosen
 
 
-def _spacing(given: float | None, room: float) -> float:
-    """Return the time between starts."""
-    if given is None:
-        return max(_EVERY, room / _MOST_STARTS)
-    if not (np.isfinite(given) and given > 0.0):
-        raise DataError(f"start_every: is {given!r}; give a time in s, above 0.")
-    return float(given)
+def _models_beside(estimate: Estimate, samples: Samples) -> dict[str, RobotDynamics]:
+    """Return the robots to simulate beside an estimate, by name.
+
+    Its description as it is and with friction fitted, where the description has masses, and the
+    least-squares fit of the same rows, where the estimate is not one itself.
+    """
+    found: dict[str, RobotDynamics] = {}
+    problem = estimate.problem
+    if np.any(problem.robot.prior[:, 0] > 0.0):
+        found[DESCRIPTION] = described_dynamics(problem.robot, samples)
+        found[FRICTION_FITTED] = replace(estimate.model(), theta=frozen(friction_fitted(estimate)))
+    if estimate.method != "wls":
+        # Where no rows determine it, the others stand.
+        with contextlib.suppress(SdpidError):
+            found[LEAST_SQUARES] = solve_wls(replace(problem, prior=None)).model()
+    return found
 
 
-def _instants(track: Track, horizons: Sequence[float]) -> tuple[Indices, Indices]:
-    """Return the steps after which errors are taken, and which of them are horizons."""
-    ends = np.array([track.steps(h) for h in horizons])
-    curve = np.linspace(1, ends[-1], min(_INSTANTS, ends[-1])).round().astype(np.intp)
-    after = np.unique(np.concatenate([ends, curve]))
-    return after, np.searchsorted(after, ends)
+def _noisier(log: Recording, rng: np.random.Generator) -> Recording:
+    """Return a recording with white noise added that is as strong as its own."""
+
+    def again(signals: Array) -> Array:
+        levels = noise_of(signals, log.rate_hz)
+        return np.asarray(signals + levels * rng.standard_normal(signals.shape))
+
+    return replace(
+        log,
+        position=again(log.position),
+        effort=again(log.effort),
+        velocity=None if log.velocity is None else again(log.velocity),
+    )

@@ -64,7 +64,7 @@ def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generat
     # From the points themselves in every sweep, so that roundings do not add up.
     matrices = [each for each in (density.walls, density.bodies) if len(each)]
     here, values = [each.at(x) for each in matrices], x @ density.rows.T
-    roots: list[Array] = [np.linalg.cholesky(each) for each in here]
+    roots = _roots(here)
     steps = [each.along(directions) for each in matrices]
     row_steps, pulls = directions @ density.rows.T, directions @ density.precision
     strength = density.strength if len(density.bodies) else 0.0
@@ -85,7 +85,7 @@ def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generat
             t[i] = 0.0
             for F, own in zip(moved, here, strict=True):
                 F[i] = own[i]
-        here, roots = moved, [np.linalg.cholesky(each) for each in moved]
+        here, roots = moved, _roots(moved)
         x, values = x + t[:, None] * v, values + t[:, None] * row_steps[k]
     return x
 
@@ -150,11 +150,15 @@ def _lower_solve(L: Array, right: Array) -> Array:
     return out
 
 
+def _roots(matrices: list[Array]) -> list[Array]:
+    """Return L with ``F = L·L^T`` of matrices F (C, N, s, s)."""
+    return [np.asarray(np.linalg.cholesky(each), dtype=np.float64) for each in matrices]
+
+
 def _outside(matrices: list[Array]) -> list[int]:
     """Return the chains of which a matrix (C, N, s, s) is not positive definite."""
     try:
-        for each in matrices:
-            np.linalg.cholesky(each)
+        _roots(matrices)
     except np.linalg.LinAlgError:
         if len(matrices[0]) == 1:
             return [0]
