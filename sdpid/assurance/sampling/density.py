@@ -239,13 +239,9 @@ class Density:
 
     def inside(self, x: Array) -> bool:
         """Return whether a point (n,) is strictly inside."""
-        values = self.rows @ x
-        least = (np.linalg.eigvalsh(each.at(x[None])).min(initial=1.0) for each in self._matrices)
+        values, both = self.rows @ x, (self.walls, self.bodies)
+        least = (np.linalg.eigvalsh(each.at(x[None])).min(initial=1.0) for each in both)
         return bool(np.all(values > self.lower) & np.all(values < self.upper)) and min(least) > 0.0
-
-    @property
-    def _matrices(self) -> tuple[Matrices, Matrices]:
-        return self.walls, self.bodies
 
     def covariance_at(self, x: Array) -> Array:
         """Return the inverse curvature (n, n) of the density weakened by the barrier at a point.
@@ -253,7 +249,7 @@ class Density:
         The ellipsoid of radius one about a point inside is inside of every wall.
         """
         H = self.precision.copy()
-        for each in self._matrices:
+        for each in (self.walls, self.bodies):
             root = np.linalg.inv(np.linalg.cholesky(each.at(x[None])[0]))
             whitened = root @ each.linear @ np.swapaxes(root, 1, 2)
             flat = whitened.reshape(each.flat.shape)
