@@ -34,7 +34,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.motion_noise.bias import with_motion_bias
+from sdpid.estimation.motion_noise import with_motion_bias
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.friction import DryFriction

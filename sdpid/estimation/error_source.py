@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid.experiment.drive_gains.gains import DriveGains
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,17 +25,26 @@ class ErrorSource:
         Of these errors.
     freedom : ndarray, shape (k,)
         Degrees of freedom of their variances.
+    gains : DriveGains or None
+        Those that are off.
     """
 
     name: str
     moves: Array
     covariance: Array
     freedom: Array
+    gains: DriveGains | None = None
 
     @classmethod
     def bias(cls, name: str, moved: Array) -> ErrorSource:
         """Return a bias of the fit (b,): an error of that size in its direction."""
         return cls(name, frozen(moved[:, None]), np.eye(1), np.full(1, np.inf))
+
+    def same(self, other: ErrorSource) -> bool:
+        """Return whether the errors of another fit are these errors: of the same gains."""
+        if self.gains is None or other.gains is None:
+            return False
+        return self.gains.same_errors(other.gains)
 
     @property
     def root(self) -> Array:

@@ -13,6 +13,7 @@ bring an estimate nearer to the truth, all in all: it is not counted, which errs
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -23,7 +24,7 @@ from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.error_source import ErrorSource
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -33,9 +34,6 @@ Groups = Literal["frequencies", "blocks", "periods"]
 
 # Directions of theta that data and prior together see this little are open, but for rounding.
 _OPEN = 1e-12
-
-# Share of errors beside a bias below which they no longer count.
-_LEAST_SHARE = 1e-3
 
 # A function of which more than this share lies in open directions is open: the rest is rounding.
 _LOST = 1e-7
@@ -65,22 +63,38 @@ class Estimated(Protocol):
         """That of the data's cost where it is not that of squares, (r, r) (see `Estimate`)."""
 
 
-class FitErrors(Protocol):
-    """What is known of the errors of the unconstrained fit: it is off by T·x, where it is seen.
+@dataclass(frozen=True, eq=False)
+class FitErrors:
+    """What the residuals show of the errors of the unconstrained fit: it is off by T·x.
 
     A·T has numbers of order one however little the data show of a direction, T has not.
+
+    Attributes
+    ----------
+    root : ndarray, shape (b, r)
+        T; directions that the data do not determine have no column.
+    scores : ndarray, shape (r, r)
+        Covariance of x.
+    freedom : callable
+        Returns the degrees of freedom of the variance of x along each direction (k, r).
     """
 
-    @property
-    def root(self) -> Array:
-        """T (b, r); directions that the data do not determine have no column."""
+    root: Array
+    scores: Array
+    freedom: Callable[[Array], Array]
 
-    @property
-    def scores(self) -> Array:
-        """Covariance of x, (r, r)."""
+    @classmethod
+    def of(cls, estimate: Estimated, shown: NoiseSpectrum | ScoreBlocks) -> FitErrors:
+        """Take what was shown of the problem's rows under the estimate's cost.
 
-    def freedom(self, directions: Array) -> Array:
-        """Return the degrees of freedom of the variance of x along each direction (k, r)."""
+        Where the cost is not of squares, its curvature takes the place of theirs.
+        """
+        problem, root = estimate.problem, shown.root
+        if estimate.curvature is not None:
+            T = problem.excitation.root
+            pull = (problem.A @ T).T @ (problem.A @ root)
+            root = T @ np.linalg.solve(estimate.curvature, pull)
+        return cls(root, shown.scores, shown.freedom)
 
 
 def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
@@ -91,57 +105,20 @@ def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
     DataError
         When the problem has no rows, or too few groups.
     """
-    errors: FitErrors = (
-        NoiseSpectrum.of(estimate.problem, estimate.theta)
-        if groups == "frequencies"
-        else ScoreBlocks.of(estimate.problem, groups)
-    )
-    return beside(errors, estimate)
+    problem = estimate.problem
+    if groups == "frequencies":
+        return FitErrors.of(estimate, NoiseSpectrum.of(problem, estimate.theta))
+    return FitErrors.of(estimate, ScoreBlocks.of(problem, groups))
 
 
 def rows_covariance(problem: Problem, errors: FitErrors) -> Array:
-    """Return the covariance (b, b) of the compressed efforts that the fit's errors are those of."""
-    turned = problem.A @ errors.root
-    return np.asarray(turned @ errors.scores @ turned.T)
+    """Return the covariance (b, b) of compressed efforts that all errors of the fit are those of.
 
-
-def beside(errors: FitErrors, estimate: Estimated) -> FitErrors:
-    """Return errors of a fit under the estimate's cost, and with its biases beside them.
-
-    Where the cost is not of squares, its curvature takes the place of theirs.
+    Those that residuals show, and those of other sources.
     """
-    problem, root = estimate.problem, errors.root
-    if estimate.curvature is not None:
-        T = problem.excitation.root
-        pull = (problem.A @ T).T @ (problem.A @ root)
-        root = T @ np.linalg.solve(estimate.curvature, pull)
-    elif not problem.errors:
-        return errors
-    return _Beside(errors, np.hstack([root, *(source.moves for source in problem.errors)]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Beside:
-    """Errors of a fit, and k biases beside them: each as one more error of size one."""
-
-    errors: FitErrors
-    root: Array
-
-    @property
-    def scores(self) -> Array:
-        """Mean squares, (r + k, r + k)."""
-        own = self.errors.scores
-        found = np.eye(self.root.shape[1])
-        found[: len(own), : len(own)] = own
-        return found
-
-    def freedom(self, directions: Array) -> Array:
-        """Return the degrees of freedom of mean squares along directions (k, r + k)."""
-        parts = np.split(directions, [len(self.errors.scores)], axis=1)
-        own = np.einsum("ki,ij,kj->k", parts[0], self.errors.scores, parts[0])
-        share = _share(own, own + np.sum(parts[1] ** 2, axis=1), 1.0)
-        freedom = self.errors.freedom(parts[0])
-        return np.asarray(freedom / np.maximum(share, _LEAST_SHARE) ** 2)
+    turned = problem.A @ errors.root
+    others = [problem.A @ source.root for source in error_sources(problem)]
+    return np.asarray(turned @ errors.scores @ turned.T + sum(each @ each.T for each in others))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,27 +128,24 @@ class Posterior:
     Attributes
     ----------
     errors : FitErrors
-        Of the unconstrained fit.
+        Of the unconstrained fit, as residuals show them.
+    sources : tuple of ErrorSource
+        What moves it beside.
     from_fit : ndarray, shape (p, b)
         How theta moves with the unconstrained fit.
     from_errors : ndarray, shape (p, r)
         The same with the coordinates of its errors.
     from_prior : ndarray, shape (p, rows)
         How theta moves with the prior's rows.
-    from_gains : ndarray, shape (p, n)
-        How theta moves with the logarithms of the gains that made the efforts of currents.
-    gains : GainErrors
-        Their errors.
     seen, unseen : ndarray, shape (p, r) and (p, k)
         Directions in which they move it, and in which neither does, scaled.
     """
 
     errors: FitErrors
+    sources: tuple[ErrorSource, ...]
     from_fit: Array
     from_errors: Array
     from_prior: Array
-    from_gains: Array
-    gains: GainErrors
     seen: Array
     unseen: Array
 
@@ -198,32 +172,48 @@ class Posterior:
         basis = Scaling.of(problem).basis()
         R = prior_rows(estimate)
         if estimate.theta is not None and estimate.method != "wls":
-            basis = _along_equations(problem, basis, np.array(estimate.theta))
+            along = Coordinates.of(problem, basis, np.array(estimate.theta))
+            if along is None:
+                raise SolverError(
+                    "intervals: the equations among the constraints contradict each other.",
+                    problem=problem,
+                )
+            basis = along.directions
         rows = np.vstack([A @ (B @ basis), R @ basis])
         U, singular, V = np.linalg.svd(rows, full_matrices=True)
         rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
         seen, unseen = basis @ V[:rank].T, basis @ V[rank:].T
         L = (seen / singular[:rank]) @ U[:, :rank].T
-        gains = GainErrors.of(problem)
         of_data, of_prior = L[:, : len(A)], L[:, len(A) :]
-        from_errors = of_data @ (A @ errors.root)
-        of_gains = of_data @ gains.rows
-        return cls(errors, of_data @ A, from_errors, of_prior, of_gains, gains, seen, unseen)
+        from_errors, sources = of_data @ (A @ errors.root), error_sources(problem)
+        return cls(errors, sources, of_data @ A, from_errors, of_prior, seen, unseen)
 
-    def covariance(self, functions: Array, *, gains: bool = True) -> Array:
+    def slopes(self, source: ErrorSource, functions: Array) -> Array:
+        """Return how functions (m, p) of theta move with each of a source's errors, (m, k)."""
+        return np.asarray(functions @ self.from_fit @ source.moves)
+
+    def covariance(self, functions: Array, *, without: Collection[str] = ()) -> Array:
         """Return the covariance (k, k) of functions (k, p) of theta, of what data and prior see.
 
-        The errors of gains are left out on request.
+        Sources of errors are left out by name.
         """
         data, prior = functions @ self.from_errors, functions @ self.from_prior
         found = data @ self.errors.scores @ data.T + prior @ prior.T
-        if gains and self.gains.any:
-            moved = functions @ self.from_gains
-            found = found + moved @ self.gains.covariance @ moved.T
+        for source in self.sources:
+            if source.name not in without:
+                moved = self.slopes(source, functions)
+                found = found + moved @ source.covariance @ moved.T
         return np.asarray(found)
 
-    def spread(self, functions: Array) -> tuple[Array, Array, Array]:
+    def spread(self, functions: Array, data: Array | None = None) -> tuple[Array, Array, Array]:
         """Return what is known of the errors of functions (k, p) of theta.
+
+        Parameters
+        ----------
+        functions : ndarray, shape (k, p)
+            The functions.
+        data : ndarray, shape (k, r), optional
+            How they move with the coordinates of the fit's errors, where not through theta alone.
 
         Returns
         -------
@@ -232,18 +222,19 @@ class Posterior:
         prior_share : ndarray, shape (k,)
             Share of the prior's rows in it.
         freedom : ndarray, shape (k,)
-            Degrees of freedom of the variance: that of the prior's rows is known.
+            Degrees of freedom of the variance, Satterthwaite's: that of the prior's rows is known.
         """
-        data, prior = functions @ self.from_errors, functions @ self.from_prior
+        data = functions @ self.from_errors if data is None else data
+        prior = functions @ self.from_prior
         own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.scores, data), 0.0)
-        slopes = functions @ self.from_gains
-        of_gains, believed = self.gains.variance(slopes), np.sum(prior**2, axis=1)
-        total = own + of_gains + believed
-        share = _share(believed, total, 0.0)
+        believed = np.sum(prior**2, axis=1)
+        slopes = [self.slopes(source, functions) for source in self.sources]
+        beside = [(s.variance(m), s.degrees(m)) for s, m in zip(self.sources, slopes, strict=True)]
+        total = own + believed + sum(variance for variance, _ in beside)
         uncertain = _share(own, total, 1.0) ** 2 / self.errors.freedom(data)
-        uncertain += _share(of_gains, total, 0.0) ** 2 / self.gains.degrees(slopes)
+        uncertain += sum(_share(v, total, 0.0) ** 2 / degrees for v, degrees in beside)
         freedom = 1.0 / np.maximum(uncertain, np.finfo(float).eps)
-        lost = self.lost(functions)
+        share, lost = _share(believed, total, 0.0), self.lost(functions)
         return np.where(lost, np.inf, total), np.where(lost, 1.0, share), freedom
 
     def lost(self, functions: Array) -> Mask:
@@ -251,16 +242,10 @@ class Posterior:
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
         return np.asarray(unseen > _LOST * np.hypot(seen, unseen))
 
-    def share_of(self, source: ErrorSource, functions: Array) -> Array:
+    def share(self, source: ErrorSource, functions: Array) -> Array:
         """Return the share (k,) of a source of errors in the variances of functions (k, p)."""
-        return self._share(functions, source.variance(functions @ self.from_fit @ source.moves))
-
-    def gains_share(self, functions: Array) -> Array:
-        """Return the share (k,) of the gains' errors in the variances of functions (k, p)."""
-        return self._share(functions, self.gains.variance(functions @ self.from_gains))
-
-    def _share(self, functions: Array, own: Array) -> Array:
         variance, _, _ = self.spread(functions)
+        own = source.variance(self.slopes(source, functions))
         return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
 
 
@@ -277,14 +262,3 @@ def prior_rows(estimate: Estimated) -> Array:
     if theta is not None and problem.prior is not None:
         rows += [term.curvature_rows(theta) for term in problem.prior.terms]
     return np.vstack(rows)
-
-
-def _along_equations(problem: Problem, basis: Array, theta: Array) -> Array:
-    """Return the directions (p, k) of theta that equations among the constraints leave free."""
-    found = Coordinates.of(problem, basis, theta)
-    if found is None:
-        raise SolverError(
-            "intervals: the equations among the constraints contradict each other.",
-            problem=problem,
-        )
-    return found.directions

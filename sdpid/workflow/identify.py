@@ -26,8 +26,7 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.motion_noise.bias import with_motion_bias
-from sdpid.estimation.motion_noise.landings import landings_used
+from sdpid.estimation.motion_noise import landings_used, with_motion_bias
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp

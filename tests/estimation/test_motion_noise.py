@@ -14,10 +14,13 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.motion_noise.bias import with_motion_bias
-from sdpid.estimation.motion_noise.friction import friction_bias
-from sdpid.estimation.motion_noise.landings import beyond_noise, landings_used
-from sdpid.estimation.motion_noise.twins import twins
+from sdpid.estimation.motion_noise import (
+    beyond_noise,
+    friction_bias,
+    landings_used,
+    twins,
+    with_motion_bias,
+)
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun

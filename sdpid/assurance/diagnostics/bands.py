@@ -30,7 +30,7 @@ from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.compression.whitening import effort_errors
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.posterior import Posterior
 from sdpid.experiment.processing.samples import Samples
 
@@ -115,12 +115,12 @@ def parameter_root(estimate: Estimate) -> tuple[Array, Array]:
         How they move with the logarithm of each gain.
     """
     posterior, B = Posterior.of(estimate), estimate.problem.base.matrix
-    covariance = posterior.covariance(B, gains=False)
+    covariance, gains = posterior.covariance(B, without=("gains",)), gain_errors(estimate.problem)
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     known = values > _ROUNDING * max(float(values[-1]), 0.0)
     root = np.asarray(scale[:, None] * vectors[:, known] * np.sqrt(values[known]))
-    return root, B @ posterior.from_gains
+    return root, np.zeros((len(B), 0)) if gains is None else posterior.slopes(gains, B)
 
 
 # Several recordings may be predicted.
@@ -148,8 +148,8 @@ def _left_open(estimate: Estimate, samples: Samples) -> Array:
     """Return the standard deviation (K, n) that the parameters leave of predicted efforts."""
     problem = estimate.problem
     root, slopes = parameter_root(estimate)
-    rows, gains = problem.rows_of(samples), GainErrors.of(problem)
-    if not gains.any:
+    rows, gains = problem.rows_of(samples), gain_errors(problem)
+    if gains is None:
         sigma = pooled(problem.sigma)
         pieces = [
             np.linalg.norm(effort_errors(rows, part, sigma, W @ root), axis=2)

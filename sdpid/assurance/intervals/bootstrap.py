@@ -29,7 +29,7 @@ from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
@@ -162,12 +162,12 @@ def resample(
         run = _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    gains = GainErrors.of(problem)
+    gains = gain_errors(problem)
     T = pieces.coordinates
     turn = T.T if problem.weighting in PRINTED else (problem.A @ T).T
-    moves = turn @ gains.root
-    biases = [np.zeros((problem.base.count, 0)), *(source.moves for source in problem.errors)]
-    biased = turn @ problem.A @ np.hstack(biases)
+    none = np.zeros((problem.base.count, 0))
+    moves = turn @ problem.A @ (none if gains is None else gains.root)
+    biased = turn @ problem.A @ np.hstack([none, *(source.moves for source in problem.errors)])
     draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves, biased)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)

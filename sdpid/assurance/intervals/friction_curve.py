@@ -17,7 +17,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import Posterior, beside
+from sdpid.estimation.posterior import FitErrors, Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.curve import JointCurve, joint_number
 from sdpid.robot.friction.motion import Motion
@@ -154,7 +154,7 @@ class _Bands:
             )
         self.problem, self.theta = estimate.problem, np.array(estimate.theta)
         self._spectrum = NoiseSpectrum.of(self.problem, self.theta)
-        self._posterior = Posterior.about(estimate, beside(self._spectrum, estimate))
+        self._posterior = Posterior.about(estimate, FitErrors.of(estimate, self._spectrum))
         friction = self.problem.friction
         self._links = self.problem.n_theta - len(friction.parameters)
         self.bending = Bending.of(friction, self.problem.origin.profiled, self.theta[self._links :])
@@ -170,11 +170,8 @@ class _Bands:
         moved = functions @ self._posterior.from_errors
         of_slopes = self._spectrum.whole_root[self._spectrum.base_count :]
         moved[:, : of_slopes.shape[1]] += slopes @ of_slopes
-        variance = np.einsum("ji,il,jl->j", moved, self._posterior.errors.scores, moved)
-        variance += np.sum((functions @ self._posterior.from_prior) ** 2, axis=1)
-        variance += self._posterior.gains.variance(functions @ self._posterior.from_gains)
-        plain, _, freedom = self._posterior.spread(functions)
-        variance = np.where(np.isfinite(plain), variance, np.inf)
+        variance, _, _ = self._posterior.spread(functions, moved)
+        _, _, freedom = self._posterior.spread(functions)
         half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
         return functions @ self.theta, np.asarray(half)
 

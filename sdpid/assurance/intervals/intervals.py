@@ -29,7 +29,7 @@ from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import Groups as DrawnGroups
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Groups, Posterior, fit_errors
 
@@ -483,13 +483,8 @@ def _shares(
     estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
 ) -> dict[str, Array]:
     """Return shares (k,) of what residuals do not show in the variances."""
-    sources, gains = estimate.problem.errors, GainErrors.of(estimate.problem).any
-    if posterior is None and (gains or sources):
-        posterior = Posterior.of(estimate)
-    found = {}
-    if posterior is not None:
-        if gains:
-            found["gains"] = frozen(posterior.gains_share(wanted.functions))
-        for source in sources:
-            found[source.name] = frozen(posterior.share_of(source, wanted.functions))
-    return found
+    sources = error_sources(estimate.problem)
+    if not sources:
+        return {}
+    found = posterior or Posterior.of(estimate)
+    return {each.name: frozen(found.share(each, wanted.functions)) for each in sources}

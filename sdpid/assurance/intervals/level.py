@@ -27,7 +27,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.estimation.duality.bound import cost_scale
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.posterior import FitErrors, rows_covariance
 from sdpid.estimation.problem import Problem
 
@@ -85,8 +85,8 @@ class Level:
         self.count = problem.base.count
         self.turned = problem.A @ errors.root
         self.least = _LEAST_RISE * max(cost, cost_scale(problem))
-        self.gains = GainErrors.of(problem)
-        data = rows_covariance(problem, errors) + self.gains.root @ self.gains.root.T
+        self.sources = [(each, problem.A @ each.moves) for each in error_sources(problem)]
+        data = rows_covariance(problem, errors)
         self.noise = np.eye(len(problem.squared.rhs))
         self.noise[: len(data), : len(data)] = data
         self._average = float(np.trace(data)) / self.count
@@ -138,15 +138,14 @@ class Level:
         """Return the degrees of freedom of the variance of each combination (k, b) of the data."""
         moved = moves @ self.turned
         freedom = self.errors.freedom(moved)
-        if not self.gains.any:
-            return freedom
-        slopes = moves @ self.gains.rows
-        own = np.einsum("ki,ij,kj->k", moved, self.errors.scores, moved)
-        of_gains = self.gains.variance(slopes)
-        spread = own**2 / freedom + of_gains**2 / self.gains.degrees(slopes)
-        total = (own + of_gains) ** 2
-        out = np.full_like(own, np.inf)
-        return np.asarray(np.divide(total, spread, out=out, where=spread > 0.0))
+        total = np.einsum("ki,ij,kj->k", moved, self.errors.scores, moved)
+        spread = total**2 / freedom
+        for source, rows in self.sources:
+            variance = source.variance(moves @ rows)
+            total = total + variance
+            spread = spread + variance**2 / source.degrees(moves @ rows)
+        out = np.full_like(total, np.inf)
+        return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
 
     def _several(self, lost: Array | None, freedom: float) -> float:
         """Return the rise where several directions are lost; 0 where it is but one."""

@@ -20,7 +20,8 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.error_source import ErrorSource
+from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import information_root
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.evidence import strength_by_evidence
@@ -52,7 +53,7 @@ class PayloadRows:
         What takes errors of variance one to rhs: of priors, and of records too short for blocks.
     short : bool
         Whether a record was too short.
-    gains : tuple of (GainErrors, ndarray)
+    gains : tuple of (ErrorSource, ndarray)
         Errors of the gains that made efforts of currents, and how rhs moves with their logarithms,
         (10, n).
     """
@@ -63,7 +64,7 @@ class PayloadRows:
     sources: tuple[tuple[ScoreBlocks, Array], ...]
     unit: Array
     short: bool
-    gains: tuple[tuple[GainErrors, Array], ...] = ()
+    gains: tuple[tuple[ErrorSource, Array], ...] = ()
 
     def of_gains(self, direction: Array) -> tuple[float, float]:
         """Return the gains' variance of ``direction @ rhs``, and its square over its freedom."""
@@ -249,16 +250,16 @@ def _with_errors(
     return PayloadRows(T, s, floor, tuple(sources), unit, short, _of_gains(parts))
 
 
-def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[tuple[GainErrors, Array], ...]:
+def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[tuple[ErrorSource, Array], ...]:
     """Return the errors of gains and how rhs moves with them; those of the same gains are one."""
-    found: list[tuple[GainErrors, Array]] = []
+    found: list[tuple[ErrorSource, Array]] = []
     for problem, W in parts:
-        errors = GainErrors.of(problem)
-        if not errors.any or errors.gains is None:
+        errors = gain_errors(problem)
+        if errors is None:
             continue
-        moves = W @ errors.rows
+        moves = W @ problem.A @ errors.moves
         for i, (other, others_moves) in enumerate(found):
-            if other.gains is not None and other.gains.same_errors(errors.gains):
+            if other.same(errors):
                 found[i] = other, others_moves + moves
                 break
         else:

@@ -22,7 +22,6 @@ from sdpid.errors import DataError, InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.posterior import FitErrors, Groups, fit_errors, rows_covariance
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -293,8 +292,7 @@ def _gaussian(
     count = len(problem.A)
     # The errors of the data's rows are those that the residuals show, of the prior's as stated.
     W = np.eye(len(M))
-    of_gains = GainErrors.of(problem).root
-    W[:count, :count] = rows_covariance(problem, errors) + of_gains @ of_gains.T
+    W[:count, :count] = rows_covariance(problem, errors)
     try:
         root = np.linalg.inv(np.linalg.cholesky(U.T @ W @ U)) @ (singular[:, None] * V)
     except np.linalg.LinAlgError:

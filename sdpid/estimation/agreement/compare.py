@@ -28,6 +28,7 @@ from sdpid.estimation.agreement.shared import (
     require_one_robot,
     share_data,
 )
+from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.posterior import Estimated, Posterior, prior_rows
 
 # Variance of a difference below this share of the sum of the variances: both estimates rest on one
@@ -116,7 +117,7 @@ class _Part:
     data: Array
     covariance: Array
     prior: Array
-    gains: Array
+    sources: tuple[tuple[ErrorSource, Array], ...]
     open: Mask
     posterior: Posterior | None
 
@@ -125,7 +126,7 @@ class _Part:
         if estimate.method == "given":
             k = len(chosen)
             nothing = np.zeros((k, 0))
-            return cls(nothing, np.zeros((k, k)), nothing, nothing, np.zeros(k, dtype=bool), None)
+            return cls(nothing, np.zeros((k, k)), nothing, (), np.zeros(k, dtype=bool), None)
         posterior = Posterior.of(estimate)
         functions = estimate.problem.base.matrix[chosen]
         data = functions @ posterior.from_errors
@@ -133,7 +134,7 @@ class _Part:
             data,
             data @ posterior.errors.scores @ data.T,
             functions @ posterior.from_prior,
-            functions @ posterior.from_gains,
+            tuple((s, posterior.slopes(s, functions)) for s in posterior.sources),
             ~np.isfinite(posterior.spread(functions)[0]),
             posterior,
         )
@@ -146,31 +147,31 @@ class _Part:
         return variance, self.posterior.errors.freedom(directions @ self.data)
 
     @property
-    def of_gains(self) -> Array:
-        """Covariance (k, k) that the errors of gains make."""
-        if self.posterior is None:
-            return np.zeros((len(self.data), len(self.data)))
-        return np.asarray(self.gains @ self.posterior.gains.covariance @ self.gains.T)
+    def beside(self) -> Array:
+        """Covariance (k, k) that errors make beside noise."""
+        parts = (moved @ source.covariance @ moved.T for source, moved in self.sources)
+        return np.asarray(sum(parts, np.zeros_like(self.covariance)))
 
     @property
     def errors(self) -> Array:
         """Standard errors (k,); infinite where nothing is known."""
         own = np.diag(self.covariance) + np.sum(self.prior**2, axis=1)
-        own = own + np.diag(self.of_gains)
+        own = own + np.diag(self.beside)
         return np.where(self.open, np.inf, np.sqrt(np.maximum(own, 0.0)))
 
 
-def _of_gains(first: _Part, other: _Part) -> Array:
-    """Return the covariance (k, k) of the difference that the errors of gains make.
+def _beside(first: _Part, other: _Part) -> Array:
+    """Return the covariance (k, k) of the difference that errors make beside noise.
 
     Those of the same gains are the same in both, and cancel where both move with them alike.
     """
-    if first.posterior is not None and other.posterior is not None:
-        own, gains = (part.posterior.gains.gains for part in (first, other) if part.posterior)
-        if own is not None and gains is not None and own.same_errors(gains):
-            moved = other.gains - first.gains
-            return np.asarray(moved @ first.posterior.gains.covariance @ moved.T)
-    return np.asarray(first.of_gains + other.of_gains)
+    found = first.beside + other.beside
+    for own, moved in first.sources:
+        for theirs, others in other.sources:
+            if own.same(theirs):
+                both = moved @ own.covariance @ others.T
+                found = found - both - both.T
+    return np.asarray(found)
 
 
 class _Errors:
@@ -187,8 +188,8 @@ class _Errors:
         alone = [np.delete(a, i, axis=1), np.delete(b, j, axis=1)]
         self.unlike_beliefs = bool(a.size and b.size and (alone[0].any() or alone[1].any()))
         self.known = sum((x @ x.T for x in (same, *alone)), np.zeros((len(a), len(a))))
-        self.known += _of_gains(*self.parts)
-        parts = [p.covariance + p.prior @ p.prior.T + p.of_gains for p in self.parts]
+        self.known += _beside(*self.parts)
+        parts = [p.covariance + p.prior @ p.prior.T + p.beside for p in self.parts]
         self.summed = parts[0] + parts[1]
 
     @cached_property

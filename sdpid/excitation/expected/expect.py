@@ -16,7 +16,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
-from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.posterior import FitErrors, Posterior
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import information_of_rows
 from sdpid.excitation.criterion.earlier import EarlierInformation
@@ -151,9 +151,7 @@ def expect(
     speeds, functions, slopes = _friction_functions(run)
     shape = len(speeds), len(run.problem.friction.joint_names)
     moves = functions @ known.from_errors + slopes @ errors.whole_root[base.count :]
-    friction_variance = np.einsum("ki,ij,kj->k", moves, errors.scores, moves)
-    friction_variance[known.lost(functions)] = np.inf
-    friction_variance += np.sum((functions @ known.from_prior) ** 2, axis=1)
+    friction_variance, _, _ = known.spread(functions, moves)
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
     least, most = run.problem.feasible.limits_of(base.matrix)
@@ -261,7 +259,7 @@ def _posterior(run: Rehearsal, errors: RunErrors) -> Posterior:
         estimate = Estimate(problem=problem, base=frozen(base), theta=None, **about)
     else:
         estimate = Estimate.of_theta(problem, run.theta, **about)
-    return Posterior.about(estimate, errors)
+    return Posterior.about(estimate, FitErrors(errors.root, errors.scores, errors.freedom))
 
 
 def _believed(run: Rehearsal) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.errors import SdpidError
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.posterior import Posterior
 from sdpid.output.report.finding import Finding, listed
 from sdpid.output.report.judged import Judged
@@ -19,11 +19,11 @@ MOSTLY = 0.5
 
 def gains_findings(result: Judged) -> Iterator[Finding]:
     """Say what errors of the gains do to the parameters, or that none are counted."""
-    errors = GainErrors.of(result.problem)
-    gains = errors.gains
+    errors, rows = gain_errors(result.problem), result.problem.rows
+    gains = None if rows is None else rows.samples.gains
     if gains is None:
         return
-    if not errors.any:
+    if errors is None:
         yield Finding(
             "caution",
             "Efforts were made of currents by gains that are taken as exact: no interval counts "
@@ -41,7 +41,7 @@ def gains_findings(result: Judged) -> Iterator[Finding]:
         "alike"
     )
     try:
-        found = Posterior.of(result.estimate).gains_share(result.problem.base.matrix)
+        found = Posterior.of(result.estimate).share(errors, result.problem.base.matrix)
     except SdpidError:  # no covariance; a verdict must not cost the run
         found = np.zeros(0)
     most = np.argsort(-found)[: int(np.count_nonzero(found > MOSTLY))].tolist()
