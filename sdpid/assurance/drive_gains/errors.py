@@ -87,38 +87,31 @@ def score_blocks(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> ScoreB
     """
     n, q = int(free.sum()), len(z)
     place = np.cumsum(free) - 1
-    sizes = [
-        max((max(c, default=-1) for c in fit.friction_columns(j)), default=-1) + 1
-        for j in range(fit.n)
-    ]
-    starts = n + q + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    total = int(starts[-1])
-    information, target = [], []
     frictions = [fit.friction(j, log_kappa, z) for j in range(fit.n)]
     present = np.concatenate([-log_kappa[free], z, *frictions])
-    for number, (run, (matrix, known)) in enumerate(zip(fit.runs, fit.maps, strict=True)):
-        links = matrix @ z + known
-        H = np.zeros((len(run.products[0]), total, total))
-        c = np.zeros((len(H), total))
-        for j, products in enumerate(run.products):
-            kappa, places = np.exp(log_kappa[j]), list(fit.friction_columns(j)[number])
-            f = len(places)
-            T = np.zeros((products.shape[1] - 1, total))
-            T[:f, [starts[j] + k for k in places]] = np.eye(f)
-            T[f:, n : n + q] = kappa * matrix
-            if free[j]:
-                T[f:, place[j]] = -kappa * links
-            error = np.concatenate([-frictions[j][places], -kappa * links, [1.0]])
-            kept = np.flatnonzero(T.any(axis=0))
-            own = T[:, kept] / fit.sigma[j]
-            part = np.einsum("ac,gab,bd->gcd", own, products[:, :-1, :-1], own, optimize=True)
-            H[:, kept[:, None], kept] += part
-            c[:, kept] += np.einsum("ac,gab,b->gc", own, products[:, :-1], error) / fit.sigma[j]
-        information.append(H)
-        target.append(H @ present + c)
-    blocks = ScoreBlocks(
-        "blocks", np.concatenate(information), np.concatenate(target), np.eye(total)
-    )
+    total, first = len(present), n + q
+    counts = [len(products) for products in (run.products[0] for run in fit.runs)]
+    H, target = np.zeros((sum(counts), total, total)), np.zeros((sum(counts), total))
+    for j, phi in enumerate(frictions):
+        kappa, own = np.exp(log_kappa[j]), slice(first, first + len(phi))
+        first = own.stop
+        # The columns of the joint by the unknowns, and the error as a combination of them.
+        T = np.zeros((len(phi) + q + 2, total))
+        T[: len(phi), own] = np.eye(len(phi))
+        T[len(phi) : -2, n : n + q] = kappa * np.eye(q)
+        if free[j]:
+            T[len(phi) : -1, place[j]] = -kappa * np.append(z, 1.0)
+        error = np.concatenate([-phi, -kappa * z, [-kappa, 1.0]])
+        kept, row = np.flatnonzero(T.any(axis=0)), 0
+        for run, expanded, count in zip(fit.runs, fit.maps(j)[0], counts, strict=True):
+            part = (expanded @ T[:, kept]) / fit.sigma[j]
+            seen = run.products[j] @ part
+            where = slice(row, row + count)
+            H[where, kept[:, None], kept] += part.T @ seen
+            target[where, kept] += (expanded @ error) @ seen / fit.sigma[j]
+            row += count
+    target += H @ present
+    blocks = ScoreBlocks("blocks", H, target, np.eye(total))
     if blocks.count < FEWEST_BLOCKS:
         raise DataError(
             f"gains: the recordings have {blocks.count} blocks of samples that are independent of "

@@ -7,6 +7,7 @@ once; what is left is a function of the n logarithms of kappa = 1 / gain alone.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,25 +32,6 @@ _RANK = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
-class JointSystem:
-    """What is left of the rows of one joint once friction is projected away.
-
-    ``current ≈ kappa · (matrix · z + known)``, z of the links and of the loads.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (r, q)
-    known : ndarray, shape (r,)
-        Of what is known of the loads.
-    current : ndarray, shape (r,)
-    """
-
-    matrix: Array
-    known: Array
-    current: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Found:
     """Where a search for gains ended.
 
@@ -57,17 +39,20 @@ class Found:
     ----------
     log_kappa : ndarray, shape (n,)
     z : ndarray, shape (q,)
-        Links and loads.
+        Links as base parameters, then what is not known of the loads.
     cost : float
         Weighted sum of squared currents' errors.
     settled : bool
         Whether the last step was none.
+    theta : ndarray, shape (p,), or None
+        Links, and parameters that all joints share, where they were demanded to exist.
     """
 
     log_kappa: Array
     z: Array
     cost: float
     settled: bool
+    theta: Array | None = None
 
 
 class GainFit:
@@ -85,6 +70,11 @@ class GainFit:
         Standard deviation of the currents' errors at each joint, A.
     knowledge : tuple of ndarray, optional
         Rows and right-hand side of what is known of z, with errors of variance one.
+
+    Attributes
+    ----------
+    loads_at : tuple of slice
+        Where the unknowns of each load stand in z.
     """
 
     def __init__(
@@ -96,84 +86,72 @@ class GainFit:
         knowledge: tuple[Array, Array] | None = None,
     ) -> None:
         self.model, self.runs, self.loads, self.sigma = model, tuple(runs), tuple(loads), sigma
-        self.knowledge = knowledge
+        self.knowledge, self.n = knowledge, model.robot.n
+        ends = np.cumsum([model.base.count, *(load.free.shape[1] for load in self.loads)])
+        self.loads_at = tuple(slice(*pair) for pair in itertools.pairwise(ends.tolist()))
+        self.q = int(ends[-1])
 
-    @cached_property
-    def maps(self) -> tuple[tuple[Array, Array], ...]:
-        """Of each run the matrix (b, q) and the vector (b,) that make base parameters of z."""
-        b = self.model.base.count
-        widths = [load.free.shape[1] for load in self.loads]
-        starts = b + np.concatenate([[0], np.cumsum(widths)]).astype(int)
-        found = []
-        for run in self.runs:
-            matrix, known = np.zeros((b, starts[-1])), np.zeros(b)
-            matrix[:, :b] = np.diag(self.model.own_share)
+    def maps(self, j: int) -> tuple[list[Array], int]:
+        """Return what takes the columns of joint j in each run to those of all runs.
+
+        These are friction, z, what is known of the loads, and the current; and how many are of
+        friction: of each run its own, but for those that are shared.
+        """
+        model, found = self.model, []
+        separate, b = model.separate[model.of_joint(j)], model.base.count
+        f, apart = len(separate), int(np.sum(separate))
+        count = f - apart + apart * len(self.runs)
+        for number, run in enumerate(self.runs):
+            T = np.zeros((f + b + 1, count + self.q + 2))
+            own = f - apart + number * apart + np.cumsum(separate) - 1
+            T[np.arange(f), np.where(separate, own, np.cumsum(~separate) - 1)] = 1.0
+            links, z = T[f:-1], T[f:-1, count:-2]
+            z[:, :b] = np.diag(model.own_share)
             if run.load is not None:
                 load = self.loads[run.load]
-                matrix[:, starts[run.load] : starts[run.load + 1]] = load.columns @ load.free
-                known = load.columns @ load.known
-            found.append((matrix, known))
-        return tuple(found)
+                z[:, self.loads_at[run.load]] = load.columns @ load.free
+                links[:, -2] = load.columns @ load.known
+            T[-1, -1] = 1.0
+            found.append(T)
+        return found, count
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.model.robot.n
-
-    def friction_columns(self, j: int) -> tuple[tuple[int, ...], ...]:
-        """Return where friction columns of each run stand among those of all runs of joint j."""
-        separate = self.model.separate[self.model.of_joint(j)]
-        shared, apart = int(np.sum(~separate)), int(np.sum(separate))
+    @cached_property
+    def stacked(self) -> tuple[tuple[Array, int], ...]:
+        """The rows of each joint in these columns, and how many are of friction."""
         found = []
-        for number in range(len(self.runs)):
-            first = shared + number * apart
-            places = np.where(separate, first + np.cumsum(separate) - 1, np.cumsum(~separate) - 1)
-            found.append(tuple(places.tolist()))
+        for j in range(self.n):
+            maps, count = self.maps(j)
+            rows = [run.triangles[j] @ T for run, T in zip(self.runs, maps, strict=True)]
+            found.append((np.vstack(rows), count))
         return tuple(found)
-
-    def _stacked(self, j: int) -> tuple[Array, int]:
-        """Return the rows of joint j of all runs: friction, z, what is known, the current."""
-        f = len(self.model.of_joint(j))
-        places = self.friction_columns(j)
-        count = max((max(each, default=-1) for each in places), default=-1) + 1
-        stacked = []
-        for run, (matrix, known), own in zip(self.runs, self.maps, places, strict=True):
-            R = run.triangles[j]
-            friction = np.zeros((len(R), count))
-            friction[:, list(own)] = R[:, :f]
-            links = R[:, f:-1]
-            stacked.append(np.column_stack([friction, links @ matrix, links @ known, R[:, -1]]))
-        return np.vstack(stacked), count
 
     def friction(self, j: int, log_kappa: Array, z: Array) -> Array:
         """Return the parameters of the drive of joint j, in A, of all runs."""
-        rows, count = self._stacked(j)
+        rows, count = self.stacked[j]
         links = rows[:, count:-2] @ z + rows[:, -2]
         return _solved(rows[:, :count], rows[:, -1] - np.exp(log_kappa[j]) * links)[1]
 
     @cached_property
-    def systems(self) -> tuple[JointSystem, ...]:
-        """The rows of each joint without friction."""
+    def systems(self) -> tuple[tuple[Array, Array, Array], ...]:
+        """Of each joint without friction: current ≈ kappa·(matrix·z + known), these three."""
         found = []
-        for j in range(self.n):
-            rows, count = self._stacked(j)
-            left = _projected(rows[:, :count], rows[:, count:])
-            R = np.asarray(np.linalg.qr(left, mode="r"))
-            found.append(JointSystem(R[:, :-2], R[:, -2], R[:, -1]))
+        for rows, count in self.stacked:
+            R = np.asarray(np.linalg.qr(_projected(rows[:, :count], rows[:, count:]), mode="r"))
+            found.append((R[:, :-2], R[:, -2], R[:, -1]))
         return tuple(found)
 
     def linear(self, log_kappa: Array) -> tuple[Array, Array]:
         """Return matrix and right-hand side of the least-squares problem in z."""
-        weights = np.exp(log_kappa) / self.sigma
-        matrix = [w * each.matrix for w, each in zip(weights, self.systems, strict=True)]
-        rhs = [
-            each.current / s - w * each.known
-            for w, s, each in zip(weights, self.sigma, self.systems, strict=True)
-        ]
+        matrices, rhs = [], []
+        for kappa, s, (matrix, known, current) in zip(
+            np.exp(log_kappa), self.sigma, self.systems, strict=True
+        ):
+            matrices.append(kappa / s * matrix)
+            rhs.append((current - kappa * known) / s)
         if self.knowledge is not None:
-            matrix.append(self.knowledge[0])
+            matrices.append(self.knowledge[0])
             rhs.append(self.knowledge[1])
-        return np.vstack(matrix), np.concatenate(rhs)
+        return np.vstack(matrices), np.concatenate(rhs)
 
     def at(self, log_kappa: Array) -> tuple[Array, Array, Array]:
         """Return best z, residual, and the residual's derivative by log kappa, z following."""
@@ -185,12 +163,20 @@ class GainFit:
     def slopes(self, log_kappa: Array, z: Array, rows: int) -> Array:
         """Return the residual's derivative by log kappa at fixed z, (rows, n)."""
         found, first = np.zeros((rows, self.n)), 0
-        for j, each in enumerate(self.systems):
-            stop = first + len(each.current)
+        for j, (matrix, known, current) in enumerate(self.systems):
+            stop = first + len(current)
             weight = np.exp(log_kappa[j]) / self.sigma[j]
-            found[first:stop, j] = -weight * (each.matrix @ z + each.known)
+            found[first:stop, j] = -weight * (matrix @ z + known)
             first = stop
         return found
+
+    def squares(self, log_kappa: Array, z: Array) -> Array:
+        """Return the sum of squared errors of each joint's current, (n,), A²."""
+        left = [
+            current - kappa * (matrix @ z + known)
+            for kappa, (matrix, known, current) in zip(np.exp(log_kappa), self.systems, strict=True)
+        ]
+        return np.array([float(each @ each) for each in left])
 
     def search(self, start: Array, free: Mask) -> Found:
         """Return where Gauss-Newton steps with halving end, some gains held."""

@@ -12,7 +12,6 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.drive_gains import checks
-from sdpid.assurance.drive_gains.consistent import Consistent
 from sdpid.assurance.drive_gains.errors import gain_errors
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.model_choice import (
@@ -22,7 +21,7 @@ from sdpid.assurance.drive_gains.model_choice import (
 )
 from sdpid.assurance.drive_gains.result import CarriedLoad, IdentifiedGains
 from sdpid.assurance.drive_gains.rows import GainModel
-from sdpid.assurance.drive_gains.search import Search, Task
+from sdpid.assurance.drive_gains.search import Task
 from sdpid.assurance.drive_gains.words import basis_in_words, notes_on
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.effects.kinds import Effects
@@ -189,9 +188,12 @@ def identify_drive_gains(
     final = task.constrained(search) if consistent else None
     errors = gain_errors(search.fit, search.found.log_kappa, search.found.z, task.free)
     covariance = errors.covariance + task.from_masses(search)
-    log_kappa = search.found.log_kappa if final is None else final.log_kappa
+    best = final or search.found
+    log_kappa, z = best.log_kappa, best.z
     gains, unconstrained = np.exp(-log_kappa), np.exp(-search.found.log_kappa)
-    z = search.found.z if final is None else final.z
+    status = "optimal" if best.settled else "the search among bodies that can exist did not settle"
+    if not search.found.settled:
+        status = "the search did not settle"
     rmse = np.sqrt(task.errors(search.fit, log_kappa, z))
     runs = search.fit.runs
     squares, used = (np.sum([getattr(run, name) for run in runs], axis=0) for name in _SUMS)
@@ -220,7 +222,7 @@ def identify_drive_gains(
                 link=model.link_names[number],
                 frame=frame_name,
             )
-            for each, theta in zip(loads, task.load_parameters(search, final), strict=True)
+            for each, theta in zip(loads, task.load_parameters(search.fit, z), strict=True)
         ),
         rmse=frozen(rmse),
         share=frozen(rmse / np.where(spread > 0.0, spread, 1.0)),
@@ -228,7 +230,7 @@ def identify_drive_gains(
         starts=search.starts,
         agreed=search.agreed,
         effects=told,
-        status=_status(search, final),
+        status=status,
         notes=(*(() if why is None else (why,)), *notes),
         findings=findings,
     )
@@ -301,12 +303,3 @@ def _check_numbers(robot: RobotModel, description_error: float | None, starts: i
         )
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         raise DataError(f"starts is {starts!r:.80}; give a number of at least 0.")
-
-
-def _status(search: Search, final: Consistent | None) -> str:
-    """Return whether the searches ended at an optimum."""
-    if not search.found.settled:
-        return "the search did not settle"
-    if final is not None and not final.settled:
-        return "the search among bodies that can exist did not settle"
-    return "optimal"

@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.drive_gains.checks import own_errors, require_one_arm, require_shown
-from sdpid.assurance.drive_gains.consistent import Consistent, ConsistentFit
+from sdpid.assurance.drive_gains.consistent import ConsistentFit
 from sdpid.assurance.drive_gains.fit import Found, GainFit
 from sdpid.assurance.drive_gains.load import Load, Mounted
 from sdpid.assurance.drive_gains.rows import GainModel, RunRows
@@ -132,19 +132,13 @@ class Task:
         first = found.cost <= best.cost * (1.0 + _SAME)
         return Search(fit, found if first else best, starts + 1, agreed + int(first))
 
-    def constrained(self, search: Search) -> Consistent:
+    def constrained(self, search: Search) -> Found:
         """Return the gains among links and loads that can exist."""
         return ConsistentFit(search.fit).solve(search.found.log_kappa, search.found.z, self.free)
 
     def errors(self, fit: GainFit, log_kappa: Array, z: Array) -> Array:
         """Return the mean squared errors of each joint's current, (n,), A²."""
-        squares = np.array(
-            [
-                float(np.sum((each.current - kappa * (each.matrix @ z + each.known)) ** 2))
-                for kappa, each in zip(np.exp(log_kappa), fit.systems, strict=True)
-            ]
-        )
-        return self._per_row([squares], fit.runs)
+        return self._per_row([fit.squares(log_kappa, z)], fit.runs)
 
     def from_masses(self, search: Search) -> Array:
         """Return the covariance of log gains that errors of the loads' masses make, (n, n)."""
@@ -165,16 +159,10 @@ class Task:
             covariance += (load.mass_error / load.mass) ** 2 * np.outer(slope, slope)
         return covariance
 
-    def load_parameters(self, search: Search, final: Consistent | None) -> tuple[Array, ...]:
+    def load_parameters(self, fit: GainFit, z: Array) -> list[Array]:
         """Return the ten parameters of each load about its frame's origin."""
-        if final is not None:
-            return final.loads
-        first, found = self.model.base.count, []
-        for load in search.fit.loads:
-            width = load.free.shape[1]
-            found.append(load.known + load.free @ search.found.z[first : first + width])
-            first += width
-        return tuple(found)
+        pairs = zip(fit.loads, fit.loads_at, strict=True)
+        return [load.known + load.free @ z[own] for load, own in pairs]
 
     @cached_property
     def _regressors(self) -> tuple[Array, ...]:
@@ -219,12 +207,13 @@ class Task:
         """Return links (links, 10) that can exist of each run, by what the fit found."""
         held = np.zeros(len(self.free), dtype=bool)
         near = ConsistentFit(fit).solve(found.log_kappa, found.z, held)
+        assert near.theta is not None
         links = near.theta[: 10 * self.model.robot.n_links].reshape(-1, 10)
-        bodies = []
+        loads, bodies = self.load_parameters(fit, near.z), []
         for load in self.carries:
             own = links.copy()
             if load is not None:
-                own[self.link] += self.placed @ near.loads[load]
+                own[self.link] += self.placed @ loads[load]
             bodies.append(own)
         return bodies
 
