@@ -24,9 +24,9 @@ from legged_defects import Change, Log, feet, imu, shank
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection.finding import Check, Finding, Subject
-from sdpid.experiment.inspection.floating import base_checks, feet_checks
-from sdpid.experiment.inspection.places import imu_checks, point_checks
+from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks, point_checks
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.subject import Check, Subject
 
 MOTIONS = ("stand", "trot", "walk", "hang")
 ROBOTS = ("go1", "a1", "solo12")
@@ -44,7 +44,7 @@ CHECKS: tuple[Check, ...] = (
     base_checks.orientation,
     base_checks.gyroscope,
     base_checks.accelerometer,
-    feet_checks.feet,
+    feet_checks.feet_down,
     imu_checks.imu,
     point_checks.points,
 )
@@ -111,7 +111,7 @@ MISTAKES = {
 
 def told(robot: sdpid.RobotModel, log: Log) -> list[Finding]:
     """Return what the checks find."""
-    subject = Subject(log=log, robot=None, floating=robot)
+    subject = Subject(log=log, robot=robot)
     return [each for look in CHECKS for each in look(subject)]
 
 

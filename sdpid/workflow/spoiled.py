@@ -11,8 +11,8 @@ import numpy as np
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.errors import SdpidError
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.inspection.effort_checks import left_out
 from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.preparation.several import Prepared, without_efforts
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
@@ -58,11 +58,7 @@ def spoiling_effort(
     share = shares.get(j, np.inf)
     if share > min(_BETTER, _CLEARLY * shares.get(second, np.inf)):
         return None
-    message = (
-        f"contradicts the others, whose errors fall to {share:.2f} without it (limit {_BETTER:g}); "
-        f"with it {why}"
-    )
-    return left_out("effort_spoils", robot.joint_names[j], message, share=share, limit=_BETTER)
+    return found("effort_spoils", robot.joint_names[j], why=why, share=share, limit=_BETTER)
 
 
 def _suspicion(result: Identification) -> str | None:

@@ -7,36 +7,11 @@ from difflib import get_close_matches
 
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import KINDS
 
-# Kinds of findings that may be of severity 'refuse', or leave out a joint's effort, and that one
-# may overrule. Any other that is
-# refused stands in the way of processing the log as well, whatever is accepted.
-REFUSED = (
-    "axis_sign",
-    "base_orientation",
-    "contact_frame",
-    "contacts_missing",
-    "effort_order",
-    "effort_scale",
-    "effort_sign",
-    "effort_silent",
-    "effort_small",
-    "effort_spoils",
-    "forces_missing",
-    "gravity_direction",
-    "joint_order",
-    "payload_differs",
-    "position_frozen",
-    "position_in_degrees",
-    "position_jumps",
-    "position_lone",
-    "position_sign",
-    "position_zero",
-    "time_scale",
-    "time_unit",
-)
-# Those that leave out a joint's effort, unless they are accepted.
-_LEAVE_OUT = ("effort_silent", "effort_small")
+# Kinds of findings that one may overrule. Any other that is refused stands in the way of processing
+# the log as well, whatever is accepted.
+REFUSED = tuple(sorted(name for name, kind in KINDS.items() if kind.accepted))
 
 
 def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
@@ -66,8 +41,8 @@ def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
 
 def joints_left_out(findings: Iterable[Finding], accept: Iterable[str] = ()) -> tuple[str, ...]:
     """Return the joints whose effort is left out, for findings that are not accepted."""
-    kinds = set(_LEAVE_OUT) - set(accept)
-    return tuple(dict.fromkeys(f.joint for f in findings if f.joint and f.kind in kinds))
+    left_out = [f for f in findings if KINDS[f.kind].leaves_out and f.kind not in set(accept)]
+    return tuple(dict.fromkeys(f.joint for f in left_out if f.joint))
 
 
 def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = ()) -> None:

@@ -17,8 +17,10 @@ from sdpid.experiment.inspection.delays.find import (
     is_told,
 )
 from sdpid.experiment.inspection.delays.lag import block_error, pooled
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.delays.on_time import CHANNELS
 from sdpid.experiment.recording.rest import moving
 
@@ -58,16 +60,15 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
     if not lags:
         return
     worst = max(lags.values(), key=abs)
-    yield Finding(
-        severity=subject.about_velocity,
-        kind="velocity_late",
-        joint=next(iter(lags)) if len(lags) == 1 else None,
-        message=(
-            f"velocity of {', '.join(lags)} is {_late(worst)} by up to {1e3 * abs(worst):.3g} ms "
-            f"against the rate of the position, limit {1e3 * limit:.3g} ms"
-        ),
-        remedy="shift it, or leave the velocity out (velocity=none)",
-        numbers={"delay": worst, "limit": limit},
+    yield found(
+        "velocity_late",
+        next(iter(lags)) if len(lags) == 1 else None,
+        subject.about_velocity,
+        joints=", ".join(lags),
+        late=_late(worst),
+        size=abs(worst),
+        delay=worst,
+        limit=limit,
     )
 
 
@@ -85,57 +86,53 @@ def _lag(measured: Array, velocity: Array, acceleration: Array) -> float | None:
     return -float(weights[1] / weights[0])
 
 
+@check_of_efforts
 def late_efforts(subject: Subject) -> Iterator[Finding]:
     """Find efforts that are late, or early, against the motion: of all joints, or late ones of few.
 
     Of a single joint most is taken for friction or inertia: no more is told than that it is late.
     """
-    rows, robot = subject.low_passed, subject.robot
+    rows, robot = subject.low_passed, subject.fixed
     if robot is None or robot.n_base or rows is None or subject.closed:
         return
     Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
-    found = effort_delays(rows, Y)
-    values, errors, takes = np.array([*found.values()]).reshape(-1, 3).T
+    delays = effort_delays(rows, Y)
+    values, errors, takes = np.array([*delays.values()]).reshape(-1, 3).T
     limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
     # With a wrong sign or order nothing can be said of delays.
     right = subject.corrected is None or not subject.corrected.steps
-    if right and len(found) >= _LEAST_JOINTS and takes.mean() >= _TAKES:
+    if right and len(delays) >= _LEAST_JOINTS and takes.mean() >= _TAKES:
         delay, error = pooled(values, errors)
         if abs(delay) >= max(limit, _SURE * error):
-            yield Finding(
-                kind="effort_late",
-                message=(
-                    f"efforts are {_late(delay)} by {1e3 * abs(delay):.2g} ms or more against the "
-                    f"motion, limit {1e3 * limit:.2g} ms: of delays in simulated logs 62 to 80 % "
-                    "are told"
-                ),
-                remedy="take both from one clock, or shift the efforts until the error is least",
-                numbers={"delay": delay, "error": error, "limit": limit},
+            what = (
+                f"efforts are {_late(delay)} by {1e3 * abs(delay):.2g} ms or more against the "
+                f"motion, limit {1e3 * limit:.2g} ms: of delays in simulated logs 62 to 80 % are "
+                "told"
             )
+            remedy = "take both from one clock, or shift the efforts until the error is least"
+            numbers = {"delay": delay, "error": error, "limit": limit}
+            yield found("effort_late", what=what, remedy=remedy, **numbers)
             return
     described = effort_delays(rows, (Y @ robot.prior.ravel())[..., None])
     limit = max(_LEAST_ALONE, limit)
     alone = {}
-    for j, (delay, _, share) in found.items():
+    for j, (delay, _, share) in delays.items():
         other, _, also = described.get(j, (0.0, 0.0, 0.0))
         both = min(share, also) >= _ALSO_TAKES and abs(delay - other) <= _ALIKE
         if delay >= limit and (share >= _TAKES_ALONE or both):
-            alone[j] = delay, share
-    for j, (delay, share) in alone.items() if 2 * len(alone) <= len(found) else ():
-        yield Finding(
-            kind="effort_late",
-            joint=robot.joint_names[j],
-            message=(
-                f"effort of {robot.joint_names[j]} alone is late by {1e3 * delay:.2g} ms or more "
-                f"against the motion, limit {1e3 * limit:.2g} ms: a shift takes {100 * share:.2g} "
-                "% of what links and friction leave"
-            ),
-            remedy="take it from the clock of the others, or leave it out (without_effort)",
-            numbers={"delay": delay, "share": share, "limit": limit},
+            alone[robot.joint_names[j]] = delay, share
+    for name, (delay, share) in alone.items() if 2 * len(alone) <= len(delays) else ():
+        what = (
+            f"effort of {name} alone is late by {1e3 * delay:.2g} ms or more against the motion, "
+            f"limit {1e3 * limit:.2g} ms: a shift takes {100 * share:.2g} % of what links and "
+            "friction leave"
         )
+        remedy = "take it from the clock of the others, or leave it out (without_effort)"
+        numbers = {"delay": delay, "share": share, "limit": limit}
+        yield found("effort_late", name, what=what, remedy=remedy, **numbers)
 
 
-@check
+@check_of_efforts
 def late_channels(subject: Subject) -> Iterator[Finding]:
     """Find channels of a recording with a base that are late, or early, against the joints."""
     robot, log = subject.floating, subject.log
@@ -145,26 +142,24 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
         return  # With a wrong sign or order nothing can be said of delays.
     against = "the joints' positions"
     if robot is not None and robot.free_flyer:
-        found = channel_delays(robot, log, subject.without)
+        delays = channel_delays(robot, log, subject.without)
     else:
-        found, against = gyroscope_delay(log), "the orientation of the base"
-    for channel, delay in found.items():
+        delays, against = gyroscope_delay(log), "the orientation of the base"
+    for channel, delay in delays.items():
         if not is_told(channel, delay):
             continue
         limit = max(LEAST[channel], DEVIATIONS * delay.error)
-        yield Finding(
-            kind=f"{channel}_late",
-            message=(
-                f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} "
-                f"{_late(delay.value)} by {1e3 * abs(delay.value):.3g} ms (error "
-                f"{1e3 * delay.error:.2g} ms) against {against}, limit {1e3 * limit:.2g} ms"
-            ),
-            remedy=(
-                "identify takes this off by itself; elsewhere give processing="
-                f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
-            ),
-            numbers={"delay": delay.value, "error": delay.error, "limit": limit},
+        what = (
+            f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} {_late(delay.value)} by "
+            f"{1e3 * abs(delay.value):.3g} ms (error {1e3 * delay.error:.2g} ms) against "
+            f"{against}, limit {1e3 * limit:.2g} ms"
         )
+        remedy = (
+            "identify takes this off by itself; elsewhere give processing="
+            f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
+        )
+        numbers = {"delay": delay.value, "error": delay.error, "limit": limit}
+        yield found(f"{channel}_late", what=what, remedy=remedy, **numbers)
 
 
 def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, float]]:
@@ -181,7 +176,7 @@ def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, flo
         The last is a share of the mean square that the columns leave. Without joints that move too
         little.
     """
-    found = {}
+    delays = {}
     for j in np.flatnonzero(rows.usable).tolist():
         keep = np.abs(rows.sign[:, j]) > _MOVES
         if np.count_nonzero(keep) < 2 * _BLOCKS:
@@ -199,8 +194,8 @@ def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, flo
             delay = -float(effort @ rate) / power
             rest = effort + delay * rate
             error = block_error(rest * rate, power, _BLOCKS)
-            found[j] = delay, error, 1.0 - float(rest @ rest) / size
-    return found
+            delays[j] = delay, error, 1.0 - float(rest @ rest) / size
+    return delays
 
 
 def _late(delay: float) -> str:

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import extremes
 
@@ -30,24 +32,9 @@ _LONGER = 3.0
 _COMPARED = 200_000
 
 
-def left_out(kind: str, joint: str, message: str, **numbers: float) -> Finding:
-    """Return the finding of a joint whose effort is left out, and how to overrule that."""
-    remedy = (
-        f"identify leaves its effort out, as without_effort does; accept=['{kind}'] (--accept "
-        f"{kind}) uses it as it is"
-    )
-    return Finding(
-        kind=kind,
-        joint=joint,
-        message=f"effort of {joint} {message}",
-        remedy=remedy,
-        numbers=numbers,
-    )
-
-
 def silent(subject: Subject) -> list[Finding]:
     """Find joints whose effort is zero while they move; not where that is so of all that move."""
-    log, found = subject.log, []
+    log, told = subject.log, []
     low, high = subject.position_range
     if log.n_samples < _FEWEST:
         return []
@@ -58,30 +45,18 @@ def silent(subject: Subject) -> list[Finding]:
         fast = steps[:, j] > _FAST * np.percentile(steps[:, j], _MOST_STEPS)
         share = float(np.mean(log.effort[rows[fast], j] == 0.0)) if fast.any() else 0.0
         if share > _ZERO:
-            message = (
-                f"is exactly 0 in {100 * share:.3g} % of the rows in which it moves (limit "
-                f"{100 * _ZERO:g} %): it was not measured there"
-            )
-            found.append(left_out("effort_silent", log.names[j], message, share=share, limit=_ZERO))
-    return found if len(found) < np.count_nonzero(moves) else []
+            told.append(found("effort_silent", log.names[j], share=share, limit=_ZERO))
+    return told if len(told) < np.count_nonzero(moves) else []
 
 
 @check
 def signals(subject: Subject) -> Iterator[Finding]:
     """Find efforts that never change."""
-    log = subject.log
-    low, high = extremes(log.effort)
-    for j, name in enumerate(log.names):
-        if name in subject.passive:
-            continue  # Without a motor it has none.
-        if not high[j] > low[j]:
-            yield Finding(
-                kind="effort_constant",
-                joint=name,
-                message=f"effort of {name} never changes: it is {low[j]:.4g} in every row",
-                remedy="if it was not measured, leave it out (without_effort)",
-                numbers={"value": low[j]},
-            )
+    low, high = extremes(subject.log.effort)
+    for j, name in enumerate(subject.log.names):
+        # Without a motor a joint has none.
+        if name not in subject.passive and not high[j] > low[j]:
+            yield found("effort_constant", name, value=low[j])
 
 
 @check
@@ -91,10 +66,7 @@ def clipped(subject: Subject) -> Iterator[Finding]:
     low, high = subject.position_range
     begin = max(0, (log.n_samples - _COMPARED) // 2)
     part = slice(begin, begin + _COMPARED)
-    for quantity, remedy in (
-        ("effort", "leave those rows out, or move more gently: what the drive gave is unknown"),
-        ("velocity", "leave the velocity out (velocity=none): it is then had from the position"),
-    ):
+    for quantity, severity in (("effort", None), ("velocity", subject.about_velocity)):
         table = getattr(log, quantity)
         if table is None:
             continue
@@ -107,22 +79,19 @@ def clipped(subject: Subject) -> Iterator[Finding]:
                     continue
                 if quantity == "effort" or _passed(subject, j, limit):
                     ends[limit] = rows
-            if not ends:
-                continue
-            rows, value = sum(ends.values()), max(ends, key=abs)
-            yield Finding(
-                severity="warning" if quantity == "effort" else subject.about_velocity,
-                kind=f"{quantity}_clipped",
-                joint=log.names[j],
-                message=(
-                    f"{quantity} of {log.names[j]} stays at "
-                    f"{' and at '.join(f'{limit:.5g}' for limit in ends)} in {rows} of "
-                    f"{values.size} rows ({100 * rows / values.size:.2g} %, limit "
-                    f"{100 * _CLIPPED:g} %): it is clipped"
-                ),
-                remedy=remedy,
-                numbers={"value": value, "rows": rows, "limit": _CLIPPED},
-            )
+            if ends:
+                rows = sum(ends.values())
+                yield found(
+                    f"{quantity}_clipped",
+                    log.names[j],
+                    severity,
+                    at=" and at ".join(f"{limit:.5g}" for limit in ends),
+                    value=max(ends, key=abs),
+                    rows=rows,
+                    all=values.size,
+                    share=rows / values.size,
+                    limit=_CLIPPED,
+                )
 
 
 def _passed(subject: Subject, j: int, limit: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
@@ -13,24 +13,24 @@ from sdpid._common.arrays import is_number
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import (
+    base_checks,
+    channels,
     delay_checks,
     dynamics_checks,
     effort_checks,
+    feet_checks,
+    flight_checks,
+    force_checks,
+    imu_checks,
     motion_checks,
+    point_checks,
     reference_checks,
     time_checks,
 )
-from sdpid.experiment.inspection.channels import rules
-from sdpid.experiment.inspection.delays.find import LEAST
-from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
-from sdpid.experiment.inspection.floating import (
-    base_checks,
-    feet_checks,
-    flight_checks,
-)
-from sdpid.experiment.inspection.forces import flag_checks, force_checks
+from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.joined import other_loads
-from sdpid.experiment.inspection.places import imu_checks, point_checks
+from sdpid.experiment.inspection.kinds import KINDS, explained, found
+from sdpid.experiment.inspection.subject import CHECKS, OF_EFFORTS, Subject
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.joints import joint_columns, match_joints
@@ -38,64 +38,13 @@ from sdpid.experiment.recording.loops.passive_joints import lacking
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
-# Importing a file of checks adds them to the list. A new check is a function in one of these.
-_FILES = (
-    *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks, delay_checks),
-    *(base_checks, imu_checks, feet_checks, point_checks, flight_checks),
-    *(flag_checks, force_checks),
+# Importing a file of checks adds them to the lists. A new check is a function in one of these.
+_ = (
+    *(time_checks, motion_checks, reference_checks, effort_checks, delay_checks, dynamics_checks),
+    *(base_checks, imu_checks, feet_checks, point_checks, flight_checks, force_checks),
 )
-
-# Wrong units of position or time make the dynamics meaningless: they are told alone.
-_DROWNS = ("position_in_degrees", "position_jumps", "time_unit", "time_scale")
-_OF_SPEED = (
-    *("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest"),
-    "reference_unlike",
-)
-# A wrong orientation makes all of these; a wrong joint what feet do.
-_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
-_OF_BASE = (
-    *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
-    *("imu_axes", "imu_place", "imu_bias", "imu_scale", *_OF_FEET),
-    *(f"{channel}_late" for channel in LEAST),
-)
-# What efforts are compared with, where the base is free.
-_BEFORE_EFFORTS = (
-    *("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"),
-    *("contacts_missing", "contact_frame", "position_coarse"),
-)
-# What one mistake makes of other channels.
-_OF_FORCES = (
-    *("forces_exchanged", "forces_axes", "forces_scale", "forces_offset"),
-    *("forces_unlike_motion", "wrenches_moments", "wrenches_point"),
-)
-_MAKES = {
-    **dict.fromkeys(("time_unit", "time_scale"), _OF_SPEED),
-    "base_orientation": _OF_BASE,
-    "contact_frame": ("foot_moves", "foot_high"),
-    **dict.fromkeys(("joint_order", "position_sign", "axis_sign", "position_zero"), _OF_FEET),
-    **dict.fromkeys(("effort_scale", "effort_unlike_description"), _OF_FORCES),
-    "feet_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
-    "forces_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
-    "forces_offset": ("flags_unlike_forces",),
-    "flags_unlike_forces": ("flags_unlike_motion",),
-    # Forces that are late differ from those of their time.
-    "contacts_late": (
-        *("forces_unlike_motion", "forces_scale", "forces_offset"),
-        *("wrenches_moments", "wrenches_point"),
-    ),
-    "forces_missing": (*_OF_FORCES, "flags_unlike_forces"),
-    # Accelerations of a wrong place are those of another time.
-    **dict.fromkeys(("imu_place", "imu_axes"), tuple(f"{channel}_late" for channel in LEAST)),
-}
-_DROWNED = (
-    dynamics_checks.not_compared,
-    dynamics_checks.wrong_channels,
-    dynamics_checks.scales,
-    dynamics_checks.unlike_the_description,
-    delay_checks.late_channels,
-    flag_checks.total_mass,
-    force_checks.forces,
-)
+# Positions in degrees raise most of the other alarms as well.
+_BESIDE_DEGREES = ("position_in_degrees", "joints", "joints_unknown", "effort_silent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,53 +206,52 @@ def _looked_at(
     findings: list[Finding] = []
     if robot is not None:
         log, robot, findings = _matched(log, robot)
-    # The dynamics of a robot that is fixed say nothing about one that is not.
-    fixed, floating = (robot, None) if log.base is None else (None, robot)
-    subject = Subject(
-        log=log, robot=fixed, without=without, floating=floating, total_mass=total_mass
-    )
-    left_out = [*effort_checks.silent(subject)]
-    subject = replace(subject, without=without | {f.joint for f in left_out if f.joint})
+    subject = Subject(log=log, robot=robot, without=without, total_mass=total_mass)
+    findings += effort_checks.silent(subject)
+    subject = _less(subject, findings)
     # What a wrong row makes of other channels, and of other joints, is not told.
-    wrong, subject = rules.wrong_channels(subject)
+    wrong, subject = channels.wrong_channels(subject)
     findings += wrong
     for each in CHECKS:
-        if each not in _DROWNED:
-            findings += each(subject)
-    # A channel that stays at its largest value is not clipped as well.
-    stays = {each.joint for each in wrong if each.kind.endswith("_frozen")}
-    findings = [f for f in findings if not (f.kind.endswith("_clipped") and f.joint in stays)]
-    refused = {finding.kind for finding in findings if finding.severity == "refuse"}
-    kinds = {finding.kind for finding in findings}
-    if not (refused & set(_DROWNS) or kinds & set(_BEFORE_EFFORTS)):
-        told = [*dynamics_checks.of_another_size(subject), *delay_checks.late_efforts(subject)]
-        own = {finding.joint for finding in told if finding.joint}
-        subject = replace(subject, without=subject.without | own) if own else subject
-        left_out += told
-        for each in _DROWNED:
-            findings += each(subject)
-    if "position_in_degrees" in {finding.kind for finding in findings}:
-        # Positions in degrees raise most of the other alarms as well.
-        alone = ("position_in_degrees", "joints", "joints_unknown")
-        findings = [finding for finding in findings if finding.kind in alone]
-    exchanged = [finding for finding in findings if finding.kind == "feet_exchanged"]
-    # Told by what stands still already, it is told once.
-    findings = [finding for finding in findings if finding not in exchanged[1:]]
-    findings = _without_repeats(findings)
-    known = subject.without
-    kept = [f for f in findings if not (f.kind.startswith("effort") and f.joint in known)]
-    kept += [f for f in left_out if f.joint not in without]
+        findings += each(subject)
+    if not any(KINDS[f.kind].spoils for f in findings if f.severity != "note"):
+        for each in OF_EFFORTS:
+            told = [*each(subject)]
+            findings, subject = findings + told, _less(subject, told)
+    findings = [f for f in _told(findings) if not _excused(f, subject, without)]
     ranks = ("refuse", "warning", "note")
-    return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))
+    return subject, tuple(sorted(findings, key=lambda finding: ranks.index(finding.severity)))
 
 
-def _without_repeats(findings: list[Finding]) -> list[Finding]:
-    """Leave out what other findings explain."""
-    kinds = {finding.kind for finding in findings if finding.severity != "note"}
-    drowned = {kind for cause, made in _MAKES.items() if cause in kinds for kind in made}
-    if any(f.kind == "forces_exchanged" and f.numbers["flags"] for f in findings):
-        drowned |= {"feet_exchanged"}
-    return [finding for finding in findings if finding.kind not in drowned]
+def _less(subject: Subject, findings: list[Finding]) -> Subject:
+    """Return a subject without efforts of which all is told."""
+    joints = {f.joint for f in findings if f.joint and KINDS[f.kind].excuses} - subject.without
+    return replace(subject, without=subject.without | joints) if joints else subject
+
+
+def _excused(finding: Finding, subject: Subject, without: frozenset[str]) -> bool:
+    """Return whether a finding is about an effort that is not used, or of which all is told."""
+    if finding.joint is None or not finding.kind.startswith("effort"):
+        return False
+    known = without if KINDS[finding.kind].excuses else subject.without
+    return finding.joint in known
+
+
+def _told(findings: list[Finding]) -> Iterator[Finding]:
+    """Yield findings that no other one explains."""
+    kinds = {finding.kind for finding in findings}
+    flags = any(f.kind == "forces_exchanged" and f.numbers["flags"] for f in findings)
+    once = set()
+    for finding in findings:
+        kind = finding.kind
+        if "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES:
+            continue
+        # What stands still and efforts both tell it, and forces that are exchanged with them.
+        if kind == "feet_exchanged" and (flags or kind in once):
+            continue
+        once.add(kind)
+        if not explained(finding, findings):
+            yield finding
 
 
 def _matched(
@@ -313,7 +261,7 @@ def _matched(
     try:
         matched = match_joints(robot, log)
     except DataError as cause:
-        return log, None, [Finding(severity="refuse", kind="joints_unknown", message=str(cause))]
+        return log, None, [found("joints_unknown", why=str(cause))]
     missing = lacking(robot, log)
     own = tuple(name for name in robot.joint_names[robot.n_base :] if name not in missing)
     names = log.joint_names
@@ -328,7 +276,7 @@ def _matched(
         else:
             return matched, robot, []
     else:
-        found = [names[column] for column in joint_columns(robot, names, own)]
-        pairs = [f"{a} is {b}" for a, b in zip(found, own, strict=True)]
+        columns = [names[column] for column in joint_columns(robot, names, own)]
+        pairs = [f"{a} is {b}" for a, b in zip(columns, own, strict=True)]
         message = f"joints have another prefix or suffix than the robot's: {', '.join(pairs)}"
-    return matched, robot, [Finding(severity="note", kind="joints", message=message)]
+    return matched, robot, [found("joints", how=message)]

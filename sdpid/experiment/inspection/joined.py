@@ -9,8 +9,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.corrections import described
 from sdpid.experiment.inspection.delays.lag import block_error
-from sdpid.experiment.inspection.finding import Finding, Severity, Subject
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.robot.model.model import RobotModel
 
 # Another load on the last link takes this share of the squared residuals of two recordings where
@@ -32,32 +34,27 @@ def other_loads(subjects: Sequence[Subject]) -> Iterator[tuple[int, Finding]]:
     """Yield recordings that carry another load than the first, by their place, with the finding."""
     first = subjects[0]
     for place, other in enumerate(subjects[1:], 1):
-        if first.robot is None or other.robot is None or not described(first.robot):
+        if first.fixed is None or other.fixed is None or not described(first.fixed):
             continue
         if any(s.corrected is None or s.corrected.steps for s in (first, other)):
             continue
         assert first.low_passed is not None
         assert other.low_passed is not None
-        found = load_difference(first.robot, first.low_passed, other.low_passed)
-        if found is None or found[0] < _TAKES:
+        other_load = load_difference(first.fixed, first.low_passed, other.low_passed)
+        if other_load is None or other_load[0] < _TAKES:
             continue
-        takes, load, error = found
-        severity: Severity = "refuse" if takes > _TAKES_SURELY else "warning"
-        moment = float(np.linalg.norm(load[1:]))
-        yield (
-            place,
-            Finding(
-                severity=severity,
-                kind="payload_differs",
-                message=(
-                    f"it carries another load than recording 1: {load[0]:+.3g} kg (standard error "
-                    f"{error:.2g} kg) on the last link, with a first moment of {moment:.2g} kg·m, "
-                    f"takes {100 * takes:.2g} % of the residual of both, limit {100 * _TAKES:g} %"
-                ),
-                remedy="fit each load by itself, or identify the load with sdpid payload --without",
-                numbers={"takes": takes, "mass": load[0], "error": error, "limit": _TAKES},
-            ),
+        takes, load, error = other_load
+        told = found(
+            "payload_differs",
+            None,
+            "refuse" if takes > _TAKES_SURELY else "warning",
+            mass=load[0],
+            moment=float(np.linalg.norm(load[1:])),
+            error=error,
+            takes=takes,
+            limit=_TAKES,
         )
+        yield place, told
 
 
 def load_difference(robot: RobotModel, one: Rows, other: Rows) -> tuple[float, Array, float] | None:

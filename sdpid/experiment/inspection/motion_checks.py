@@ -7,7 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
@@ -47,16 +49,11 @@ _RESTING, _LONGEST_REST = 0.005, 0.3
 @check
 def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
-    robot = subject.robot
+    robot = subject.fixed
     limits = None if robot is None else robot.position_limits[robot.n_base :]
     suspects = suspect_units(subject.log, limits, subject.position_range)
     if suspects:
-        yield Finding(
-            severity="refuse",
-            kind="position_in_degrees",
-            message=f"positions look like degrees, not radians: {', '.join(suspects)}",
-            remedy="convert them, or read the file with units={'position': 'deg'}",
-        )
+        yield found("position_in_degrees", seen=f": {', '.join(suspects)}", mended="")
 
 
 @check
@@ -73,27 +70,12 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
         # A joint without a motor moves as far as its loop moves it: nobody can excite it.
         if reach[j] < AT_REST and name not in subject.passive:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
-            yield Finding(
-                kind="joint_at_rest",
-                joint=name,
-                message=f"{name} {moved} (limit {AT_REST:g} rad)",
-                remedy="its inertia and friction are unknown; excite it",
-                numbers={"range": reach[j], "limit": AT_REST},
-            )
+            yield found("joint_at_rest", name, moved=moved, range=reach[j], limit=AT_REST)
             continue
-        fastest, jump, row = jumps.get(j, (0.0, 0.0, 0))
-        if fastest > _FASTEST:
-            yield Finding(
-                severity="refuse",
-                kind="position_jumps",
-                joint=name,
-                message=(
-                    f"position of {name} changes by {abs(jump):.4g} rad in one step at row {row}, "
-                    f"that is {fastest:.4g} rad/s (limit {_FASTEST:g}): an outlier, or wrong units"
-                ),
-                remedy="remove that sample, or give the unit",
-                numbers={"jump": jump, "row": row, "speed": fastest, "limit": _FASTEST},
-            )
+        speed, jump, row = jumps.get(j, (0.0, 0.0, 0))
+        if speed > _FASTEST:
+            numbers = {"jump": jump, "size": abs(jump), "row": row, "speed": speed}
+            yield found("position_jumps", name, limit=_FASTEST, **numbers)
 
 
 @check
@@ -107,29 +89,18 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
     shares = np.minimum(forth, back) / np.maximum(forth + back, 1e-300)
     one_way = np.flatnonzero(moving(*subject.position_range) & (shares < _BACK)).tolist()
     if one_way:
-        share = float(shares[one_way].max())
-        moves, most = ("moves", "") if len(one_way) == 1 else ("move", "of each at most ")
-        yield Finding(
-            kind="one_direction",
-            joint=names[one_way[0]] if len(one_way) == 1 else None,
-            message=(
-                f"{', '.join(names[j] for j in one_way)} {moves} in one direction only: "
-                f"{most}{100 * share:.2g} % of the way goes back, limit {100 * _BACK:g} %"
-            ),
-            remedy="move both ways: friction looks like an offset else, or like gravity",
-            numbers={"share": share, "limit": _BACK},
+        share, alone = float(shares[one_way].max()), len(one_way) == 1
+        yield found(
+            "one_direction",
+            names[one_way[0]] if alone else None,
+            joints=f"{', '.join(names[j] for j in one_way)} {'moves' if alone else 'move'}",
+            of="" if alone else "of each at most ",
+            share=share,
+            limit=_BACK,
         )
     resting = float(np.mean(np.abs(rows.velocity).max(axis=1) < _RESTING))
     if resting > _LONGEST_REST:
-        yield Finding(
-            kind="long_rest",
-            message=(
-                f"the robot stands still in {100 * resting:.2g} % of the recording (no joint "
-                f"faster than {_RESTING:g} rad/s), limit {100 * _LONGEST_REST:g} %"
-            ),
-            remedy="no need to cut it: rows at rest are left out by default; record more motion",
-            numbers={"share": resting, "limit": _LONGEST_REST},
-        )
+        yield found("long_rest", share=resting, speed=_RESTING, limit=_LONGEST_REST)
 
 
 def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, float, int]]:
@@ -156,47 +127,27 @@ def velocities(subject: Subject) -> Iterator[Finding]:
     """Find velocities that are not the rate of the positions, and stamps that run wrong."""
     if subject.log.velocity is None or not subject.pieces:
         return
-    found = ((name, velocity_fit(subject.longest, j)) for j, name in enumerate(subject.log.names))
-    fits = {name: fit for name, fit in found if fit and fit.correlation >= _CORRELATED}
+    each = ((name, velocity_fit(subject.longest, j)) for j, name in enumerate(subject.log.names))
+    fits = {name: fit for name, fit in each if fit and fit.correlation >= _CORRELATED}
     scales = np.array([fit.scale for fit in fits.values()])
     common = float(np.median(scales)) if len(scales) > 1 else 1.0
     share = float(np.mean(np.abs(scales / common - 1.0) < _CLOSE)) if len(scales) else 0.0
     wrong = common > 0.0 and not 1.0 / _CLOCK < common < _CLOCK
     if wrong and share >= _MOST and not scale_in_words(common):
-        yield Finding(
-            severity="refuse",
-            kind="time_scale",
-            message=(
-                f"velocities of all joints are {common:.3g} times the rate of their positions, "
-                f"limit {1.0 / _CLOCK:.2g} to {_CLOCK:g}: the time stamps count {common:.3g} s for "
-                "every second"
-            ),
-            remedy=(
-                "give the stamps in s, or the true rate (rate_hz); where they are right, leave the "
-                "velocity out (velocity=none)"
-            ),
-            numbers={"scale": common, "share": share, "limit": _CLOCK},
-        )
+        yield found("time_scale", scale=common, share=share, least=1.0 / _CLOCK, limit=_CLOCK)
         return
     for name, fit in fits.items():
         scale = fit.scale
-        if scale < 0.0:
-            message = f"velocity of {name} has the sign opposite to the rate of its position"
-        elif not 1.0 / _SCALE < scale < _SCALE:
-            message = (
-                f"velocity of {name} is {scale:.3g} times the rate of its position"
-                f"{scale_in_words(scale)}, limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
-            )
-        else:
+        what = "has the sign opposite to the rate of its position"
+        if 1.0 / _SCALE < scale < _SCALE:
             continue
-        yield Finding(
-            severity=subject.about_velocity,
-            kind="velocity_scale",
-            joint=name,
-            message=message,
-            remedy="correct it, or leave the velocity out",
-            numbers={"scale": scale, "correlation": fit.correlation},
-        )
+        if scale > 0.0:
+            what = (
+                f"is {scale:.3g} times the rate of its position{scale_in_words(scale)}, limit "
+                f"{1.0 / _SCALE:.2g} to {_SCALE:g}"
+            )
+        numbers = {"scale": scale, "correlation": fit.correlation}
+        yield found("velocity_scale", name, subject.about_velocity, what=what, **numbers)
 
 
 def scale_in_words(scale: float) -> str:

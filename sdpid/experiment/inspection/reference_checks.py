@@ -9,8 +9,10 @@ from typing import TypeAlias
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.motion_checks import scale_in_words
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import taken
@@ -65,22 +67,15 @@ def references(subject: Subject) -> Iterator[Finding]:
             wrong[longest.names[j]] = what, fit
     if not wrong:
         return
-    told = [f"{name} {what}" for name, (what, _) in wrong.items()]
     # Joints mostly share the defect: columns that are swapped, a unit, another signal.
     alone = len(wrong) == 1
-    yield Finding(
-        severity="note",
-        kind="reference_unlike",
-        joint=next(iter(wrong)) if alone else None,
-        message=f"reference of {'; of '.join(told)}",
-        remedy="name its column, unit or joints, or leave it out (reference=none); fits "
-        "that simulate the controller would be wrong",
-        numbers={
-            key if alone else f"{name}: {key}": value
-            for name, (_, fit) in wrong.items()
-            for key, value in vars(fit).items()
-        },
-    )
+    numbers = {
+        key if alone else f"{name}: {key}": value
+        for name, (_, fit) in wrong.items()
+        for key, value in vars(fit).items()
+    }
+    told = "; of ".join(f"{name} {what}" for name, (what, _) in wrong.items())
+    yield found("reference_unlike", next(iter(wrong)) if alone else None, wrong=told, **numbers)
 
 
 def _wrong(fit: _Fit, names: tuple[str, ...], j: int, means: _Means) -> str | None:

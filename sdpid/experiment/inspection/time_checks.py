@@ -7,7 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject, check
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
 
 # A row is repeated where no position and no effort changes. More repeats than these in a row are
@@ -35,61 +38,43 @@ _GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
     """Find gaps and stamps that came late, and angles that wrap."""
     if isinstance(subject.continued, DataError):
-        yield Finding(severity="refuse", kind="time_stamps", message=str(subject.continued))
+        yield found("time_stamps", why=str(subject.continued))
         return
     for note in subject.continued[1]:
-        yield Finding(severity="note", kind="continued", message=note)
+        yield found("continued", note=note)
 
 
 @check
 def units_of_time(subject: Subject) -> Iterator[Finding]:
     """Say where the unit of time was inferred, and find rates of no robot's logger."""
-    log = subject.log
+    log, rate = subject.log, subject.log.rate_hz
     for note in log.notes:
-        if not note.startswith("time:"):
-            yield Finding(
-                severity="note",
-                # Else of who made the recording, such as a simulator.
-                kind="units" if note.startswith("units:") else "recording",
-                message=note,
-            )
-            continue
-        yield Finding(
-            severity="note",
-            kind="time_unit",
-            message=note,
-            remedy=f"where that is wrong, {_GIVE_UNIT}",
-            numbers={"rate": log.rate_hz},
+        if note.startswith("time:"):
+            remedy = f"where that is wrong, {_GIVE_UNIT}"
+            yield found("time_unit", None, "note", seen=note, remedy=remedy, rate=rate)
+        else:
+            # Else of who made the recording, such as a simulator.
+            yield found("units" if note.startswith("units:") else "recording", note=note)
+    rows = subject.low_passed if _LEAST_RATE <= rate < _SLOW_RATE else None
+    if rows is not None and (fastest := float(np.abs(rows.velocity).max())) < _LEAST_SPEED:
+        cause, remedy = _read_as_seconds(rate)
+        seen = (
+            f"time: at {rate:.3g} Hz no joint is faster than {fastest:.2g} rad/s, limit "
+            f"{_LEAST_SPEED:g} rad/s: {cause}"
         )
-    rows = subject.low_passed if log.rate_hz < _SLOW_RATE else None
-    if rows is not None and log.rate_hz >= _LEAST_RATE:
-        fastest = float(np.abs(rows.velocity).max())
-        if fastest < _LEAST_SPEED:
-            yield Finding(
-                severity="refuse",
-                kind="time_unit",
-                message=(
-                    f"time: at {log.rate_hz:.3g} Hz no joint is faster than {fastest:.2g} rad/s, "
-                    f"limit {_LEAST_SPEED:g} rad/s: {_read_as_seconds(log.rate_hz)[0]}"
-                ),
-                remedy=_read_as_seconds(log.rate_hz)[1],
-                numbers={"rate": log.rate_hz, "speed": fastest, "limit": _LEAST_SPEED},
-            )
-    if not _LEAST_RATE <= log.rate_hz <= _FASTEST_RATE:
-        slow = log.rate_hz < _LEAST_RATE
+        numbers = {"rate": rate, "speed": fastest, "limit": _LEAST_SPEED}
+        yield found("time_unit", seen=seen, remedy=remedy, **numbers)
+    if not _LEAST_RATE <= rate <= _FASTEST_RATE:
+        slow = rate < _LEAST_RATE
         cause, remedy = "the stamps may be in s, and were read as ms, us or ns", _GIVE_UNIT
         if slow:
-            cause, remedy = _read_as_seconds(log.rate_hz)
-        yield Finding(
-            severity="refuse",
-            kind="time_unit",
-            message=(
-                f"time: a sample every {log.step:.6g} s is a rate of {log.rate_hz:.3g} Hz, limit "
-                f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: {cause}"
-            ),
-            remedy=remedy,
-            numbers={"rate": log.rate_hz, "limit": _LEAST_RATE if slow else _FASTEST_RATE},
+            cause, remedy = _read_as_seconds(rate)
+        seen = (
+            f"time: a sample every {log.step:.6g} s is a rate of {rate:.3g} Hz, limit "
+            f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: {cause}"
         )
+        limit = _LEAST_RATE if slow else _FASTEST_RATE
+        yield found("time_unit", seen=seen, remedy=remedy, rate=rate, limit=limit)
 
 
 def _read_as_seconds(rate: float) -> tuple[str, str]:
@@ -108,55 +93,32 @@ def _read_as_seconds(rate: float) -> tuple[str, str]:
 def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
     """Find stamps off a regular clock, and samples that were lost."""
     log = subject.log
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
-    steps = np.diff(np.asarray(log.time[begin : begin + _COMPARED])) / log.step
+    steps = np.diff(np.asarray(log.time[_middle(log)])) / log.step
     jitter = float(np.sqrt(np.mean((steps - np.rint(steps)) ** 2)))
     if jitter > _JITTER:
-        yield Finding(
-            severity="note",
-            kind="jitter",
-            message=(
-                f"time stamps jitter by {100 * jitter:.3g} % of a step of {log.step:.4g} s (rms), "
-                f"limit {100 * _JITTER:g} %"
-            ),
-            remedy="stamp samples where they are measured",
-            numbers={"jitter": jitter, "limit": _JITTER},
-        )
+        yield found("jitter", jitter=jitter, step=log.step, limit=_JITTER)
     # Longer steps are gaps, at which the recording is split.
     few = np.rint(steps[steps < MAX_GAP_STEPS])
-    missing = int(np.maximum(few - 1.0, 0.0).sum())
-    lost = missing / (steps.size + missing)
-    if lost > _LOST:
-        yield Finding(
-            kind="lost_samples",
-            message=(
-                f"{missing} of {steps.size + missing} samples ({100 * lost:.3g} %) are missing "
-                f"between the others, limit {100 * _LOST:g} %"
-            ),
-            remedy="log with a larger buffer, or at a lower rate",
-            numbers={"lost": missing, "share": lost, "limit": _LOST},
-        )
+    lost = int(np.maximum(few - 1.0, 0.0).sum())
+    every = steps.size + lost
+    if lost / every > _LOST:
+        yield found("lost_samples", lost=lost, all=every, share=lost / every, limit=_LOST)
 
 
 @check
 def repeated_rows(subject: Subject) -> Iterator[Finding]:
     """Find rows that repeat the row before, as loggers write that run faster than the robot."""
-    log = subject.log
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
-    part = slice(begin, begin + _COMPARED)
+    log, part = subject.log, _middle(subject.log)
     values = np.hstack([np.asarray(log.position[part]), np.asarray(log.effort[part])])
     changed = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
     runs = np.diff(changed, prepend=-1, append=len(values) - 1) - 1
     repeats = int(runs[runs <= _MOST_REPEATS].sum())
     share = repeats / len(values)
     if share > _SHARE:
-        yield Finding(
-            kind="repeated_rows",
-            message=(
-                f"{repeats} of {len(values)} rows ({100 * share:.3g} %) repeat the row before "
-                f"in every position and effort, limit {100 * _SHARE:g} %: the log is written "
-                "faster than the robot measures"
-            ),
-            remedy="remove the repeated rows, or log at the robot's rate",
-            numbers={"rows": repeats, "share": share, "limit": _SHARE},
-        )
+        yield found("repeated_rows", rows=repeats, all=len(values), share=share, limit=_SHARE)
+
+
+def _middle(log: Recording) -> slice:
+    """Return the rows that are looked at."""
+    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    return slice(begin, begin + _COMPARED)

@@ -9,8 +9,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording
+from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.processing.choose import choose_processing
 from sdpid.experiment.processing.motion import fourth_differences, joint_frequencies
 from sdpid.experiment.recording.joints import match_joints
@@ -49,7 +49,7 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         del processing["reasons"]
         reasons = "; ".join(choice.reasons)
     except DataError as cause:
-        findings.append(Finding(severity="refuse", kind="processing", message=str(cause)))
+        findings.append(found("processing", why=str(cause)))
     steps = np.diff(matched.time) / matched.step
     layout = matched.period_layout
     return {

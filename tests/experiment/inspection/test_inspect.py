@@ -14,10 +14,9 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.accept import REFUSED, kinds_accepted, require_accepted
-from sdpid.experiment.inspection.channels.rules import RULES
-from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
+from sdpid.experiment.inspection.kinds import KINDS
 from sdpid.experiment.inspection.time_checks import _read_as_seconds
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.several import prepare_recordings
@@ -442,29 +441,32 @@ def test_findings_are_overruled_by_name():
         refuses(DataError, rf"accept: is {wrong}; give kinds of findings", kinds_accepted, wrong)
 
 
-def kinds_refused() -> Iterator[str]:
-    """Yield every kind of finding, and of a correction, that the code may give to refuse a log."""
-    yield from (rule.kind for rule in RULES if rule.severity == "refuse")
+def kinds_told() -> Iterator[str]:
+    """Yield every kind of finding, and of a correction, that the code names."""
     for path in Path(sdpid.__file__).parent.joinpath("experiment").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Finding", "Correction"):
-                given = {each.arg: ast.unparse(each.value).strip("'") for each in node.keywords}
-                mild = ("warning", "note", "subject.about_velocity")
-                usual = "warning" if ast.unparse(node.func) == "Finding" else "refuse"
-                if given.get("severity", usual) not in mild and given["kind"].isidentifier():
-                    yield given["kind"]
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "found":
+                (kind, *_) = node.args
+                yield from [kind.value] if isinstance(kind, ast.Constant) else []
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "Correction":
+                (kind,) = (each.value for each in node.keywords if each.arg == "kind")
+                yield from [kind.value] if isinstance(kind, ast.Constant) else []
 
 
 def test_every_kind_that_is_refused_is_accepted_by_name_or_is_final():
-    final = {"joints_unknown", "time_stamps", "processing"}
-    kinds = set(kinds_refused()) - {"kind", *OF_FLAGS}
-    assert kinds - final <= set(REFUSED)
-    assert len(kinds) > 12
-    findings = [Finding(severity="refuse", kind=kind, message=kind) for kind in sorted(kinds)]
+    assert set(kinds_told()) <= set(KINDS)
+    assert len(set(kinds_told())) > 40
+    for kind, row in KINDS.items():
+        assert set(row.hides) <= set(KINDS), kind
+    refused = sorted(name for name, row in KINDS.items() if row.severity == "refuse")
+    final = {name for name in refused if KINDS[name].final}
+    assert final == {"joints_unknown", "time_stamps", "processing"}
+    assert set(refused) - final <= set(REFUSED)
+    findings = [Finding(severity="refuse", kind=kind, message=kind) for kind in refused]
     with pytest.raises(DataError) as error:
         require_accepted(findings)
     asked = re.findall(r"--accept (\w+)", str(error.value))
-    assert kinds_accepted(asked) == tuple(sorted(kinds - final))
+    assert kinds_accepted(asked) == tuple(kind for kind in refused if kind not in final)
 
 
 def test_every_use_of_a_log_refuses_it(log: Recording, robot: sdpid.RobotModel):

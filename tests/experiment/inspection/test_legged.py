@@ -12,16 +12,22 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection import (
+    feet_checks,
+    flight_checks,
+    force_checks,
+    imu_checks,
+    imu_fit,
+    point_checks,
+)
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.find import channel_delays
 from sdpid.experiment.inspection.delays.lag import lag
-from sdpid.experiment.inspection.finding import Finding, Subject, floating_log
-from sdpid.experiment.inspection.floating import feet_checks, flight_checks
-from sdpid.experiment.inspection.floating.floating_log import FloatingLog
-from sdpid.experiment.inspection.forces import force_checks
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.floating_log import FloatingLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings
-from sdpid.experiment.inspection.places import imu_checks, imu_fit, point_checks
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged import model
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
@@ -181,8 +187,8 @@ def test_a_foot_that_is_down_in_the_air_is_named() -> None:
     # The left fore leg is stretched backward and up at the hip, as where its zero is another.
     position[:, 1] += 1.2
     wrong = replace(walk(), position=position)
-    subject = Subject(log=wrong, robot=None, floating=robot())
-    told = {finding.kind: finding.message for finding in feet_checks.feet(subject)}
+    subject = Subject(log=wrong, robot=robot())
+    told = {finding.kind: finding.message for finding in feet_checks.feet_down(subject)}
     assert "FL_FOOT is" in told.get("foot_high", ""), told
     # Efforts tell the joint, and then its foot is no other defect.
     found = sdpid.inspect_recording(wrong, robot()).findings
@@ -214,7 +220,7 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     time = log.time - log.time[0]
     falling = np.array(base.position) - 0.5 * 9.81 * time[:, None] ** 2 * [0.0, 0.0, 1.0]
     free = sdpid.BaseMotion(orientation=base.orientation, position=falling)
-    air = Subject(log=replace(log, base=free, contacts=contacts), robot=None, floating=robot())
+    air = Subject(log=replace(log, base=free, contacts=contacts), robot=robot())
     assert not [*flight_checks.contacts_missing(air)]
 
 
@@ -287,7 +293,7 @@ def test_scale_of_forces_against_torques(motion: str, forced: float, driven: flo
 
 def test_some_feet_alone_tell_no_mass() -> None:
     scaled = with_feet(log("trot"), forces=0.95 * forces("trot"))
-    subject = Subject(log=scaled, robot=None, floating=robot(), without=frozenset({"FL_KFE"}))
+    subject = Subject(log=scaled, robot=robot(), without=frozenset({"FL_KFE"}))
     (finding,) = force_checks.forces(subject)
     assert finding.kind == "forces_scale"
     assert "kg" not in finding.message
@@ -454,7 +460,7 @@ def test_joints_that_bear_little_are_compared_with_their_own_efforts() -> None:
 
 def compared(recording: Recording) -> FloatingLog:
     model = robot("talos_reduced")
-    samples = Subject(log=recording, robot=None, floating=model).samples
+    samples = Subject(log=recording, robot=model).samples
     assert samples is not None
     rows = floating_log(model, samples)
     assert rows is not None
@@ -536,7 +542,7 @@ def wrenches(motion: str) -> Array:
 
 def wrenches_found(motion: str, changed: Array) -> list[Finding]:
     recording = with_feet(talos(motion), wrenches=changed)
-    subject = Subject(log=recording, robot=None, floating=robot("talos_reduced"))
+    subject = Subject(log=recording, robot=robot("talos_reduced"))
     return list(force_checks.forces(subject))
 
 
@@ -609,7 +615,7 @@ def go1(motion: str, seed: int = 3, duration: float = 2.0) -> Recording:
 
 
 def imu_found(recording: Recording) -> list[Finding]:
-    return list(imu_checks.imu(Subject(log=recording, robot=None, floating=robot("go1"))))
+    return list(imu_checks.imu(Subject(log=recording, robot=robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -697,7 +703,7 @@ def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
 
 def points_found(motion: str, **changes: object) -> list[Finding]:
     recording = with_feet(go1(motion, 4, 3.0), **changes)
-    return list(point_checks.points(Subject(log=recording, robot=None, floating=robot("go1"))))
+    return list(point_checks.points(Subject(log=recording, robot=robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -736,7 +742,7 @@ def test_frame_that_moves_is_refused(part: str) -> None:
 def test_a_foot_that_slips_has_no_other_point(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "_GRIP", 0.05)
     slips = sdpid.simulate_legged(robot(), "trot", seed=2, duration=10.0).recording
-    told = list(point_checks.points(Subject(log=slips, robot=None, floating=robot())))
+    told = list(point_checks.points(Subject(log=slips, robot=robot())))
     assert {each.kind for each in told} == {"foot_moves"}
     assert told[0].message.endswith(": it slips")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.inspection.block_fit import BlockSums, sure_part
 from sdpid.experiment.inspection.delays.standing import Standing
-from sdpid.experiment.inspection.places.block_fit import BlockSums, sure_part
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes

@@ -14,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.experiment.inspection.finding import Finding, Severity, Subject
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import ROWS, taken
 
@@ -74,20 +76,6 @@ class Seen(NamedTuple):
     excess: float
     rows: slice
     numbers: dict[str, float]
-
-
-class Rule(NamedTuple):
-    """A rule: where a joint's values are large, and what is said of those beyond the limit.
-
-    The severity is None for that of what is wrong with a velocity. Words have the ``name``, the
-    ``row`` and the ``last`` one (from 1), and the numbers.
-    """
-
-    kind: str
-    severity: Severity | None
-    seen: Callable[[Joint], Iterator[Seen]]
-    message: str
-    remedy: str
 
 
 def _frozen(
@@ -202,103 +190,45 @@ def _position_coarse(joint: Joint) -> Iterator[Seen]:
     yield Seen(max(_VALUES / count, apart / _APART), slice(0, rows), numbers)
 
 
-_STAYS = " of {name} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
-_LEAVE = "leave those rows out"
 # In this order: what is far off hides the rest, and what is rounded stays and jumps.
-RULES = (
-    Rule(
-        kind="position_lone",
-        severity="refuse",
-        seen=_position_lone,
-        message=(
-            "position of {name} is {off:.3g} rad off those before and after it at row {row}, limit "
-            "{limit:.2g} rad: a wrong sample"
-        ),
-        remedy="remove that sample: a gap of a few samples is interpolated",
-    ),
-    Rule(
-        kind="position_coarse",
-        severity="warning",
-        seen=_position_coarse,
-        message=(
-            "position of {name} has {values} different values (limit {limit}), {step:.2g} rad "
-            "apart (limit {step_limit:g} rad): it is rounded"
-        ),
-        remedy="log positions with all their digits",
-    ),
-    Rule(
-        kind="position_frozen",
-        severity="refuse",
-        seen=_position_frozen,
-        message=f"position{_STAYS}, while {{name}} moves by {{moved:.2g}} rad, limit {{limit:.2g}}",
-        remedy=_LEAVE,
-    ),
-    Rule(
-        kind="velocity_frozen",
-        severity=None,
-        seen=_velocity_frozen,
-        message=(
-            "velocity" + _STAYS + ", while {name} leaves that speed by {moved:.2g} rad (limit "
-            "{limit:.2g} rad)"
-        ),
-        remedy=f"{_LEAVE}, or the velocity (velocity=none)",
-    ),
-    Rule(
-        kind="effort_frozen",
-        severity="warning",
-        seen=_effort_frozen,
-        message="effort" + _STAYS + ", while {name} moves by {way:.2g} rad",
-        remedy=f"{_LEAVE}, or the efforts of that joint (without_effort)",
-    ),
-    Rule(
-        kind="effort_spike",
-        severity="warning",
-        seen=_effort_spike,
-        message=(
-            "effort of {name} is {off:.3g} off those before and after it at row {row}, limit "
-            "{limit:.2g}: an outlier"
-        ),
-        remedy="remove that sample",
-    ),
-)
+RULES: dict[str, Callable[[Joint], Iterator[Seen]]] = {
+    "position_lone": _position_lone,
+    "position_coarse": _position_coarse,
+    "position_frozen": _position_frozen,
+    "velocity_frozen": _velocity_frozen,
+    "effort_frozen": _effort_frozen,
+    "effort_spike": _effort_spike,
+}
 
 
 def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
     """Return what is wrong with single channels, and the subject without the rows that are."""
     findings: list[Finding] = []
     left_out: list[slice] = []
-    for rule in RULES:
-        of_position = rule.kind.startswith("position")
-        rounded = {
-            each.joint for each in findings if of_position and each.kind == "position_coarse"
-        }
-        unused = subject.without if rule.kind.startswith("effort") else frozenset()
+    for kind, rule in RULES.items():
+        of_position = kind.startswith("position")
+        rounded = {f.joint for f in findings if of_position and f.kind == "position_coarse"}
+        unused = subject.without if kind.startswith("effort") else frozenset()
         for j, name in enumerate(subject.log.names):
             if name in rounded or name in unused:
                 continue
             seen = [
                 (each, slice(int(part.rows[each.rows][0]), int(part.rows[each.rows][-1]) + 1))
                 for part in _parts(subject, j)
-                for each in rule.seen(part)
+                for each in rule(part)
                 if each.excess >= 1.0
             ]
             if not seen:
                 continue
             worst, rows = max(seen, key=lambda each: each[0].excess)
+            severity = subject.about_velocity if kind == "velocity_frozen" else None
             numbers = {"row": rows.start + 1, "last": rows.stop, **worst.numbers}
-            several = f"; {len(seen)} such in all" if len(seen) > 1 else ""
-            findings.append(
-                Finding(
-                    severity=rule.severity or subject.about_velocity,
-                    kind=rule.kind,
-                    joint=name,
-                    message=rule.message.format(name=name, **numbers) + several,
-                    remedy=rule.remedy,
-                    numbers=numbers,
-                )
-            )
-            left_out += [each for _, each in seen if rule.kind != "position_coarse"]
-        if left_out and rule.kind == "position_lone":
+            told = found(kind, name, severity, **numbers)
+            if len(seen) > 1:
+                told = replace(told, message=f"{told.message}; {len(seen)} such in all")
+            findings.append(told)
+            left_out += [each for _, each in seen if kind != "position_coarse"]
+        if left_out and kind == "position_lone":
             subject = replace(subject, left_out=tuple(left_out))
     return findings, replace(subject, left_out=tuple(left_out)) if left_out else subject
 

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.inspection.floating.evidence import GRAVITY
+from sdpid.experiment.inspection.evidence import GRAVITY
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.recording import Recording
 
 # Times without a closed contact that are shorter than this (s) say little about acceleration, and
@@ -47,18 +49,14 @@ def contacts_missing(subject: Subject) -> Iterator[Finding]:
     said = "the recording has no contacts"
     if log.contacts is not None:
         said = f"no contact is closed for {100.0 * share:.3g} % of the time"
-    yield Finding(
-        severity="refuse",
-        kind="contacts_missing",
-        message=(
-            f"{said}, and the robot does not fall: its mean specific force upward is then "
-            f"{mean:.3g} m/s² (limit {_BORNE_SHARE * gravity:.3g}; gravity {gravity:.3g})"
-        ),
-        remedy=(
-            "give what bears it, Recording.contacts: flags, forces or wrenches; of a base that is "
-            "held, log.with_held_base(link)"
-        ),
-        numbers={"share": share, "specific_force": mean},
+    limit = _BORNE_SHARE * gravity
+    yield found(
+        "contacts_missing",
+        said=said,
+        share=share,
+        specific_force=mean,
+        limit=limit,
+        gravity=gravity,
     )
 
 

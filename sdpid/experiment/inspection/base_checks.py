@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.inspection.floating.evidence import (
+from sdpid.experiment.inspection.evidence import (
     GRAVITY,
     LEAST_RATE,
     Evidence,
@@ -21,6 +20,9 @@ from sdpid.experiment.inspection.floating.evidence import (
     unexplained,
     window_means,
 )
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
 
@@ -69,15 +71,12 @@ def orientation(subject: Subject) -> Iterator[Finding]:
         )
     if own[1].above is not None and own[1].above > _WRONG_SHARE:
         seen.append(f"feet that are down are above the base in {100 * own[1].above:.3g} % of all")
-    yield Finding(
-        severity="refuse",
-        kind="base_orientation",
-        message=(
-            f"orientation of the base is no quaternion x y z w from base to world: "
-            f"{' and '.join(seen)}; both agree where it is read as {' or '.join(right)}"
-        ),
-        remedy="read it in its order (base={'quaternion': 'wxyz'}), or give the inverse",
-        numbers={"rates": rates or 0.0, "tilt": tilt or 0.0},
+    yield found(
+        "base_orientation",
+        seen=" and ".join(seen),
+        right=" or ".join(right),
+        rates=rates or 0.0,
+        tilt=tilt or 0.0,
     )
 
 
@@ -104,11 +103,11 @@ def unchanging_sensors(subject: Subject) -> Iterator[Finding]:
         if np.any(np.ptp(values, axis=0)):
             continue
         shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
-        yield Finding(
-            kind=f"imu_{sensor}",
-            message=f"{sensor} of the base never changes: it is ({shown}) in every row",
+        yield found(
+            f"imu_{sensor}",
+            what=f" never changes: it is ({shown}) in every row",
             remedy="if it was not measured, leave it out",
-            numbers={"size": float(np.linalg.norm(values[0]))},
+            size=float(np.linalg.norm(values[0])),
         )
 
 
@@ -144,19 +143,21 @@ def gyroscope(subject: Subject) -> Iterator[Finding]:
     ]
     left, axes, scale = min(fits, key=lambda fit: fit[0])
     known = left < _RIGHT_SHARE and left * _BETTER < own
-    words = ""
+    better = ""
     if known:
-        found = [] if np.array_equal(axes, np.eye(3)) else [axes_in_words(axes) + " measured"]
-        found += ["it is in deg/s"] if scale == _DEGREES else []
-        words = f"; {100 * left:.2g} % where {' and '.join(found)}"
-    yield Finding(
-        kind="imu_gyroscope",
-        message=(
-            f"gyroscope of the base leaves {100 * own:.3g} % of the orientation's turning "
-            f"unexplained, limit {100 * _WRONG_SHARE:g} %{words}"
+        right = [] if np.array_equal(axes, np.eye(3)) else [axes_in_words(axes) + " measured"]
+        right += ["it is in deg/s"] if scale == _DEGREES else []
+        better = f"; {100 * left:.2g} % where {' and '.join(right)}"
+    yield found(
+        "imu_gyroscope",
+        what=(
+            f" leaves {100 * own:.3g} % of the orientation's turning unexplained, limit "
+            f"{100 * _WRONG_SHARE:g} %{better}"
         ),
         remedy="give the sensor's axes (imu rotation) or its unit, or leave it out",
-        numbers={"unexplained": own, "best": left, "limit": _WRONG_SHARE},
+        unexplained=own,
+        best=left,
+        limit=_WRONG_SHARE,
     )
 
 
@@ -196,12 +197,8 @@ def accelerometer(subject: Subject) -> Iterator[Finding]:
             what += ": it has the opposite sign"
         elif best > math.cos(_RIGHT_TILT):
             what += f"; upright where {named} measured, among others"
-    yield Finding(
-        kind="imu_accelerometer",
-        message=f"accelerometer of the base: {what}",
-        remedy=remedy,
-        numbers={"size": size, "upward": along, "limit": _GRAVITY_SHARE},
-    )
+    numbers = {"size": size, "upward": along, "limit": _GRAVITY_SHARE}
+    yield found("imu_accelerometer", what=f": {what}", remedy=remedy, **numbers)
 
 
 def _upward(turns: Array, force: Array) -> float:
@@ -241,15 +238,13 @@ def base_velocities(subject: Subject) -> Iterator[Finding]:
         limit = _TOLD_SHARE if fits else _WRONG_SHARE
         if own <= limit:
             continue
-        pose = "position" if name == "linear_velocity" else "orientation"
-        better = f"; {100 * left:.2g} % where they are the {other}'s" if fits else ""
-        yield Finding(
-            kind="base_velocity",
-            message=(
-                f"{name.replace('_', ' ')} of the base, said to be in {base.velocity_frame} axes, "
-                f"leaves {100 * own:.3g} % of the rate of its {pose} unexplained, limit "
-                f"{100 * limit:g} %{better}"
-            ),
-            remedy="say its axes (velocity_frame) or its unit, or leave it out",
-            numbers={"unexplained": own, "other": left, "limit": limit},
+        yield found(
+            "base_velocity",
+            velocity=name.replace("_", " "),
+            axes=base.velocity_frame,
+            pose="position" if name == "linear_velocity" else "orientation",
+            better=f"; {100 * left:.2g} % where they are the {other}'s" if fits else "",
+            unexplained=own,
+            other=left,
+            limit=limit,
         )

@@ -9,8 +9,10 @@ from itertools import permutations
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.finding import Finding, Subject, check, exchanged
-from sdpid.experiment.inspection.floating.evidence import window_means
+from sdpid.experiment.inspection.evidence import window_means
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import exchanged, found
+from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.robot.model.contacts.jacobians import frame_places
 
 # A foot that is down and moves faster than this on average (m/s) is not down, or slips. Feet of
@@ -86,64 +88,49 @@ def _speed_down(speed: Array, down: Mask) -> Array:
 
 
 @check
-def feet(subject: Subject) -> Iterator[Finding]:
+def feet_down(subject: Subject) -> Iterator[Finding]:
     """Find feet that are said to be down and move, and flags of one foot given to another."""
-    found = feet_of(subject)
-    if found is None:
+    feet = feet_of(subject)
+    if feet is None:
         return
-    own = _speed_down(found.speed, found.down)
-    share = found.down.mean(axis=0)
-    seen = share > _LEAST_SHARE
-    order = _exchanged(found)
+    own = _speed_down(feet.speed, feet.down)
+    seen = feet.down.mean(axis=0) > _LEAST_SHARE
+    order = _exchanged(feet)
     if order is not None:
-        better = float(np.sqrt(np.mean(_speed_down(found.speed, found.down[:, order]) ** 2)))
+        better = float(np.sqrt(np.mean(_speed_down(feet.speed, feet.down[:, order]) ** 2)))
         worse = float(np.sqrt(np.mean(own**2)))
-        yield Finding(
-            kind="feet_exchanged",
-            message=(
-                f"flags of contacts are of other feet: {exchanged(found.names, order)}; feet that "
-                f"are down then move by {better:.3g} m/s (rms) in place of {worse:.3g}, limit a "
-                f"factor of {_BETTER:g}"
+        yield found(
+            "feet_exchanged",
+            feet=exchanged(feet.names, order),
+            mended=(
+                f"; feet that are down then move by {better:.3g} m/s (rms) in place of "
+                f"{worse:.3g}, limit a factor of {_BETTER:g}"
             ),
-            remedy="give the contacts' frames in the order of their columns",
-            numbers={"speed": worse, "exchanged": better, "limit": _BETTER},
+            speed=worse,
+            exchanged=better,
+            limit=_BETTER,
         )
         return
     for i in np.flatnonzero(seen & (own > _SLIPS)).tolist():
-        yield Finding(
-            kind="foot_moves",
-            message=(
-                f"{found.names[i]} moves by {own[i]:.3g} m/s (rms) while it is said to be down, "
-                f"limit {_SLIPS:g}: it slips, its flags are wrong, or the pose of the base is"
-            ),
-            remedy="mark it as not down where it slips; check frames, offset and base",
-            numbers={"speed": own[i], "limit": _SLIPS},
+        what = (
+            f"{feet.names[i]} moves by {own[i]:.3g} m/s (rms) while it is said to be down, limit "
+            f"{_SLIPS:g}: it slips, its flags are wrong, or the pose of the base is"
         )
-    yield from _high(found, seen)
+        yield found("foot_moves", what=what, speed=own[i], limit=_SLIPS)
+    yield from _high(feet, seen)
 
 
-def _high(found: Feet, seen: Mask) -> Iterator[Finding]:
+def _high(feet: Feet, seen: Mask) -> Iterator[Finding]:
     """Find feet that are said to be down, far above those that are."""
-    several = found.down.sum(axis=1) >= 2
+    several = feet.down.sum(axis=1) >= 2
     if np.count_nonzero(seen) < 2 or not several.any():
         return
-    heights = np.where(found.down, found.height, np.nan)[several]
+    heights = np.where(feet.down, feet.height, np.nan)[several]
     level = np.nanmedian(heights, axis=1)
-    for i in np.flatnonzero(seen).tolist():
-        above = heights[:, i] - level
-        above = above[~np.isnan(above)]
-        if not above.size or float(np.median(above)) <= _HIGH:
-            continue
-        height = float(np.median(above))
-        yield Finding(
-            kind="foot_high",
-            message=(
-                f"{found.names[i]} is {height:.3g} m above the other feet while it is said to be "
-                f"down, limit {_HIGH:g} m"
-            ),
-            remedy="check its flags and the order of the joints, unless the ground is not level",
-            numbers={"height": height, "limit": _HIGH},
-        )
+    for i in np.flatnonzero(seen & ~np.isnan(heights).all(axis=0)).tolist():
+        height = float(np.nanmedian(heights[:, i] - level))
+        if height > _HIGH:
+            yield found("foot_high", foot=feet.names[i], height=height, limit=_HIGH)
 
 
 def _exchanged(found: Feet) -> tuple[int, ...] | None:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.block_fit import SURE, BlockFit, BlockSums, sure_part
 from sdpid.experiment.inspection.delays.lag import Smooth, lag
-from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
-from sdpid.experiment.inspection.places.block_fit import SURE, BlockFit, BlockSums, sure_part
+from sdpid.experiment.inspection.evidence import LEAST_RATE
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of

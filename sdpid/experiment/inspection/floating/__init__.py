@@ -1,1 +1,0 @@
-"""Checks of recordings with a floating base: orientation, velocities, IMU, feet, delays."""

@@ -1,1 +1,0 @@
-"""Checks of where sensors sit on a base, and where feet touch the ground."""
