@@ -242,8 +242,6 @@ class CorrectedLog:
     steps: tuple[Step, ...] = ()
     # What changes of the efforts alone do not touch.
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid",)
-    # What is large, and made again where it is asked for.
-    _large: ClassVar[tuple[str, ...]] = ("rigid",)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -287,16 +285,6 @@ class CorrectedLog:
     def misfit(self) -> float:
         """How badly the efforts are explained."""
         return misfit(self.shares)
-
-    def compared(self) -> CorrectedLog:
-        """Return the log with its shares known, and without what they were made of.
-
-        Of forty joints a thousand logs are compared: they would take all memory.
-        """
-        _ = self.shares
-        for name in self._large:
-            self.__dict__.pop(name, None)
-        return self
 
     @property
     def most_steps(self) -> int:
@@ -390,18 +378,20 @@ def _price(log: CorrectedLog) -> float:
 
 def _children(log: CorrectedLog) -> list[CorrectedLog]:
     """Return the logs that one more change makes, the best ones."""
-    listed = [(log.changed(change).compared(), change) for change in _changes(log)]
-    tried = sorted(listed, key=lambda each: each[0].misfit)
+    # Of forty joints a thousand logs are compared: all at once they would take all memory.
+    listed = [(change, log.changed(change).shares) for change in _changes(log)]
+    misfits = {change: misfit(shares) for change, shares in listed}
+    tried = sorted(listed, key=lambda each: misfits[each[0]])
     # Of those that do as well as the best the likeliest counts.
-    near = tried[0][0].misfit + _ALIKE
-    likeliest = next(each for each in listed if each[0].misfit < near)
+    near = misfits[tried[0][0]] + _ALIKE
+    likeliest = next(each for each in listed if misfits[each[0]] < near)
     tried = [likeliest, *(each for each in tried if each is not likeliest)]
     children = []
-    for child, change in tried[:_KEPT]:
-        near = child.misfit + _ALIKE
-        alike = tuple(c for each, c in tried if c is not change and each.misfit < near)
-        step = Step(change=change, alike=alike, before=log.shares, after=child.shares)
-        children.append(replace(child, steps=(*log.steps, step)))
+    for change, shares in tried[:_KEPT]:
+        near = misfits[change] + _ALIKE
+        alike = tuple(each for each, _ in tried if each is not change and misfits[each] < near)
+        step = Step(change=change, alike=alike, before=log.shares, after=shares)
+        children.append(replace(log.changed(change), steps=(*log.steps, step)))
     return children
 
 

@@ -16,7 +16,7 @@ from sdpid.experiment.inspection.delays.find import (
     gyroscope_delay,
     is_told,
 )
-from sdpid.experiment.inspection.delays.lag import block_error, pooled
+from sdpid.experiment.inspection.delays.kinematic import block_error, pooled
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.rows import Rows

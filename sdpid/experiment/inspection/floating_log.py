@@ -156,14 +156,6 @@ class FloatingLog(CorrectedLog):
     base_acceleration: Array
     contacts: ContactSamples
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid", "unit", "free")
-    _large: ClassVar[tuple[str, ...]] = (
-        "rigid",
-        "free",
-        "columns",
-        "equations",
-        "sensible",
-        "freely",
-    )
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -383,7 +375,6 @@ def floating_log(
         sign=np.tanh(velocity / _WIDTH),
         effort=effort,
         effort_rate=np.zeros_like(effort),
-        recorded_velocity=None,
         usable=usable,
         motion_hz=0.0,
         step=0.0,

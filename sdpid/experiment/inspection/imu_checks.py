@@ -1,25 +1,319 @@
-"""Check an IMU's axes, place, biases and scales against the pose of its base."""
+"""Check an IMU's axes, place, biases and scales against the rates of its base's pose."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.experiment.inspection import base_checks
-from sdpid.experiment.inspection.evidence import GRAVITY, axes_in_words, signed_axes
+from sdpid.experiment.inspection.block_fit import SURE, BlockFit, BlockSums, sure_part
+from sdpid.experiment.inspection.delays.kinematic import Smooth, lag
+from sdpid.experiment.inspection.evidence import GRAVITY, LEAST_RATE, axes_in_words, signed_axes
 from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.imu_fit import (
-    RATE_BIAS,
-    SIZES,
-    ImuFit,
-    accelerometer_fit,
-    gyroscope_fit,
-    on_time,
-)
 from sdpid.experiment.inspection.kinds import found, vector
 from sdpid.experiment.inspection.subject import Subject, check
+from sdpid.experiment.processing.delays.on_time import on_time as shifted
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.base import Imu
+from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.robot.inertia import skew
+
+# Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
+_RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
+# Samples that are looked at, from the middle of longer recordings, and least number of memories of
+# the filter.
+_READ, _LEAST = 40_000, 12
+# Delays above this (s) are taken off first, as differences do not hold for long ones.
+_LATE = 0.002
+# Samples for each period of the cut-off are enough.
+_SAMPLES = 10.0
+# Told from five standard errors on and from this size: turned by 3°, placed 1 cm off, 0.1 m/s²
+# (0.05 rad/s) or 2 % off. Right logs of three quadrupeds are off by 3.2 errors at most; an
+# accelerometer 5 cm off costs 1.2 %.
+SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
+RATE_BIAS = 0.05
+# Nothing is farther off than this: m, m/s² (rad/s), 1, rad, s.
+_MOST = {"place": 2.0, "bias": 20.0, "scale": 2.0, "axes": np.pi, "late": 0.1}
+# A reflection is told where rotations leave this share of the turning, and it so much less.
+_MIRROR_SHARE, _MIRROR_BETTER = 0.02, 10.0
+# Columns of what may be wrong. That of the delay is always fitted: it is told elsewhere.
+_GYROSCOPE = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,)}
+_ACCELEROMETER = {**_GYROSCOPE, "place": (8, 9, 10)}
+# What explains this share of what the best does is named beside it: a level base does not tell an
+# axis that is tilted from a bias.
+_RIVAL = 0.5
+# Turns are linearized anew so often.
+_ROUNDS = 5
+# A turn far from what was stated has to leave less than this of what one nearby leaves.
+_CLEARLY = 0.8
+# Of what explains as much, the first is taken.
+_ORDER_OF_BLAME = ("place", "bias", "scale", "axes")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """Something that is wrong with a sensor.
+
+    Attributes
+    ----------
+    value : ndarray, shape (3,) or (1,)
+        The change from what was stated to what the data show, in the base's axes: m of a place,
+        m/s² or rad/s of a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
+    error : float
+        Standard error of it, that of its least certain direction.
+    rivals : tuple of str
+        What would explain as much in place of it.
+    """
+
+    value: Array
+    error: float
+    rivals: tuple[str, ...] = ()
+
+
+def searched(
+    sums: Callable[[Array], BlockSums],
+    groups: Mapping[str, tuple[int, ...]],
+    sizes: Mapping[str, float],
+    reference: Array,
+    start: Array,
+) -> tuple[dict[str, Found], Array, float]:
+    """Return what is wrong, one after another, the sensor's turn, and what is left.
+
+    What explains most comes first: one mistake leaks into all others until it is known.
+    """
+    turn, now = reference, sums(reference)
+    rivals: dict[str, tuple[str, ...]] = {}
+
+    def fit(names: Iterable[str], own: BlockSums) -> BlockFit:
+        return own.fit([i for name in ("late", *names) for i in groups[name]])
+
+    while True:
+        before = fit(rivals, now).left
+        drops = {}
+        for name in _ORDER_OF_BLAME:
+            if name in groups and name not in rivals:
+                tried = fit((*rivals, name), now)
+                if sure_part(*tried.of(groups[name]), sizes[name]) is not None:
+                    drops[name] = before**2 - tried.left**2
+        if not drops:
+            break
+        likely = [name for name in drops if drops[name] >= _RIVAL * max(drops.values())]
+        rivals[likely[0]] = tuple(likely[1:])
+        if "axes" in rivals:
+            # Anew with whatever came later: all of them are found together.
+            first = likely[0] == "axes"
+            starts = (reference, start) if first else (turn, turn)
+            turn, now = _turned(sums, groups, tuple(rivals), starts)
+    last = fit(rivals, now)
+    found = {}
+    for name, others in rivals.items():
+        value, covariance = last.of(groups[name])
+        if name == "axes":
+            value = value + _rotation_vector(turn @ reference.T)
+        sure = sure_part(value, covariance, sizes[name])
+        if sure is not None:
+            found[name] = Found(value=sure[0], error=sure[1], rivals=others)
+    return found, turn if "axes" in found else reference, last.left
+
+
+def _turned(
+    sums: Callable[[Array], BlockSums],
+    groups: Mapping[str, tuple[int, ...]],
+    chosen: tuple[str, ...],
+    starts: tuple[Array, ...],
+) -> tuple[Array, BlockSums]:
+    """Return the turn that fits best, linearized anew until it stays."""
+    columns = [i for name in ("late", *chosen) for i in groups[name]]
+    ends = []
+    for turn in starts:
+        for _ in range(_ROUNDS):
+            own = sums(turn)
+            turn = _rotation(own.fit(columns).of(groups["axes"])[0]) @ turn
+        own = sums(turn)
+        ends.append((own.fit(columns).left, turn, own))
+    # Where few axes turn, others fit as well that are far from what was stated.
+    near, far = ends
+    return far[1:] if far[0] < _CLEARLY * near[0] else near[1:]
+
+
+def nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
+    """Return the orthogonal matrix that turns vectors (K, 3) best into others [schonemann1966]_.
+
+    Of determinant 1 where it shall be `proper`: a rotation.
+    """
+    left, _, right = np.linalg.svd(wanted.T @ given)
+    if proper and np.linalg.det(left @ right) < 0.0:
+        left[:, 2] *= -1.0
+    return np.asarray(left @ right)
+
+
+def _rotation(vector: Array) -> Array:
+    """Return the matrix of a rotation vector."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def _rotation_vector(matrix: Array) -> Array:
+    """Return the rotation vector of a matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImuFit:
+    """A sensor that is compared with a pose.
+
+    Attributes
+    ----------
+    found : mapping of str to Found
+        ``"place"``, ``"bias"``, ``"scale"`` and ``"axes"``, where they are sure.
+    turn : ndarray, shape (3, 3)
+        From the axes that were stated to those of the sensor, in the base's.
+    mirrored : bool
+        Whether no rotation agrees, and a reflection does.
+    """
+
+    found: Mapping[str, Found]
+    turn: Array
+    mirrored: bool = False
+
+
+def _kept(smooth: Smooth) -> slice:
+    """Return the samples that are compared."""
+    stride = max(1, int(1.0 / (_SAMPLES * smooth.cutoff_hz * smooth.step)))
+    return slice(smooth.inner.start, smooth.inner.stop, stride)
+
+
+def on_time(log: Recording) -> Recording:
+    """Return the middle of a recording with its IMU on the pose's time.
+
+    Both turn equally fast, whatever the sensor's axes are.
+    """
+    first = max(0, (log.n_samples - _READ) // 2)
+    log = rows_of(log, slice(first, first + _READ)) if first else log
+    base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
+    shown = None if base is None else base.sensed("gyroscope")
+    if base is None or shown is None or smooth is None:
+        return log
+    sensed, speed = (
+        np.linalg.norm(smooth.low(each), axis=1)[smooth.inner, None]
+        for each in (shown, smooth.turning(base))
+    )
+    late = lag(sensed, speed, log.step)
+    if late is None or not late.sure(_LATE, SURE):
+        return log
+    return shifted(log, Processing(imu_delay_s=late.value))
+
+
+def gyroscope_fit(log: Recording) -> ImuFit | None:
+    """Compare a gyroscope with the turning of the pose; None where there is too little of either.
+
+    Sensed is ``turn @ (E + scale) @ turning + bias``, late by a delay that is of no interest here.
+    """
+    base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
+    shown = None if base is None else base.sensed("gyroscope")
+    if base is None or shown is None or smooth is None:
+        return None
+    kept, sensed = _kept(smooth), smooth.low(shown)
+    late = np.gradient(sensed, log.step, axis=0)[kept]
+    turning, sensed = smooth.low(smooth.turning(base))[kept], sensed[kept]
+    sizes = {**SIZES, "bias": RATE_BIAS}
+    # At rest it has nothing but a bias.
+    rests = _rms(turning) < LEAST_RATE
+    groups = {name: _GYROSCOPE[name] for name in ("bias", "late")} if rests else _GYROSCOPE
+
+    def sums(turn: Array) -> BlockSums:
+        turned = sensed @ turn.T
+        columns = [
+            np.broadcast_to(np.eye(3), (len(turned), 3, 3)),
+            turned[:, :, None],
+            skew(turned),
+            -(late @ turn.T)[:, :, None],
+        ]
+        return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
+
+    start = nearest_turn(turning, sensed, proper=True)
+    found, turn, left = searched(sums, groups, sizes, np.eye(3), start)
+    best = nearest_turn(turning, sensed, proper=False)
+    rest = turning - sensed @ best.T
+    power = float(np.mean(turning**2))
+    mirrored = bool(
+        np.linalg.det(best) < 0.0
+        and left**2 > _MIRROR_SHARE * power
+        and _MIRROR_BETTER * float(np.mean(rest**2)) < left**2
+    )
+    return ImuFit(
+        found={} if mirrored else found, turn=best if mirrored else turn, mirrored=mirrored
+    )
+
+
+def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | None:
+    """Compare an accelerometer with the pose's accelerations; None where there is too little.
+
+    In the world's axes, with the base's orientation R and position p, the sensor's place r and
+    the upward axis z, specific force is ``p'' + R''·r + g·z``: what is filtered alike on both
+    sides stays equal, with no velocity of the base and no product of rates.
+
+    Parameters
+    ----------
+    log : Recording
+        With a base whose position is known.
+    gravity : float
+        m/s².
+    turn : (3, 3) ndarray
+        Of the sensor, as the gyroscope shows it, against what is stated.
+    """
+    base, smooth = log.base, Smooth.of(log, _ACCELERATION_HZ, _LEAST)
+    shown = None if base is None else base.sensed("accelerometer")
+    if base is None or base.imu is None or shown is None or smooth is None:
+        return None
+    if base.position is None:
+        return None
+    R, stated, kept, low = base.rotations, shown, _kept(smooth), smooth.low
+    axes = low(R)
+    moved = smooth.second(low(np.asarray(base.position)))
+    moved[:, 2] += gravity
+    swung = smooth.second(axes)
+    wanted = (moved + swung @ base.imu.translation)[kept]
+    axes, swung = axes[kept], swung[kept]
+
+    def sums(turn: Array) -> BlockSums:
+        sensed = stated @ turn.T
+        force = low(np.einsum("kij,kj->ki", R, sensed))
+        late = np.gradient(force, log.step, axis=0)[kept]
+        turned = low(np.einsum("kij,kjl->kil", R, skew(sensed)))[kept]
+        force = force[kept]
+        columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
+        return BlockSums.of(
+            np.concatenate(columns, axis=2), force - wanted, _scales(_ACCELEROMETER)
+        )
+
+    rests = _rms(low(smooth.turning(base))[kept]) < LEAST_RATE
+    names = ("bias", "scale", "late") if rests else tuple(_ACCELEROMETER)
+    groups = {name: _ACCELEROMETER[name] for name in names}
+    sensed = low(np.einsum("kij,kj->ki", R, stated))[kept]
+    in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
+    start = nearest_turn(*in_base, proper=True)
+    found, total, _ = searched(sums, groups, SIZES, turn, start)
+    if rests and "bias" in found:
+        # At rest an axis that is tilted shows the same.
+        found["bias"] = replace(found["bias"], rivals=(*found["bias"].rivals, "axes"))
+    return ImuFit(found=found, turn=total)
+
+
+def _scales(groups: Mapping[str, tuple[int, ...]]) -> Array:
+    order = sorted(groups, key=lambda name: groups[name])
+    return np.array([_MOST[name] for name in order for _ in groups[name]])
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
 
 _RIVALS = {
     "bias": "a bias",

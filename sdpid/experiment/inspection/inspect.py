@@ -19,12 +19,10 @@ from sdpid.experiment.inspection import (
     dynamics_checks,
     effort_checks,
     feet_checks,
-    flight_checks,
     force_checks,
     imu_checks,
     motion_checks,
     point_checks,
-    reference_checks,
     time_checks,
 )
 from sdpid.experiment.inspection.finding import Finding
@@ -40,8 +38,8 @@ from sdpid.robot.model.model import RobotModel
 
 # Importing a file of checks adds them to the lists. A new check is a function in one of these.
 _ = (
-    *(time_checks, motion_checks, reference_checks, effort_checks, delay_checks, dynamics_checks),
-    *(base_checks, imu_checks, feet_checks, point_checks, flight_checks, force_checks),
+    *(time_checks, motion_checks, effort_checks, delay_checks, dynamics_checks),
+    *(base_checks, imu_checks, feet_checks, point_checks, force_checks),
 )
 # Positions in degrees raise most of the other alarms as well.
 _BESIDE_DEGREES = ("position_in_degrees", "joints", "joints_unknown", "effort_silent")

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.corrections import described
-from sdpid.experiment.inspection.delays.lag import block_error
+from sdpid.experiment.inspection.delays.kinematic import block_error
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.rows import Rows

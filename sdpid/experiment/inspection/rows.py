@@ -61,10 +61,10 @@ class Rows:
     sign: Array
     effort: Array
     effort_rate: Array
-    recorded_velocity: Array | None
     usable: NDArray[np.bool_]
     motion_hz: float
     step: float
+    recorded_velocity: Array | None = None
 
 
 def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Rows | None:
@@ -92,16 +92,12 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     parts = [part for each in grids if (part := _filtered(*each, cutoff)) is not None]
     if not parts:
         return None
-    stride = -(-sum(len(part[0]) for part in parts) // _ROWS)
-    tables = [np.concatenate([part[i][::stride] for part in parts]) for i in range(len(parts[0]))]
-    names = ("position", "velocity", "acceleration", "sign", "effort", "effort_rate")
-    signals = dict(zip(names, tables, strict=False))
-    recorded = tables[len(names)] if len(tables) > len(names) else None
+    stride = -(-sum(len(part["effort"]) for part in parts) // _ROWS)
+    signals = {name: np.concatenate([part[name][::stride] for part in parts]) for name in parts[0]}
     has_effort = np.ptp(signals["effort"], axis=0) > 0.0
     known = np.array([name not in without for name in longest.names])
     return Rows(
         **signals,
-        recorded_velocity=recorded,
         usable=moves & has_effort & known,
         motion_hz=motion,
         step=longest.step,
@@ -122,7 +118,7 @@ def _motion(log: Recording, grid: Grid, moves: NDArray[np.bool_]) -> float | Non
     return float(np.median(found)) if found else None
 
 
-def _filtered(log: Recording, grid: Grid, cutoff: float) -> tuple[Array, ...] | None:
+def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | None:
     """Return the signals of `Rows` of a piece, (samples, n) each; None if it is too short."""
     from scipy.ndimage import gaussian_filter1d
 
@@ -145,17 +141,17 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> tuple[Array, ...] | 
     position, effort = channels(log.position), channels(log.effort)
     # The sign changes fast: it is taken of a velocity that is filtered less, and then filtered.
     sign = np.tanh(smooth(position, 1, 0.25) / _WIDTH)
-    signals: tuple[Array, ...] = (
-        smooth(position, 0),
-        smooth(position, 1),
-        smooth(position, 2),
-        smooth(sign, 0),
-        smooth(effort, 0),
-        smooth(effort, 1),
-    )
+    signals = {
+        "position": smooth(position, 0),
+        "velocity": smooth(position, 1),
+        "acceleration": smooth(position, 2),
+        "sign": smooth(sign, 0),
+        "effort": smooth(effort, 0),
+        "effort_rate": smooth(effort, 1),
+    }
     if log.velocity is not None:
-        signals = (*signals, smooth(channels(log.velocity), 0))
-    return tuple(each[edge:-edge] for each in signals)
+        signals["recorded_velocity"] = smooth(channels(log.velocity), 0)
+    return {name: each[edge:-edge] for name, each in signals.items()}
 
 
 def _averaged(column: Array, grid: Grid, count: int) -> Array:

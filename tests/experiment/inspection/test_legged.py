@@ -13,17 +13,16 @@ import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection import (
+    base_checks,
     feet_checks,
-    flight_checks,
     force_checks,
     imu_checks,
-    imu_fit,
     point_checks,
 )
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.find import channel_delays
-from sdpid.experiment.inspection.delays.lag import lag
+from sdpid.experiment.inspection.delays.kinematic import lag
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.floating_log import FloatingLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings
@@ -221,7 +220,7 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     falling = np.array(base.position) - 0.5 * 9.81 * time[:, None] ** 2 * [0.0, 0.0, 1.0]
     free = sdpid.BaseMotion(orientation=base.orientation, position=falling)
     air = Subject(log=replace(log, base=free, contacts=contacts), robot=robot())
-    assert not [*flight_checks.contacts_missing(air)]
+    assert not [*base_checks.contacts_missing(air)]
 
 
 def test_wrong_force_does_not_lift_all_feet() -> None:
@@ -674,7 +673,7 @@ def test_bias_of_a_base_at_rest_may_be_a_tilt() -> None:
 def test_mirrored_gyroscope_is_told_from_a_turned_one() -> None:
     rates = np.array(go1("trot").base.imu.gyroscope)
     fits = [
-        imu_fit.gyroscope_fit(with_imu(go1("trot"), gyroscope=changed))
+        imu_checks.gyroscope_fit(with_imu(go1("trot"), gyroscope=changed))
         for changed in (rates * [1.0, 1.0, -1.0], rates[:, [1, 0, 2]] * [1.0, -1.0, 1.0])
     ]
     assert [fit.mirrored for fit in fits] == [True, False]

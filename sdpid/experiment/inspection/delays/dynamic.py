@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.experiment.inspection.delays.lag import Delay, block_error
-from sdpid.experiment.inspection.delays.standing import on_legs
+from sdpid.experiment.inspection.delays.kinematic import Delay, block_error, on_legs
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.delays.on_time import on_time

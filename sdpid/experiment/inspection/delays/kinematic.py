@@ -1,21 +1,277 @@
-"""Delays that motion alone shows: an IMU against a pose, a pose against legs that stand."""
+"""Delays that motion alone shows: of two signals, an IMU against a pose, a pose against legs."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.lag import Delay, Smooth, block_error, lag
-from sdpid.experiment.inspection.delays.standing import Standing
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.processing.filters import (
+    BAND_OVER_RATE,
+    Weights,
+    ZeroPhaseFilter,
+    low_pass,
+    stencil,
+)
+from sdpid.experiment.processing.floating.feet import near
+from sdpid.experiment.processing.floating.quieter import angle_noise, white_noise
+from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-# Cut-off (Hz) of poses, whose differences are noisy, and least number of memories of the filter.
-_POSE_HZ, _MEMORIES = 15.0, 8.0
+# Gauss-Newton steps of a lag end when one is this share of its error. Of motions three are enough
+# from 20 ms away; of forces, which jump, ten and more.
+_SETTLED, _STEPS = 0.02, 50
+# Of filters.
+_ORDER = 2
+# Stretches of a recording whose errors count as independent.
+_BLOCKS = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay:
+    """By how much a channel is late, and its standard error.
+
+    Attributes
+    ----------
+    value, error : float
+        s; negative values are early.
+    """
+
+    value: float
+    error: float
+
+    def sure(self, least: float, deviations: float) -> bool:
+        """Tell whether it is longer than a limit and so many of its errors."""
+        return abs(self.value) > max(least, deviations * self.error)
+
+    def wider(self, error: float) -> Delay:
+        """Return the delay with an error that is independent of its own added."""
+        return Delay(value=self.value, error=float(np.hypot(self.error, error)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Smooth:
+    """A low-pass filter for a recording without gaps, with derivatives.
+
+    Attributes
+    ----------
+    low_pass : ZeroPhaseFilter
+    weights : Weights
+        Of derivatives of what has passed it.
+    step : float
+        Of the recording, s.
+    cutoff_hz : float
+    inner : slice
+        The samples that its ends do not reach.
+    """
+
+    low_pass: ZeroPhaseFilter
+    weights: Weights
+    step: float
+    cutoff_hz: float
+    inner: slice
+
+    @classmethod
+    def of(cls, log: Recording, cutoff_hz: float, least: float) -> Smooth | None:
+        """Return the filter; None of a recording shorter than `least` times its memory."""
+        step = log.step
+        cutoff = min(cutoff_hz, BAND_OVER_RATE / step)
+        found = low_pass("finite", cutoff, _ORDER, 1.0 / step)
+        if log.n_samples < least * found.reach:
+            return None
+        return cls(
+            low_pass=found,
+            weights=stencil("central4", cutoff_over_rate=cutoff * step),
+            step=step,
+            cutoff_hz=cutoff,
+            inner=slice(2 * found.reach, log.n_samples - 2 * found.reach),
+        )
+
+    def low(self, values: Array) -> Array:
+        """Return signals (N, ...) filtered."""
+        return filtered(values.reshape(len(values), -1), self.low_pass).reshape(values.shape)
+
+    def second(self, values: Array) -> Array:
+        """Return the second derivative of signals (N, ...)."""
+        from scipy.ndimage import correlate1d
+
+        rate = correlate1d(values, self.weights.second, axis=0, mode="nearest")
+        return np.asarray(rate / self.step**2)
+
+    def turning(self, base: BaseMotion) -> Array:
+        """Return the angular velocity of a base by its orientation, in its axes, (N, 3)."""
+        return body_rate(unit(base.orientation), self.weights.first, self.step)
+
+
+def filtered(values: Array, low_pass: ZeroPhaseFilter) -> Array:
+    """Return signals (N, c) filtered, their ends continued by point reflection."""
+    reach = min(low_pass.reach, len(values) - 1)
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    return low_pass.apply(padded)[reach : reach + len(values)]
+
+
+def block_error(scores: Array, power: float, blocks: int = _BLOCKS) -> float:
+    """Return the standard error of sum(scores) / power, by blocks of the (N,) scores."""
+    sums = np.array([part.sum() for part in np.array_split(scores, blocks)])
+    return float(np.sqrt(sums @ sums)) / power
+
+
+def lag(signal: Array, other: Array, step: float, *, gain: bool = False) -> Delay | None:
+    """Return by how much a signal is later than another one of the same quantity.
+
+    Parameters
+    ----------
+    signal, other : (N, c) ndarray
+        Filtered alike; `signal` should be the one with less noise.
+    step : float
+        Sampling step, s.
+    gain : bool, optional
+        Whether they differ in scale, channel by channel.
+
+    Returns
+    -------
+    Delay or None
+        None where the signal does not change.
+    """
+    from scipy.interpolate import CubicSpline
+
+    rows = np.arange(len(signal), dtype=np.float64)
+    spline = CubicSpline(rows, signal, axis=0)
+    delay, error = 0.0, 0.0
+    for _ in range(_STEPS):
+        at = np.clip(rows + delay / step, 0.0, rows[-1])
+        moved, rate = _centered(spline(at)), _centered(spline(at, 1) / step)
+        target = _centered(other)
+        if gain:
+            size = np.sum(moved**2, axis=0)
+            moved, rate = (np.sum(moved * target, axis=0) / size * each for each in (moved, rate))
+        left = target - moved
+        weight = 1.0 / np.maximum(np.mean(left**2, axis=0), 1e-30)
+        power = float(np.sum(rate**2 * weight))
+        if not power > 0.0:
+            return None
+        change = float(np.sum(left * rate * weight)) / power
+        error = block_error(np.sum((left - change * rate) * rate * weight, axis=1), power)
+        delay += change
+        if abs(change) <= _SETTLED * error:
+            break
+    return Delay(value=delay, error=error)
+
+
+def pooled(values: Array, errors: Array) -> tuple[float, float]:
+    """Return the mean of values with errors, and its error, in which their spread counts."""
+    errors = np.maximum(errors, 1e-3 * np.abs(values).max(initial=1e-9))
+    spread = 0.0
+    for _ in range(20):
+        weights = 1.0 / (errors**2 + spread)
+        mean = float(weights @ values / weights.sum())
+        # The spread between values that makes the deviations as large as their errors say.
+        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+        if excess <= 0.0 and spread == 0.0:
+            break
+        spread = max(0.0, spread + excess / float(weights.sum()))
+    return mean, float(1.0 / np.sqrt(weights.sum()))
+
+
+def _centered(values: Array) -> Array:
+    return np.asarray(values - values.mean(axis=0))
+
+
+# Cut-off (Hz) of the motion of feet that stand for some 0.2 s, and least number of memories of the
+# filter.
+_STANCE_HZ, _MEMORIES = 20.0, 8.0
+# Feet that have just landed, or are about to lift, roll and slip (s).
+_AT_REST = 0.05
+# Samples at which feet are looked at.
+_ROWS = 1500
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standing:
+    """A robot on legs at some samples, its motion filtered.
+
+    Attributes
+    ----------
+    robot : RobotModel
+    rows : ndarray of int, shape (K,)
+    position : ndarray, shape (K, nq)
+    base : ndarray, shape (N, 6)
+        Velocity of the base at all samples, in its axes.
+    speeds : ndarray, shape (K, joints)
+    stands : ndarray of bool, shape (K, c)
+        Feet that are down as far as the filter sees, and settled; never what holds a base.
+    turning : float
+        How fast the base turns, rad/s rms.
+    step : float
+        Of the recording, s.
+    noise : float
+        What noise of pose and joints makes of the speed of a foot that stands, along an axis, m/s
+        rms.
+    """
+
+    robot: RobotModel
+    rows: Indices
+    position: Array
+    base: Array
+    speeds: Array
+    stands: Mask
+    turning: float
+    step: float
+    noise: float
+
+    @classmethod
+    def of(cls, robot: RobotModel, log: Recording) -> Standing | None:
+        """Return the motion of a recording without gaps; None without pose, flags, or time."""
+        base, contacts, step = log.base, log.contacts, log.step
+        smooth = Smooth.of(log, _STANCE_HZ, _MEMORIES)
+        if base is None or base.position is None or contacts is None or contacts.down is None:
+            return None
+        if smooth is None:
+            return None
+        low, reach, inner = smooth.low, smooth.low_pass.reach, smooth.inner
+        turning, orientation = smooth.turning(base), unit(np.asarray(base.orientation))
+        moving = into_body(orientation, np.gradient(np.asarray(base.position), step, axis=0))
+        joints = np.asarray(log.position)
+        speeds = low(np.gradient(joints, step, axis=0))
+        rows = np.unique(np.linspace(inner.start, inner.stop - 1, _ROWS).astype(np.intp))
+        stands = ~near(~np.asarray(contacts.down), reach + round(_AT_REST / step))[rows]
+        impulse = np.eye(8 * reach + 1)[:, 4 * reach :][:, :1]
+        gain = np.linalg.norm(low(np.gradient(impulse, step, axis=0)))
+        angles = np.hypot(angle_noise(orientation), white_noise(joints))
+        q = np.hstack([low(np.asarray(base.position)), unit(low(orientation)), low(joints)])
+        return cls(
+            robot=robot,
+            rows=rows,
+            position=q[rows],
+            base=low(np.hstack([moving, turning])),
+            speeds=speeds[rows],
+            # What holds a base stands still, whatever joints do.
+            stands=stands & on_legs(robot, log),
+            turning=float(np.sqrt(np.mean(turning**2))),
+            step=step,
+            noise=float(gain * np.hypot(white_noise(base.position), robot.reach * angles)),
+        )
+
+
+def on_legs(robot: RobotModel, log: Recording) -> Mask:
+    """Return which contacts joints move, (c,)."""
+    contacts = log.contacts
+    assert contacts is not None
+    middle = np.zeros((1, robot.pin_model.nq))
+    middle[0, 6], middle[0, 7:] = 1.0, log.position[log.n_samples // 2]
+    J = contact_jacobians(robot, middle, contacts.frames, contacts.offset)
+    return np.asarray(np.abs(J[0, :, :, robot.n_base :]).max(axis=(1, 2)) > 0.0)
+
+
+# Cut-off (Hz) of poses, whose differences are noisy.
+_POSE_HZ = 15.0
 # Least number of samples of a foot that stands.
 _LEAST = 200
-_STEPS = 3
+_POSE_STEPS = 3
 # A base that moves less than this (rad/s, rms) shows nothing.
 _LEAST_RATE = 0.05
 
@@ -54,7 +310,7 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
     legs = np.einsum("kcij,kj->kci", J[..., 6:], feet.speeds)
     spline = CubicSpline(np.arange(len(velocity)), velocity, axis=0)
     delay, error = 0.0, 0.0
-    for _ in range(_STEPS):
+    for _ in range(_POSE_STEPS):
         at = np.clip(rows + delay / step, 0.0, len(velocity) - 1.0)
         left = np.einsum("kcij,kj->kci", J[..., :6], spline(at)) + legs
         rate = np.einsum("kcij,kj->kci", J[..., :6], spline(at, 1) / step)
