@@ -12,7 +12,7 @@ from sdpid import build_problem
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
-from sdpid.estimation.agreement.shared import SharedParameters, beliefs_in_common
+from sdpid.estimation.agreement.compare import beliefs_in_common, shared_parameters
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import prior_rows
 from tests.helpers.arm import ARM
@@ -95,9 +95,8 @@ def test_a_prior_that_both_state_cancels(first: Estimate) -> None:
     """Where both rest on it alone they cannot differ, and nothing is tested."""
     belief = sdpid.Prior(bodies=BODIES, strength=1e8)
     one, two = (estimated(drawn(k), prior=belief, base=first.problem.base) for k in (1, 2))
-    rows = prior_rows(one), prior_rows(two)
-    i, j = beliefs_in_common(one, two, rows)
-    assert i.tolist() == j.tolist() == list(range(len(rows[0])))
+    i, j = beliefs_in_common(one, two)
+    assert i.tolist() == j.tolist() == list(range(len(prior_rows(one))))
     result = one.compare_to(two)
     found = {each.name: each for each in result.differences}
     assert found["Fs1"].agree is not None
@@ -147,9 +146,9 @@ def test_only_what_both_have_is_compared(first: Estimate) -> None:
     base = first.problem.base
     matrix = base.matrix.copy()
     matrix[base.names.index("zzr1")] *= 2.0
-    apart = SharedParameters.of(base, replace(base, matrix=matrix))
-    assert apart.only_first == apart.only_other == ("zzr1",)
-    assert apart.notes == ("Regrouped differently, and not compared: zzr1.",)
+    pairs, notes = shared_parameters(base, replace(base, matrix=matrix))
+    assert set(range(base.count)) - set(pairs[:, 0]) == {base.names.index("zzr1")}
+    assert notes == ["Regrouped differently, and not compared: zzr1."]
 
 
 def test_given_parameters_are_exact(first: Estimate) -> None:

@@ -2,19 +2,19 @@
 
 With ``d`` the difference of the base parameters that both have and ``S`` its covariance, each
 ``d_i/sqrt(S_ii)`` is Student's t, and ``d^T·S^(-1)·d`` over its rank is F, if both are estimates of
-one robot. The errors of the data are independent; those of a prior that both state are the same in
-both and cancel where both lean on it alike: ``S = V_1 + V_2 + (P_1 − P_2)·(P_1 − P_2)^T`` with
-``V_i`` the data's part and ``P_i`` how the estimate moves with the prior's rows (see
-`sdpid.estimation.posterior`). The errors of gains that made efforts of currents are treated as a
-prior's: those of the same gains cancel. Directions that rest on such a prior alone cannot differ
-and are left out. Inequalities are not counted: projections onto one convex set only bring estimates
-nearer to each other, all in all, so that the joint test errs on the quiet side.
+one robot. The errors of the data are independent; those of a prior that both state, or of gains by
+which both made efforts of currents, are the same in both and cancel where both move with them
+alike: ``S = V_1 + V_2 − C − C^T`` with ``V_i`` the covariance of either (see
+`sdpid.estimation.posterior`) and C that of the errors in common. Directions that rest on those
+alone cannot differ and are left out. Inequalities are not counted: projections onto one convex set
+only bring estimates nearer to each other, all in all, so that the joint test errs on the quiet
+side.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +22,10 @@ from sdpid._common.arrays import Array, Indices, Mask, require_probability
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement, Difference, EffortDifference
-from sdpid.estimation.agreement.shared import (
-    SharedParameters,
-    beliefs_in_common,
-    require_one_robot,
-    share_data,
-)
-from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.posterior import Estimated, Posterior, prior_rows
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.model import RobotModel
 
 # Variance of a difference below this share of the sum of the variances: both estimates rest on one
 # prior there, and what is left is rounding and its curvature.
@@ -40,6 +36,24 @@ _ROUNDING = 1e-10
 
 # Samples of a motion on which efforts are compared: a difference's rms is known to a per cent.
 _SAMPLES = 20_000
+
+# Regroupings of one robot, read from two files or found beside other friction terms, are equal
+# within this share of their largest coefficient.
+_SAME = 1e-6
+
+# Rows of two priors are one belief when they are this nearly parallel: the friction's are in units
+# of the efforts of each log, the log-determinants' curvature is that at each estimate.
+_PARALLEL = 0.99
+
+# Logs that have this share of their samples in common, to the last bit, share data. Below are
+# poses at rest, which simulated or coarsely measured logs may repeat.
+_SHARED = 0.01
+
+# Numbers of a `Difference`, in order: those of each estimate, and those of the test.
+_NUMBERS = (
+    "first", "other", "difference", "first_error", "other_error",
+    "standard_error", "freedom", "t", "p",
+)  # fmt: skip
 
 _SHARED_DATA = (
     "Both were fitted to samples of the same recording, so that their errors are not independent: "
@@ -62,149 +76,150 @@ def compare_estimates(
 ) -> Agreement:
     """Return whether two estimates agree; see `Estimate.compare_to`."""
     require_probability(level, "compare_to: level")
-    require_one_robot(first.problem.robot, other.problem.robot)
-    shared = SharedParameters.of(first.problem.base, other.problem.base)
-    if not shared.names:
+    robot, bases = first.problem.robot, (first.problem.base, other.problem.base)
+    _require_one_robot(robot, other.problem.robot)
+    pairs, notes = shared_parameters(*bases)
+    if not len(pairs):
         raise DataError(
-            f"compare_to: no base parameter of '{first.problem.robot.name}' is the same function "
-            "of its links in both estimates; are their kinematics the same?"
+            f"compare_to: no base parameter of '{robot.name}' is the same function of its links in "
+            "both estimates; are their kinematics the same?"
         )
     given = [each.method == "given" for each in (first, other)]
-    together = not any(given) and share_data(first.problem.samples, other.problem.samples)
+    together = not any(given) and _share_data(first.problem.samples, other.problem.samples)
     apart = not together if independent is None else independent
-    errors = _Errors(first, other, shared)
-    notes = [*shared.notes]
     if together or not apart:
         notes.append(_TREATED if apart else _SHARED_DATA if together else _DEPENDENT)
     if any(given):
         notes.append(_GIVEN)
+    errors = _Errors(first, other, pairs)
     if errors.unlike_beliefs:
         notes.append("Their priors differ, and are taken as independent beliefs.")
-    if _terms(first) != _terms(other):
+    terms = [[str(t) for t in e.problem.friction.described()] for e in (first, other)]
+    if terms[0] != terms[1]:
         notes.append("Their friction terms differ: a name may stand for another part of friction.")
-    statistic, rank, freedom = errors.distance() if apart else (None, 0, None)
+    statistic, rank, freedom, p = errors.distance() if apart else (None, 0, None, None)
+    alone = [set(range(base.count)) - set(own) for base, own in zip(bases, pairs.T, strict=True)]
     return Agreement(
-        differences=tuple(errors.differences(level, tested=apart)),
-        only_first=shared.only_first,
-        only_other=shared.only_other,
+        differences=tuple(errors.differences(bases[0], pairs[:, 0], level, tested=apart)),
+        only_first=tuple(bases[0].names[i] for i in sorted(alone[0])),
+        only_other=tuple(bases[1].names[i] for i in sorted(alone[1])),
         independent=apart,
         level=level,
         statistic=statistic,
         rank=rank,
         freedom=freedom,
-        p=None if statistic is None or freedom is None else _upper_tail(statistic, rank, freedom),
+        p=p,
         efforts=tuple(_efforts(first, other)),
-        joint_names=first.problem.robot.joint_names,
+        joint_names=robot.joint_names,
         notes=tuple(notes),
     )
 
 
-def _terms(estimate: Estimated) -> list[str]:
-    return [str(term) for term in estimate.problem.friction.described()]
+def _require_one_robot(first: RobotModel, other: RobotModel) -> None:
+    """Raise when two estimates are not of one robot, naming the joints or links that differ."""
+    for what in ("joint", "link"):
+        a, b = (getattr(each, f"{what}_names") for each in (first, other))
+        if a != b:
+            raise DataError(
+                f"compare_to: the {what}s of '{first.name}' are {', '.join(a)}, those of "
+                f"'{other.name}' {', '.join(b)}; compare estimates of one robot."
+            )
 
 
-def _upper_tail(statistic: float, rank: int, freedom: float) -> float:
-    """Return the probability that F exceeds a squared distance over its rank."""
-    from scipy.special import fdtrc
+def shared_parameters(first: BaseParameters, other: BaseParameters) -> tuple[Indices, list[str]]:
+    """Return which parameters (k, 2) are the same functions of standard ones, and notes.
 
-    return float(fdtrc(rank, freedom, statistic / rank))
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The errors of the shared parameters of one estimate: of its data, and of its prior."""
-
-    data: Array
-    covariance: Array
-    prior: Array
-    sources: tuple[tuple[ErrorSource, Array], ...]
-    open: Mask
-    posterior: Posterior | None
-
-    @classmethod
-    def of(cls, estimate: Estimated, chosen: Indices) -> _Part:
-        if estimate.method == "given":
-            k = len(chosen)
-            nothing = np.zeros((k, 0))
-            return cls(nothing, np.zeros((k, k)), nothing, (), np.zeros(k, dtype=bool), None)
-        posterior = Posterior.of(estimate)
-        functions = estimate.problem.base.matrix[chosen]
-        data = functions @ posterior.from_errors
-        return cls(
-            data,
-            data @ posterior.errors.scores @ data.T,
-            functions @ posterior.from_prior,
-            tuple((s, posterior.slopes(s, functions)) for s in posterior.sources),
-            ~np.isfinite(posterior.spread(functions)[0]),
-            posterior,
-        )
-
-    def freedom(self, directions: Array) -> tuple[Array, Array]:
-        """Return the data's variances along directions (m, k), and their degrees of freedom."""
-        variance = np.einsum("mi,ij,mj->m", directions, self.covariance, directions)
-        if self.posterior is None:
-            return variance, np.ones(len(directions))
-        return variance, self.posterior.errors.freedom(directions @ self.data)
-
-    @property
-    def beside(self) -> Array:
-        """Covariance (k, k) that errors make beside noise."""
-        parts = (moved @ source.covariance @ moved.T for source, moved in self.sources)
-        return np.asarray(sum(parts, np.zeros_like(self.covariance)))
-
-    @property
-    def errors(self) -> Array:
-        """Standard errors (k,); infinite where nothing is known."""
-        own = np.diag(self.covariance) + np.sum(self.prior**2, axis=1)
-        own = own + np.diag(self.beside)
-        return np.where(self.open, np.inf, np.sqrt(np.maximum(own, 0.0)))
-
-
-def _beside(first: _Part, other: _Part) -> Array:
-    """Return the covariance (k, k) of the difference that errors make beside noise.
-
-    Those of the same gains are the same in both, and cancel where both move with them alike.
+    Notes name those of the same name that are different ones, or hold more in one.
     """
-    found = first.beside + other.beside
-    for own, moved in first.sources:
-        for theirs, others in other.sources:
-            if own.same(theirs):
-                both = moved @ own.covariance @ others.T
-                found = found - both - both.T
-    return np.asarray(found)
+    common = [name for name in first.theta_names if name in other.theta_names]
+    places = [[base.theta_names.index(name) for name in common] for base in (first, other)]
+    # By the standard parameter that leads each: a name gets another suffix where more folds in.
+    leads = [[base.theta_names[j] for j in base.kept] for base in (first, other)]
+    pairs, regrouped, notes = [], [], []
+    for i, lead in enumerate(leads[0]):
+        if lead not in leads[1]:
+            continue
+        k, name = leads[1].index(lead), first.names[i]
+        rows = first.matrix[i], other.matrix[k]
+        gap = np.abs(rows[0][places[0]] - rows[1][places[1]]).max(initial=0.0)
+        if gap > _SAME * max(np.abs(rows[0]).max(), np.abs(rows[1]).max()):
+            regrouped.append(name)
+            continue
+        pairs.append((i, k))
+        for base, row, which in ((first, rows[0], "first"), (other, rows[1], "other")):
+            more = [base.theta_names[j] for j in np.flatnonzero(row)]
+            if more := [each for each in more if each not in common]:
+                notes.append(f"{name} holds {' and '.join(more)} too in the {which} alone.")
+    if regrouped:
+        notes.append(f"Regrouped differently, and not compared: {', '.join(regrouped)}.")
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2), notes
+
+
+def _share_data(first: Samples, other: Samples) -> bool:
+    """Return whether two estimates used samples of one recording, processed alike."""
+    if first is other:
+        return True
+    if first.effort.shape[1] != other.effort.shape[1]:
+        return False
+    seen = [{row.tobytes() for row in np.hstack([s.position, s.effort])} for s in (first, other)]
+    return len(seen[0] & seen[1]) > _SHARED * min(map(len, seen))
+
+
+def beliefs_in_common(first: Estimated, other: Estimated) -> tuple[Indices, Indices]:
+    """Return the numbers (k,) and (k,) of prior rows of two estimates that state the same belief.
+
+    Priors speak of standard parameters, which are matched by name.
+    """
+    names = (first.problem.base.theta_names, other.problem.base.theta_names)
+    union = list(dict.fromkeys([*names[0], *names[1]]))
+    placed = []
+    for own, rows in zip(names, (prior_rows(first), prior_rows(other)), strict=True):
+        wide = np.zeros((len(rows), len(union)))
+        wide[:, [union.index(name) for name in own]] = rows
+        size = np.linalg.norm(wide, axis=1, keepdims=True)
+        placed.append(wide / np.where(size > 0.0, size, 1.0))
+    cosine = placed[0] @ placed[1].T
+    if not cosine.size:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    best, back, i = cosine.argmax(axis=1), cosine.argmax(axis=0), np.arange(len(cosine))
+    kept = (cosine[i, best] > _PARALLEL) & (back[best] == i)
+    return i[kept], best[kept]
 
 
 class _Errors:
-    """The difference of two estimates, and its covariance."""
+    """The difference (k,) of two estimates, its covariance, and which parameters are tested."""
 
-    def __init__(self, first: Estimated, other: Estimated, shared: SharedParameters) -> None:
-        self.shared = shared
-        self.values = first.base[shared.first], other.base[shared.other]
-        self.parts = _Part.of(first, shared.first), _Part.of(other, shared.other)
-        a, b = (part.prior for part in self.parts)
-        rows = tuple(prior_rows(e)[: len(p.T)] for e, p in ((first, a), (other, b)))
-        i, j = beliefs_in_common(first, other, (rows[0], rows[1]))
-        same = a[:, i] - b[:, j]
-        alone = [np.delete(a, i, axis=1), np.delete(b, j, axis=1)]
-        self.unlike_beliefs = bool(a.size and b.size and (alone[0].any() or alone[1].any()))
-        self.known = sum((x @ x.T for x in (same, *alone)), np.zeros((len(a), len(a))))
-        self.known += _beside(*self.parts)
-        parts = [p.covariance + p.prior @ p.prior.T + p.beside for p in self.parts]
-        self.summed = parts[0] + parts[1]
-
-    @cached_property
-    def difference(self) -> Array:
-        return np.asarray(self.values[1] - self.values[0])
-
-    @cached_property
-    def covariance(self) -> Array:
-        return np.asarray(self.parts[0].covariance + self.parts[1].covariance + self.known)
-
-    @cached_property
-    def tested(self) -> Mask:
-        """Which parameters can differ at all, and are known in both, (k,)."""
-        own, most = np.diag(self.covariance), np.diag(self.summed)
-        return np.asarray((own > _ON_PRIOR * most) & ~self.parts[0].open & ~self.parts[1].open)
+    def __init__(self, first: Estimated, other: Estimated, pairs: Indices) -> None:
+        self.values = first.base[pairs[:, 0]], other.base[pairs[:, 1]]
+        self.difference = self.values[1] - self.values[0]
+        k = len(pairs)
+        # Of each estimate that was not given, its parameters as functions of theta, and its errors.
+        self.known: list[tuple[Array, Posterior]] = []
+        self.summed, self.singles = np.zeros((k, k)), []
+        for estimate, own in zip((first, other), pairs.T, strict=True):
+            single = np.zeros(k)
+            if estimate.method != "given":
+                functions, posterior = estimate.problem.base.matrix[own], Posterior.of(estimate)
+                self.known.append((functions, posterior))
+                self.summed += posterior.covariance(functions)
+                single = np.sqrt(posterior.spread(functions)[0])
+            self.singles.append(single)
+        common, self.unlike_beliefs = np.zeros((k, k)), False
+        if len(self.known) == len(self.singles):
+            (f, p), (g, q) = self.known
+            a, b = f @ p.from_prior, g @ q.from_prior
+            i, j = beliefs_in_common(first, other)
+            common += a[:, i] @ b[:, j].T
+            for one, two in product(p.sources, q.sources):
+                if one.same(two):
+                    common += p.slopes(one, f) @ one.covariance @ q.slopes(two, g).T
+            alone = np.delete(a, i, axis=1), np.delete(b, j, axis=1)
+            self.unlike_beliefs = bool(a.size and b.size and (alone[0].any() or alone[1].any()))
+        self.common = common + common.T
+        self.covariance = self.summed - self.common
+        # What can differ at all, and is known in both.
+        able = np.diag(self.covariance) > _ON_PRIOR * np.diag(self.summed)
+        self.tested: Mask = able & np.isfinite(self.singles[0] + self.singles[1])
 
     def freedom(self, directions: Array) -> Array:
         """Return the degrees of freedom of the variance along directions (m, k): Satterthwaite's.
@@ -213,64 +228,57 @@ class _Errors:
         """
         total = np.einsum("mi,ij,mj->m", directions, self.covariance, directions)
         spread = np.full(len(directions), np.finfo(float).tiny)
-        for part in self.parts:
-            variance, freedom = part.freedom(directions)
-            spread += variance**2 / freedom
+        for functions, posterior in self.known:
+            errors, data = posterior.errors, directions @ functions @ posterior.from_errors
+            variance = np.einsum("mi,ij,mj->m", data, errors.scores, data)
+            spread += variance**2 / errors.freedom(data)
         return np.asarray(np.maximum(total**2 / spread, 1.0))
 
-    def differences(self, level: float, *, tested: bool) -> list[Difference]:
-        """Return the parameters one by one."""
+    def differences(
+        self, base: BaseParameters, chosen: Indices, level: float, *, tested: bool
+    ) -> list[Difference]:
+        """Return the parameters one by one, as they are called in a base."""
         from scipy.special import stdtr
 
         sizes = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         freedom = self.freedom(np.eye(len(sizes)))
-        singles = [part.errors for part in self.parts]
+        t = self.difference / np.where(self.tested, sizes, 1.0)
+        p = 2.0 * stdtr(freedom, -np.abs(t))
+        rows = np.column_stack([*self.values, self.difference, *self.singles]).tolist()
+        rows = [[x if np.isfinite(x) else None for x in row] for row in rows]
+        tests = np.column_stack([sizes, freedom, t, p]).tolist()
         out = []
-        for k, (name, unit) in enumerate(zip(self.shared.names, self.shared.units, strict=True)):
-            found: dict[str, float | bool] = {}
+        for k, i in enumerate(chosen):
+            own, agree = [None] * 4, None
             if tested and self.tested[k]:
-                t = float(self.difference[k] / sizes[k])
-                p = 2.0 * float(stdtr(freedom[k], -abs(t)))
-                found = {
-                    "standard_error": float(sizes[k]),
-                    "freedom": float(freedom[k]),
-                    "t": t,
-                    "p": p,
-                    "agree": p >= 1.0 - level,
-                }
-            either = [float(each[k]) if np.isfinite(each[k]) else None for each in singles]
-            out.append(
-                Difference(
-                    name=name,
-                    unit=unit,
-                    first=float(self.values[0][k]),
-                    other=float(self.values[1][k]),
-                    difference=float(self.difference[k]),
-                    first_error=either[0],
-                    other_error=either[1],
-                    **found,  # type: ignore[arg-type]
-                )
-            )
+                own, agree = tests[k], bool(p[k] >= 1.0 - level)
+            numbers: dict[str, Any] = dict(zip(_NUMBERS, [*rows[k], *own], strict=True))
+            out.append(Difference(name=base.names[i], unit=base.units[i], agree=agree, **numbers))
         return out
 
-    def distance(self) -> tuple[float | None, int, float | None]:
-        """Return the squared Mahalanobis distance, its rank, and its degrees of freedom."""
+    def distance(self) -> tuple[float | None, int, float | None, float | None]:
+        """Return the squared Mahalanobis distance, its rank, its degrees of freedom, and p."""
+        from scipy.special import fdtrc
+
         kept = np.flatnonzero(self.tested)
         if not len(kept):
-            return None, 0, None
+            return None, 0, None, None
         place = np.ix_(kept, kept)
         scale = np.sqrt(np.diag(self.summed)[kept])
         values, vectors = np.linalg.eigh(self.summed[place] / np.outer(scale, scale))
         sound = values > _ROUNDING * values[-1]
         white = vectors[:, sound] / np.sqrt(values[sound]) / scale[:, None]
-        shares, axes = np.linalg.eigh(white.T @ self.covariance[place] @ white)
+        # Of what is in common, so that rounding chooses no axes where nothing is.
+        lost, axes = np.linalg.eigh(white.T @ self.common[place] @ white)
+        shares = 1.0 - lost
         free = shares > _ON_PRIOR
-        directions = np.zeros((int(free.sum()), len(self.difference)))
+        rank = int(free.sum())
+        directions = np.zeros((rank, len(self.difference)))
         directions[:, kept] = (white @ axes[:, free]).T
         distance = float(np.sum((directions @ self.difference) ** 2 / shares[free]))
         # Of directions with few degrees of freedom the most is left to chance.
-        freedom = float(len(directions) / np.sum(1.0 / self.freedom(directions)))
-        return distance, len(directions), freedom
+        freedom = float(rank / np.sum(1.0 / self.freedom(directions)))
+        return distance, rank, freedom, float(fdtrc(rank, freedom, distance / rank))
 
 
 def _efforts(first: Estimated, other: Estimated) -> list[EffortDifference]:
