@@ -20,6 +20,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
+from sdpid._common.kept import kept
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.coordinates import Coordinates
@@ -105,10 +106,15 @@ def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
     DataError
         When the problem has no rows, or too few groups.
     """
-    problem = estimate.problem
     if groups == "frequencies":
-        return FitErrors.of(estimate, NoiseSpectrum.of(problem, estimate.theta))
-    return FitErrors.of(estimate, ScoreBlocks.of(problem, groups))
+        return FitErrors.of(estimate, spectrum_of(estimate))
+    return FitErrors.of(estimate, ScoreBlocks.of(estimate.problem, groups))
+
+
+@kept
+def spectrum_of(estimate: Estimated) -> NoiseSpectrum:
+    """Return the residuals' spectrum with an estimate's friction; computed once an estimate."""
+    return NoiseSpectrum.of(estimate.problem, estimate.theta)
 
 
 def rows_covariance(problem: Problem, errors: FitErrors) -> Array:

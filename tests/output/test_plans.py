@@ -22,6 +22,7 @@ from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.experiment.trajectory.played import played
 from sdpid.experiment.trajectory.reading import read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.output.charts.page import number
 from sdpid.output.plans import write
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
 from sdpid.output.plans.motion_files import write_motion_csv
@@ -30,7 +31,6 @@ from sdpid.output.plans.pieces import TOLERANCE, pieces
 from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.urscript import write_urscript
 from sdpid.output.plans.write import write_plan
-from sdpid.output.report.page import number
 from tests.helpers.browser import Tab, look
 from tests.helpers.motions import fourier_motion, spline_motion
 from tests.helpers.plans import AROUND, LIMITS, small_plan

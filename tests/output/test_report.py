@@ -22,11 +22,10 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.intervals.links import link_properties
 from sdpid.estimation.compression.rows import Rows
-from sdpid.output.charts.charts import Charts, scripts, style
-from sdpid.output.charts.packed import packed
+from sdpid.output.charts.charts import Charts, packed, scripts, style
+from sdpid.output.charts.page import number, policy
 from sdpid.output.report import report
 from sdpid.output.report.headline import headline
-from sdpid.output.report.page import number, policy
 from sdpid.output.report.report import report_html, write_report
 from sdpid.output.report.sections import mass_matrix, parameters
 from sdpid.output.report.sections.recording import units

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.page import policy
+from sdpid.output.charts.page import policy
 from sdpid.output.scene.contents import recorded_motion
 from sdpid.output.scene.ellipsoids import inertia_ellipsoid
 from sdpid.output.scene.identified import identified_scene

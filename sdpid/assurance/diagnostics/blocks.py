@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.kept import kept
 from sdpid._common.threads import one_thread
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.covariance import PRINTED
@@ -62,17 +63,17 @@ class Block:
     estimate: Estimate
 
 
+# A verdict and bands of efforts ask for the same.
+@kept
 @one_thread
-def held_out_blocks(problem: Problem, count: int = BLOCKS) -> tuple[Block, ...]:
+def held_out_blocks(problem: Problem) -> tuple[Block, ...]:
     """Fit the problem without each block in turn.
 
     Parameters
     ----------
     problem : Problem
-        With its rows.
-    count : int, optional
-        Blocks that every recording is cut into; fewer, down to `FEWEST`, where all recordings are
-        too short for so many.
+        With its rows. Every recording is cut into `BLOCKS`, or fewer, down to `FEWEST`, where all
+        are too short for so many.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def held_out_blocks(problem: Problem, count: int = BLOCKS) -> tuple[Block, ...]:
         return ()
     guard = math.ceil(_GUARD * rows.samples.block)
     longest = max(p.stop - p.start for p in rows.samples.parts)
-    count = min(count, longest // (_LEAST_GUARDS * guard))
+    count = min(BLOCKS, longest // (_LEAST_GUARDS * guard))
     if count < FEWEST or problem.n_rows > MOST_ROWS:
         return ()
     parts = [p for p in rows.samples.parts if p.stop - p.start >= count * _LEAST_GUARDS * guard]
@@ -95,8 +96,8 @@ def held_out_blocks(problem: Problem, count: int = BLOCKS) -> tuple[Block, ...]:
     found = []
     for k in range(count):
         triangle = Triangle(problem.base.count + 1)
-        for kept in (*short, *(t for piece in pieces for t in piece.without(k))):
-            triangle.merge(kept)
+        for other in (*short, *(t for piece in pieces for t in piece.without(k))):
+            triangle.merge(other)
         A, rhs, floor = triangle.split()
         reduced = replace(problem, A=A, rhs=rhs, floor=floor, rows=None)
         try:

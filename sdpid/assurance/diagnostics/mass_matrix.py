@@ -35,8 +35,8 @@ from sdpid.robot.inertia import spatial_inertia
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from sdpid.robot.model.model import RobotModel
 
-# Positions of the global search, as a power of two, and how many of the lowest are refined.
-_POSITIONS = 11
+# Positions of the global search, and how many of the lowest are refined.
+_POSITIONS = 2048
 _REFINED = 8
 _BATCH = 512
 
@@ -200,14 +200,11 @@ def _search(
 ) -> tuple[float, Array, int]:
     """Return the smallest value found, where, and how many positions were tried at first."""
     from scipy.optimize import minimize
-    from scipy.stats import qmc
 
     if not len(box):
         here = np.zeros((1, 0))
         return float(_eigenvalues(robot, inertias, here)[0]), here[0], 1
-    sobol = qmc.Sobol(len(box), rng=rng)
-    span = box[:, 1] - box[:, 0]
-    q = box[:, 0] + span * sobol.random_base2(_POSITIONS)
+    q = rng.uniform(box[:, 0], box[:, 1], (_POSITIONS, len(box)))
     values = _eigenvalues(robot, inertias, q)
 
     def descend(x: Array) -> tuple[float, Array]:

@@ -16,8 +16,7 @@ from sdpid._common.arrays import Array, frozen, require_probability
 from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import FitErrors, Posterior
+from sdpid.estimation.posterior import FitErrors, Posterior, spectrum_of
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.curve import JointCurve, joint_number
 from sdpid.robot.friction.motion import Motion
@@ -153,7 +152,7 @@ class _Bands:
                 "estimate of a constrained solver."
             )
         self.problem, self.theta = estimate.problem, np.array(estimate.theta)
-        self._spectrum = NoiseSpectrum.of(self.problem, self.theta)
+        self._spectrum = spectrum_of(estimate)
         self._posterior = Posterior.about(estimate, FitErrors.of(estimate, self._spectrum))
         friction = self.problem.friction
         self._links = self.problem.n_theta - len(friction.parameters)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -228,13 +227,6 @@ class ZeroPhaseFilter:
         """Number of samples after which a disturbance has decayed below rounding."""
         return math.ceil(_FORGOTTEN * self.time_constant)
 
-    @cached_property
-    def _steady(self) -> Array:
-        """State of the filter after a long constant one, (S, 2)."""
-        from scipy.signal import sosfilt_zi
-
-        return np.asarray(sosfilt_zi(np.array(self.sections)))
-
     def apply(self, signal: Array) -> Array:
         """Filter signals forward and backward along their first axis.
 
@@ -250,23 +242,38 @@ class ZeroPhaseFilter:
         -------
         (N,) or (N, c) ndarray
         """
-        from scipy.signal import sosfilt
-
-        # SciPy asks for a writable array, though it does not write to it.
-        sections, steady = np.array(self.sections), self._steady
         for _ in range(2):
-            first = steady[..., None] * signal[0] if signal.ndim == 2 else steady * signal[0]
-            signal, _state = sosfilt(sections, signal, axis=0, zi=first)
-            signal = signal[::-1]
+            # A constant passes as it is: what is added to it starts from rest.
+            start, added = signal[:1], signal - signal[:1]
+            for section in self.sections:
+                added = _passed(section, added)
+            signal = (start + added)[::-1]
         return signal
 
     def gain(self, frequency_hz: Array | float, rate_hz: float) -> Array:
         """Return the gain of the forward and backward passes together at given frequencies."""
-        from scipy.signal import sosfreqz
-
-        _, response = sosfreqz(self.sections, worN=np.atleast_1d(frequency_hz), fs=rate_hz)
-        gain: Array = np.abs(response) ** 2
+        delay = np.exp(-2j * math.pi * np.atleast_1d(frequency_hz) / rate_hz)
+        powers = np.stack([np.ones_like(delay), delay, delay**2])
+        response = (self.sections[:, :3] @ powers) / (self.sections[:, 3:] @ powers)
+        gain: Array = np.abs(response.prod(axis=0)) ** 2
         return gain
+
+
+def _passed(section: Array, signal: Array) -> Array:
+    """Return signals (N, ...) after one section (b0, b1, b2, 1, a1, a2) that was at rest.
+
+    ``y_k + a1 y_(k-1) + a2 y_(k-2) = b0 x_k + b1 x_(k-1) + b2 x_(k-2)`` is a banded triangular
+    system. SciPy's `sosfilt` solves it, too; loading `scipy.signal` takes longer than a run's fit.
+    """
+    from scipy.linalg.lapack import dtbtrs
+
+    x = signal.reshape(len(signal), -1)
+    driven = section[0] * x
+    driven[1:] += section[1] * x[:-1]
+    driven[2:] += section[2] * x[:-2]
+    band = np.repeat(section[3:, None], len(x), axis=1)
+    passed, _ = dtbtrs(band, driven, uplo="L")
+    return np.asarray(passed).reshape(signal.shape)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -367,14 +374,32 @@ def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> 
         )
     if kind == "finite":
         return _finite(cutoff_hz, order, rate_hz)
-    from scipy.signal import bessel, butter, zpk2sos
-
     if kind == "bessel":
-        zeros, poles, factor = bessel(order, cutoff_hz, fs=rate_hz, norm="mag", output="zpk")
+        from scipy.signal import bessel
+
+        _, poles, _ = bessel(order, cutoff_hz, fs=rate_hz, norm="mag", output="zpk")
     else:
-        zeros, poles, factor = butter(order, cutoff_hz, fs=rate_hz, output="zpk")
-    sections = zpk2sos(zeros, poles, factor)
+        # On a half circle in continuous time, and from there by the bilinear transform.
+        angles = math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
+        continuous = 2.0 * math.tan(math.pi * cutoff_hz / rate_hz) * np.exp(1j * angles)
+        poles = (2.0 + continuous) / (2.0 - continuous)
+    sections = _sections(poles)
     slowest = float(np.abs(poles).max())
     # A cut-off close to half the rate puts the poles near the origin: at least one sample.
     time_constant = max(1.0, -1.0 / math.log(slowest)) if slowest > 0.0 else 1.0
     return ZeroPhaseFilter(sections=frozen(sections), time_constant=time_constant)
+
+
+def _sections(poles: Array) -> Array:
+    """Return the second-order sections (S, 6) of a low-pass filter by its poles.
+
+    All its zeros are at half the sample rate, and each section passes a constant as it is.
+    """
+    upper = poles[np.argsort(-poles.imag)][: (len(poles) + 1) // 2]
+    own = np.stack([np.ones(len(upper)), -2.0 * upper.real, np.abs(upper) ** 2], axis=1)
+    zeros = np.tile([1.0, 2.0, 1.0], (len(upper), 1))
+    if len(poles) % 2:
+        # The one in the middle is real, but for rounding.
+        own[-1], zeros[-1] = (1.0, -upper[-1].real, 0.0), (1.0, 1.0, 0.0)
+    zeros *= own.sum(axis=1, keepdims=True) / zeros.sum(axis=1, keepdims=True)
+    return np.hstack([zeros, own])

@@ -1,17 +1,26 @@
-"""`Charts` of a page: arrays as text, and what draws them there, uPlot, which is embedded."""
+"""`Charts` of a page: arrays as text, and what draws them there, uPlot, which is embedded.
+
+Arrays are quantized, little-endian, in base64; the page's scripts read them.
+"""
 
 from __future__ import annotations
 
+import base64
 import json
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
 from sdpid._common.extras import require
-from sdpid.output.charts.packed import packed
+from sdpid.output.charts.page import beside
+
+# Steps between the least and the largest value of a column: 15 µm of a meter. One more number of 16
+# bits stands for what is missing.
+_STEPS = 65534
+
+_HERE = "sdpid.output.charts"
 
 
 class Charts:
@@ -58,17 +67,34 @@ class Charts:
 
 def style() -> Any:
     """Return the style of charts."""
-    return require("markupsafe", extra="report").Markup(
-        _file("uplot/uPlot.min.css") + _file("charts.css")
-    )
+    text = beside(_HERE, "uplot/uPlot.min.css") + beside(_HERE, "charts.css")
+    return require("markupsafe", extra="report").Markup(text)
 
 
 def scripts() -> tuple[str, str]:
     """Return the programs that draw charts; a page that holds them holds uPlot's licence, too."""
-    return f"/*\n{_file('uplot/LICENSE')}*/\n{_file('uplot/uPlot.iife.min.js')}", _file("charts.js")
+    uplot = f"/*\n{beside(_HERE, 'uplot/LICENSE')}*/\n{beside(_HERE, 'uplot/uPlot.iife.min.js')}"
+    return uplot, beside(_HERE, "charts.js")
 
 
-@cache
-def _file(name: str) -> str:
-    """Return the text of a file beside this one."""
-    return files("sdpid.output.charts").joinpath(name).read_text(encoding="utf-8")
+def packed(values: Array) -> dict[str, Any]:
+    """Return an array (N, C) as numbers of 16 bits between the ends of its columns.
+
+    What is not finite is missing.
+    """
+    known = np.ma.masked_invalid(values)
+    low = np.ma.filled(known.min(axis=0), 0.0)
+    spans = np.ma.filled(known.max(axis=0) - low, 0.0)
+    spans = np.where(spans > 0.0, spans, 1.0)
+    steps = np.ma.filled(np.rint((known - low) / spans * _STEPS), _STEPS + 1).astype("<u2")
+    return {"low": low.tolist(), "high": (low + spans).tolist(), "data": text_of(steps)}
+
+
+def packed_indices(values: Indices) -> str:
+    """Return indices as text, numbers of 32 bits."""
+    return text_of(values.astype("<u4"))
+
+
+def text_of(values: NDArray[Any]) -> str:
+    """Return the bytes of an array in base64."""
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

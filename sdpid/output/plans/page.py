@@ -17,9 +17,9 @@ from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
 from sdpid.experiment.trajectory.played import Played, played
 from sdpid.output.charts.charts import Charts, scripts, style
+from sdpid.output.charts.page import page
 from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.words import sentences, tiles
-from sdpid.output.report.page import page
 from sdpid.output.scene.contents import FRAME_RATE
 
 # What falls by less than this share over all durations is no curve to look at.

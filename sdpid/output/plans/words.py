@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.plan import Plan
-from sdpid.output.report.page import number
+from sdpid.output.charts.page import number
 
 
 @dataclass(frozen=True)

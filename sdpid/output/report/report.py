@@ -14,8 +14,8 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.charts.charts import Charts, scripts, style
+from sdpid.output.charts.page import page
 from sdpid.output.report.judged import Judged, errors_of, judged
-from sdpid.output.report.page import page
 from sdpid.output.report.sections import (
     gait,
     joints,

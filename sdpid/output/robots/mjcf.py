@@ -29,6 +29,7 @@ from sdpid.output.robots.written_bodies import (
     rest_of,
     standard_parameters,
 )
+from sdpid.robot.description.inertials import NOTHING, rounded
 from sdpid.robot.description.mjcf import read_mjcf
 from sdpid.robot.description.origin import numbers, relative
 from sdpid.robot.description.xml import encode_xml, is_mjcf, is_xml, parse_xml
@@ -357,10 +358,10 @@ class Patch(Compiled):
         if rest is None:
             self.lumped.append(name)
             for number in children:
-                self.write(number, inertial_markup([Fraction(0)] * 10))
+                self.write(number, inertial_markup(NOTHING))
         exact = [Fraction(x) for x in (body if rest is None else rest).tolist()]
         possible = possible_body(exact, "pseudo_inertia", name, self.what)
-        self.write(carrier, inertial_markup(possible))
+        self.write(carrier, inertial_markup(rounded(possible)))
 
     def frame(self, link: int) -> Array:
         """Return the placement of a link's joint frame in that of the file's body."""

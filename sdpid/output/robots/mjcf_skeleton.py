@@ -6,7 +6,7 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 
@@ -14,10 +14,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.plant.mujoco_model import joint_axis
-from sdpid.output.robots.principal_axes import principal_axes
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import possible, possible_body
-from sdpid.robot.description.inertials import central, rounded
+from sdpid.robot.description.inertials import Inertial, rounded, tensor
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.model.model import RobotModel
@@ -38,19 +37,21 @@ def _body(link: str) -> str:
     return quoted("world_link" if link == "world" else link)
 
 
-def inertial_markup(body: Sequence[Fraction]) -> str:
-    """Return the <inertial> of a body given by its ten parameters; zeros are a body without mass.
+def inertial_markup(body: Inertial) -> str:
+    """Return the <inertial> of a body.
 
     Principal moments and their axes rather than ``fullinertia``: releases of MuJoCo differ in how
-    exactly they take a full tensor apart. Every number is the double nearest to the exact one.
+    exactly they take a full tensor apart.
     """
-    if not any(body):
+    if not body.mass:
         return '<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
-    quaternion, moments = principal_axes(central(body)[2])
-    mass, com, _ = rounded(body)
+    moments, axes = np.linalg.eigh(np.array(tensor(body.moments), dtype=np.float64))
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    # Readers would refuse a body that misses the triangle inequality by a rounding.
+    moments[2] = min(moments[2], moments[0] + moments[1])
     return (
-        f'<inertial pos="{numbers(com)}" quat="{numbers(quaternion)}" '
-        f'mass="{numbers(mass)}" diaginertia="{numbers(moments)}"/>'
+        f'<inertial pos="{numbers(body.com)}" quat="{numbers(quaternion_of(axes))}" '
+        f'mass="{numbers(body.mass)}" diaginertia="{numbers(moments)}"/>'
     )
 
 
@@ -128,7 +129,8 @@ def _fixed(child: FixedChild, depth: int) -> list[str]:
     if child.body is None or not np.any(child.body):
         return [opening + "/>"]
     body = [Fraction(x) for x in child.body.tolist()]
-    markup = inertial_markup(possible_body(body, "pseudo_inertia", child.name, "MJCF"))
+    possible = possible_body(body, "pseudo_inertia", child.name, "MJCF")
+    markup = inertial_markup(rounded(possible))
     return [opening + ">", f"{pad}  {markup}", f"{pad}</body>"]
 
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from fractions import Fraction
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions.body_checks import consistent
-from sdpid.errors import ExportError
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
 from sdpid.output.robots.mjcf import Compiled, open_source
@@ -25,15 +23,12 @@ from sdpid.output.robots.places import Kind
 from sdpid.output.robots.urdf import read_back, source_text, write_dynamics, write_inertial
 from sdpid.output.robots.urdf_errors import PLACES as URDF_PLACES
 from sdpid.output.robots.urdf_tree import UrdfTree
-from sdpid.robot.description.inertials import Inertial, tensor
-from sdpid.robot.description.mjcf import compiled, quaternion_of
-from sdpid.robot.description.origin import numbers
+from sdpid.robot.description.inertials import NOTHING, Inertial
+from sdpid.robot.description.mjcf import compiled
 from sdpid.robot.description.urdf import inertial_values, written_values
 
 # What the joints of one robot have: numbers by attribute, by joint.
 Joints = Mapping[str, Mapping[str, float]]
-
-_NOTHING = [Fraction(0)] * 10
 
 
 class Pattern(ABC):
@@ -139,14 +134,14 @@ class MjcfPattern(Pattern):
         self.frames = np.array([np.eye(4) if self._ours else self._patch.frame(k) for k in links])
         for carrier in self._patch.carriers:
             for number in self._patch.children(carrier):
-                self._patch.write(number, inertial_markup(_NOTHING))
+                self._patch.write(number, inertial_markup(NOTHING))
         self._document = self._patch.document
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""
         self._patch.document = self._document.branch()
         for carrier, body in zip(self._patch.carriers, bodies, strict=True):
-            self._patch.write(carrier, _markup(body))
+            self._patch.write(carrier, inertial_markup(body))
         attributes = {key for values in joints.values() for key in values}
         self._patch.joints(
             {k: dict(v) for k, v in joints.items()}, clear_armature="armature" not in attributes
@@ -162,18 +157,3 @@ class MjcfPattern(Pattern):
         """Refuse a text that MuJoCo does not load; one with meshes would take seconds."""
         if self._ours:
             compiled(text, None, None, f"{self._what} ({name})")
-
-
-def _markup(body: Inertial) -> str:
-    """Return the <inertial> of a body, its axes in double precision, unlike a single robot's."""
-    values, axes = np.linalg.eigh(np.array(tensor(body.moments)))  # type: ignore[arg-type]
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
-    if not values[0] + values[1] >= values[2]:
-        raise ExportError(
-            f"MJCF: principal moments {numbers(values)} kg·m² miss the triangle inequality by a "
-            "rounding; solve with a positive Constraints.margin."
-        )
-    return (
-        f'<inertial pos="{numbers(body.com)}" quat="{numbers(quaternion_of(axes))}" '
-        f'mass="{numbers(body.mass)}" diaginertia="{numbers(values)}"/>'
-    )

@@ -5,20 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
-from sdpid.output.charts.packed import packed, packed_indices
+from sdpid.output.charts.charts import packed, packed_indices
+from sdpid.output.charts.page import beside, rendered
 from sdpid.output.scene.contents import Group, Motion
 from sdpid.output.scene.ellipsoids import Ellipsoid
 from sdpid.output.scene.still import still_picture, view
 from sdpid.output.scene.surfaces import Surface, thinned
 from sdpid.robot.model.model import RobotModel
+
+_HERE = "sdpid.output.scene"
 
 # Triangles of all surfaces: 0.4 MB of page.
 _TRIANGLES = 24000
@@ -166,39 +167,20 @@ def robot_scene(
         },
         "distances": distances,
     }
-    return _rendered(
-        data,
+    markup = require("markupsafe", extra="report").Markup
+    # No "<" may end the element early.
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    shown = rendered(
+        _HERE,
+        "scene.html.j2",
+        data=markup(text),
         groups=[each for each in groups if each.name],
         picture=still_picture(groups, few, ellipsoids, placements[0], _EYE),
         label=label,
         notes=notes,
         seconds=(len(placements) - 1) / motion.rate_hz,
     )
-
-
-@cache
-def _file(name: str) -> str:
-    """Return the text of a file beside this one."""
-    return files("sdpid.output.scene").joinpath(name).read_text(encoding="utf-8")
-
-
-@cache
-def _template() -> Any:
-    """Return the compiled template."""
-    jinja2 = require("jinja2", extra="report")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(_file("scene.html.j2"))
-
-
-def _rendered(data: dict[str, Any], **values: Any) -> Scene:
-    """Return the scene of the player's data and the template's values."""
-    markup = require("markupsafe", extra="report").Markup
-    # No "<" may end the element early.
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    shown = _template().render(data=markup(text), **values)
-    return Scene(*map(markup, (shown, _file("scene.css"), _file("player.js"))))
+    return Scene(shown, *(markup(beside(_HERE, name)) for name in ("scene.css", "player.js")))
 
 
 def _extent(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from sdpid.verifier.bodies import has_margin
 from sdpid.verifier.exact import positive_semidefinite
@@ -27,6 +27,7 @@ _DOUBLINGS = 20
 MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "iyy": (1, 1), "ixz": (0, 2), "iyz": (1, 2), "izz": (2, 2)}
 
 Body = Sequence[Fraction]
+Number = TypeVar("Number", float, Fraction)
 
 
 class Inertial(NamedTuple):
@@ -45,7 +46,7 @@ class Inertial(NamedTuple):
 NOTHING = Inertial(0.0, (0.0,) * 3, (0.0,) * 6)
 
 
-def tensor(moments: Sequence[Fraction]) -> list[list[Fraction]]:
+def tensor(moments: Sequence[Number]) -> list[list[Number]]:
     """Return the rows of the tensor with six moments."""
     xx, xy, yy, xz, yz, zz = moments
     return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]

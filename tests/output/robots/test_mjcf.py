@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
+from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -21,10 +22,11 @@ from sdpid.estimation.problem import Problem
 from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFriction, Viscous
 from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
 from sdpid.output.robots.mjcf import PLACES, write_mjcf
-from sdpid.output.robots.principal_axes import along, principal_axes, rotation
+from sdpid.output.robots.mjcf_skeleton import inertial_markup
 from sdpid.output.robots.tendons import added
 from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
 from sdpid.robot.description.level import without_level
+from sdpid.robot.description.xml import parse_xml
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.model.base_parameters import generic_states
@@ -464,14 +466,15 @@ def test_the_edge(consistency: str) -> None:
 
 @given(strategies.bodies())
 def test_principal_axes(body: np.ndarray) -> None:
-    """Moments and quaternion give the tensor back to its rounding."""
-    exact = central(exactly(body))[2]
-    quaternion, moments = principal_axes(exact)
-    R = rotation([Fraction(x) for x in quaternion])
-    diagonal = np.diag([Fraction(x) for x in moments]).tolist()
-    turned, wanted = along(diagonal, np.transpose(R).tolist()), tensor(exact)
-    limit = Fraction(1e-14) * max(map(abs, exact))
-    assert all(abs(turned[i][j] - wanted[i][j]) <= limit for i in range(3) for j in range(3))
+    """Moments and quaternion give the tensor back to its rounding, and obey the inequality."""
+    written = rounded(exactly(body))
+    found = parse_xml(inertial_markup(written), "a body").attrib
+    moments = np.array(found["diaginertia"].split(), dtype=float)
+    R = Rotation.from_quat(np.roll(np.array(found["quat"].split(), dtype=float), -1)).as_matrix()
+    wanted = np.array(tensor(written.moments))
+    assert np.abs(R @ np.diag(moments) @ R.T - wanted).max() <= 1e-14 * np.abs(wanted).max()
+    assert moments.min() >= 0.0
+    assert moments[0] + moments[1] >= moments[2]
 
 
 # ---- A drive that turns two joints is a tendon in MuJoCo, with the same efforts as the model's.

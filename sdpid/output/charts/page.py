@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
+import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sdpid import __version__
 from sdpid._common.extras import require
+
+# Where the style and the parts are that several pages have.
+_SHARED = "sdpid.output.report"
 
 # A table with more rows is folded: its summary says what it holds.
 LONG = 16
@@ -48,20 +54,26 @@ def page(package: str, template: str, *, scripts: Sequence[str] = (), **values: 
     markup = require("markupsafe", extra="report").Markup
     values["policy"] = markup(policy(scripts))
     values["scripts"] = [markup(script) for script in scripts]
-    return str(_template(package, template).render(**values))
+    return str(rendered(package, template, **values))
+
+
+def rendered(package: str, template: str, **values: Any) -> Any:
+    """Return the part of a page that a template of a package makes of values, marked as safe."""
+    markup = require("markupsafe", extra="report").Markup
+    return markup(_templates(package).get_template(template).render(**values))
 
 
 @cache
-def _template(package: str, name: str) -> Any:
-    """Return a template of a package, compiled."""
+def _templates(package: str) -> Any:
+    """Return the templates of a package, and those that all pages share."""
     jinja2 = require("jinja2", extra="report")
     markup = require("markupsafe", extra="report").Markup
-    reports = files("sdpid.output.report")
-    rooms = (files(package), reports)
 
     def text(name: str) -> str | None:
-        found = (each for room in rooms if (each := room.joinpath(name)).is_file())
-        return next((each.read_text(encoding="utf-8") for each in found), None)
+        for room in (package, _SHARED):
+            if files(room).joinpath(name).is_file():
+                return beside(room, name)
+        return None
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text),
@@ -69,12 +81,28 @@ def _template(package: str, name: str) -> Any:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=_compiled(),
     )
     environment.filters.update(number=number, percent=percent, fixed=fixed)
     environment.filters["capitalized"] = capitalized
-    style = reports.joinpath("page.css").read_text(encoding="utf-8")
-    environment.globals.update(style=markup(style), version=__version__, long=LONG)
-    return environment.get_template(name)
+    style = markup(beside(_SHARED, "page.css"))
+    environment.globals.update(style=style, version=__version__, long=LONG)
+    return environment
+
+
+def _compiled() -> Any:
+    """Return where compiled templates are kept, beside Python's own: compiling is half a report."""
+    folder = Path(__file__).with_name("__pycache__")
+    if sys.dont_write_bytecode or not os.access(folder, os.W_OK):
+        return None
+    cache = require("jinja2", extra="report").FileSystemBytecodeCache
+    return cache(str(folder), f"%s.{__version__}.jinja")
+
+
+@cache
+def beside(package: str, name: str) -> str:
+    """Return the text of a file of a package."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def policy(scripts: Sequence[str] = ()) -> str:
