@@ -14,7 +14,8 @@ so that any such u for every row gives a linear lower bound of the Huber cost.
 
 Contacts tie the rows of a sample together, and no row is a joint's own. There r is the vector of a
 sample's whitened residuals, |r| its norm, u a vector of a norm of at most t, and both facts hold as
-they are. A threshold of t deviations is then the one that as many of normal errors exceed.
+they are. A threshold of t deviations is then the one that as many of normal errors exceed. So
+residuals (K, n) fall into groups (K, g) whose norms count: g is n, or 1 with contacts.
 
 The threshold is in standard deviations of a single whitened residual. That deviation is not one:
 weights may count correlated samples as fewer, belong to one period where the efforts are means of
@@ -26,18 +27,23 @@ convex.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import CHUNK
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import weights as powers_of
+from sdpid.estimation.compression.whitening import weights_and_shares, whitened_chunks
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_root, least_squares
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.robust.whitened_rows import WhitenedRows
 from sdpid.estimation.wls import solve_wls
 
 # A deviation is at least this share of the joint's whitened efforts: exact data leave residuals
@@ -57,6 +63,124 @@ _WHOLE = 2
 # A row whose u is within this share of its threshold has no room left for corrections.
 _ROOM = 1e-9
 
+# The median size of a standard normal variable.
+_NORMAL_MEDIAN = 0.6744897501960817
+
+# Whitened rows up to this size in bytes are kept between rounds, larger ones made again.
+_KEPT = 4e8
+
+
+class WhitenedRows:
+    """The whitened rows of a problem, kept between rounds where they are not too large.
+
+    Attributes
+    ----------
+    problem : Problem
+        Whose rows.
+    groups : int
+        Losses a sample, g: one a row, or a single one where contacts tie the rows together.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        problem.require_plain("solve_robust")
+        self.problem = problem
+        self.rows = problem.require_rows_here("solve_robust")
+        samples, n = problem.samples.effort.shape
+        self.groups = n if self.rows.samples.contacts is None else 1
+        self._keeps = 8.0 * samples * n * (problem.base.count + 1) <= _KEPT
+        self._kept: list[tuple[slice, Array]] = []
+
+    def chunks(self) -> Iterator[tuple[slice, Array]]:
+        """Yield (slice, rows (k, n, b + 1) with the efforts last)."""
+        if self._kept:
+            yield from self._kept
+            return
+        made = []
+        for part, rows, _ in whitened_chunks(self.rows, self.problem.sigma, keep=self._keeps):
+            if self._keeps:
+                made.append((part, rows))
+            yield part, rows
+        self._kept = made
+
+    def residuals(self, base: Array) -> Array:
+        """Return the whitened residuals ``W @ base − effort``, (K, n), 0 where masked."""
+        return self.times(np.append(base, -1.0))
+
+    def times(self, vector: Array) -> Array:
+        """Return the rows, efforts last, times a vector (b + 1,), as (K, n)."""
+        return np.concatenate([rows @ vector for _, rows in self.chunks()])
+
+    def compressed(self, weights: Array) -> Triangle:
+        """Return the triangle of the rows times the square roots of weights (K, g)."""
+        triangle = Triangle(self.problem.base.count + 1)
+        for part, rows in self.chunks():
+            weighted = np.sqrt(weights[part])[:, :, None] * rows
+            triangle.add(weighted.reshape(-1, rows.shape[2]))
+        return triangle
+
+    def pull(self, u: Array) -> Array:
+        """Return ``W^T u`` and ``effort·u`` of multipliers (K, n), together (b + 1,)."""
+        parts = [np.einsum("kib,ki->b", rows, u[part]) for part, rows in self.chunks()]
+        return np.asarray(np.sum(parts, axis=0))
+
+    def size(self, values: Array) -> Array:
+        """Return the norms (K, g) of values (K, n)."""
+        return np.asarray(np.linalg.norm(self.grouped(values), axis=2))
+
+    def grouped(self, values: Array) -> Array:
+        """Return values (K, n, …) as (K, g, n/g, …)."""
+        return values.reshape(len(values), self.groups, -1, *values.shape[2:])
+
+    def clipped(self, values: Array, t: Array) -> Array:
+        """Return values (K, n) whose norms are at most t (K, g)."""
+        return np.asarray(values * (t / np.maximum(self.size(values), t)))
+
+    @cached_property
+    def freedom(self) -> Array:
+        """Independent rows of each group, (K, g)."""
+        if self.groups > 1:
+            return self.rows.mask(slice(None)).astype(np.float64)
+        sigma = self.problem.sigma
+        found = [weights_and_shares(self.rows, part, sigma)[2] for part in self.rows.parts()]
+        return np.asarray(np.rint(np.concatenate(found).sum(axis=1))[:, None])
+
+    def quantile(self, threshold: float) -> Array:
+        """Return norms (K, g) that as many normal errors exceed as single ones a threshold."""
+        from scipy.special import gammainccinv
+        from scipy.stats import norm
+
+        if self.groups > 1:
+            return np.full(self.freedom.shape, threshold)
+        # Chi-squared's quantile; of thresholds that no error exceeds it is finite still.
+        share = max(2.0 * norm.sf(threshold), np.finfo(float).tiny)
+        return np.asarray(np.sqrt(2.0 * gammainccinv(np.maximum(self.freedom, 1.0) / 2.0, share)))
+
+    def rms(self, values: Array) -> Array:
+        """Return root mean squares of values (K, n): of each joint, or of all, (g,)."""
+        count = np.maximum(self.freedom.sum(axis=0), 1.0)
+        return np.asarray(np.sqrt((self.size(values) ** 2).sum(axis=0) / count))
+
+    def median(self, values: Array) -> Array:
+        """Return deviations (g,) of normal values (K, n) of the same median size."""
+        ratio, used = self.size(values) / self.quantile(_NORMAL_MEDIAN), self.freedom > 0.0
+        pairs = zip(ratio.T, used.T, strict=True)
+        return np.array([np.median(own[some]) if some.any() else 1.0 for own, some in pairs])
+
+    def weighted_sigma(self, weights: Array) -> Array:
+        """Return covariances (K, n, n) under which plain weighting is that of whitened rows."""
+        sigma, (count, n) = self.problem.sigma, self.rows.samples.effort.shape
+        out = np.empty((count, n, n))
+        for start in range(0, count, CHUNK):
+            part = slice(start, start + CHUNK)
+            own, w = sigma if sigma.ndim == 2 else sigma[part], weights[part]
+            root = np.take(*powers_of(own, self.rows.mask(part), 0.5), axis=0)
+            out[part] = (root / w[:, None, :]) @ root
+            touching = self.rows.contacts(part)
+            if touching is not None and touching.covariance is not None:
+                # Errors of measured forces, which are added to it, grow as well.
+                out[part] += (1.0 / w[:, :, None] - 1.0) * touching.covariance
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class HuberLoss:
@@ -66,9 +190,9 @@ class HuberLoss:
     ----------
     rows : WhitenedRows
         The rows, with the problem that they are of.
-    thresholds : ndarray, shape (n,) or (K, 1)
-        Largest whitened residual of each joint, or with contacts largest norm of each sample's,
-        that counts with its square.
+    thresholds : ndarray, shape (K, g)
+        Largest whitened residual, or with contacts largest norm of each sample's, that counts with
+        its square.
     """
 
     rows: WhitenedRows
@@ -97,36 +221,27 @@ class HuberLoss:
         if not (np.isfinite(threshold) and threshold > 0.0):
             raise DataError(f"Huber loss: the threshold is {threshold}; give a positive number.")
         rows = WhitenedRows(problem)
-        scale = rows.scale(threshold)
+        scale = rows.quantile(threshold)
         if deviations is None:
             return cls(rows, frozen(scale * _deviations(rows, scale)))
-        shape = () if rows.together else (problem.robot.n,)
-        given = np.broadcast_to(np.asarray(deviations, dtype=np.float64), shape)
+        given = np.broadcast_to(np.asarray(deviations, dtype=np.float64), rows.groups)
         if not np.all(np.isfinite(given) & (given > 0.0)):
             raise DataError(f"Huber loss: deviations are {given}; give positive numbers.")
         return cls(rows, frozen(scale * given))
 
     def cost(self, base: Array) -> float:
         """Return the Huber cost of base parameters, without a prior's."""
-        size = self.rows.size(self.rows.residuals(base))
-        t = self.thresholds
+        size, t = self.rows.size(self.rows.residuals(base)), self.thresholds
         return float(np.where(size <= t, size**2, 2.0 * t * size - t**2).sum())
-
-    def weights(self, base: Array) -> Array:
-        """Return ``min(1, t/|r|)`` of every row, (K, n), or of every sample, (K, 1)."""
-        size = self.rows.size(self.rows.residuals(base))
-        return np.asarray(self.thresholds / np.maximum(size, self.thresholds))
 
     def majorized(self, base: Array) -> Problem:
         """Return the weighted problem whose cost is nowhere below and touches at `base`."""
-        size = self.rows.size(self.rows.residuals(base))
-        t = self.thresholds
+        size, t = self.rows.size(self.rows.residuals(base)), self.thresholds
         weights = t / np.maximum(size, t)
         A, rhs, floor = self.rows.compressed(weights).split()
         constant = float(np.maximum(t * size - t**2, 0.0).sum())
-        problem = self.rows.problem
         return replace(
-            problem,
+            self.rows.problem,
             A=frozen(A),
             rhs=frozen(rhs),
             floor=floor + constant,
@@ -135,18 +250,19 @@ class HuberLoss:
 
     def curvature(self, base: Array, T: Array) -> Array:
         """Return half the second derivative of the cost along the columns of T (b, r), (r, r)."""
-        residuals = self.rows.residuals(base)
-        size, t = self.rows.size(residuals), self.thresholds
-        if not self.rows.together:
-            # Rows beyond their threshold have none.
-            R = self.rows.compressed((size <= t).astype(float)).split()[0] @ T
-            return np.asarray(R.T @ R)
-        weights = t / np.maximum(size, t)
-        R = self.rows.compressed(weights).split()[0] @ T
-        # A sample beyond it has none along its residual.
-        along = np.where(size > t, residuals / np.maximum(size, t), 0.0)
-        r = self.rows.along(np.sqrt(weights) * along) @ T
-        return np.asarray(R.T @ R - r.T @ r)
+        rows, t = self.rows, self.thresholds
+        residuals = rows.residuals(base)
+        size = np.maximum(rows.size(residuals), t)
+        found = np.zeros((T.shape[1], T.shape[1]))
+        for part, own in rows.chunks():
+            w, beyond = np.sqrt(t[part] / size[part]), size[part] > t[part]
+            X = rows.grouped(w[:, :, None] * (own[:, :, :-1] @ T))
+            # Beyond its threshold a group has none along its residual.
+            unit = rows.grouped(residuals[part]) * (beyond / size[part])[:, :, None]
+            along = np.einsum("kgi,kgir->kgr", unit, X).reshape(-1, len(found))
+            flat = X.reshape(-1, len(found))
+            found += flat.T @ flat - along.T @ along
+        return found
 
     def bound(self, estimate: Estimate) -> float:
         """Return what the Huber cost of feasible parameters is at least, prior included.
@@ -192,9 +308,9 @@ class HuberLoss:
 
 
 def _deviations(rows: WhitenedRows, scale: Array) -> Array:
-    """Return the standard deviation of whitened residuals, from a robust fit: (n,) or ()."""
+    """Return the standard deviations (g,) of whitened residuals, from a robust fit."""
     problem = rows.problem
-    used = rows.independent
+    used = float(rows.freedom.sum())
     # Residuals of a fit are smaller than the errors.
     grow = np.sqrt(used / max(used - problem.base.count, 1))
     least = rows.rms(rows.residuals(np.zeros(problem.base.count)))

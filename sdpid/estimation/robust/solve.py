@@ -7,12 +7,12 @@ estimates certifies these. Rounds end when the weights belong to their own resul
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from sdpid._common.arrays import frozen
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.duality.bound import PROVEN, relative_gap
-from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.estimate import Estimate, extended
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.robust.huber import HuberLoss
@@ -128,14 +128,13 @@ def solve_robust(
         proof = "no gap proven" if gap is None else f"proven gap {gap:.1e}"
         message = f"Huber loss, threshold {threshold:g} deviations: {rounds} rounds, "
         message += f"cost {cost:.10g}, {proof}; {found.message}"
-        estimate = RobustEstimate(
-            **{
-                **{each.name: getattr(found, each.name) for each in fields(found)},
-                "message": message,
-                "iterations": iterations,
-                "solve_time": seconds,
-                "curvature": frozen(loss.curvature(base, weighted.excitation.root)),
-            },
+        estimate = extended(
+            RobustEstimate,
+            found,
+            message=message,
+            iterations=iterations,
+            solve_time=seconds,
+            curvature=frozen(loss.curvature(base, weighted.excitation.root)),
             rounds=rounds,
             robust_cost=cost,
             robust_gap=gap,
