@@ -17,7 +17,7 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, WEIGHTINGS, Weighting, pooled
 from sdpid.estimation.compression.factor import Factor, covariance
-from sdpid.estimation.compression.rows import Rows, RowSource, SamplesElsewhere
+from sdpid.estimation.compression.rows import RowSource, SamplesElsewhere
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
@@ -101,7 +101,7 @@ class Problem(Shown):
         The constraints.
     prior : PriorTerms or None
         The prior, as further terms of the cost.
-    rows : Rows or None
+    rows : RowSource or None
         The rows that the cost is made of, here or on a cluster; None where they were not kept.
         Solvers do not need them, standard errors and residuals do.
     origin : Origin
@@ -134,7 +134,7 @@ class Problem(Shown):
     n_rows: int
     feasible: FeasibleSet
     prior: PriorTerms | None = None
-    rows: Rows | None = None
+    rows: RowSource | None = None
     origin: Origin
     errors: tuple[ErrorSource, ...] = ()
 
@@ -235,7 +235,7 @@ class Problem(Shown):
         """
         return self.require_rows("samples").samples
 
-    def require_rows(self, purpose: str) -> Rows:
+    def require_rows(self, purpose: str) -> RowSource:
         """Return the rows, or raise.
 
         Parameters
@@ -258,7 +258,7 @@ class Problem(Shown):
     def require_rows_here(self, purpose: str) -> RowSource:
         """Return the rows, or raise where they are elsewhere; as `require_rows`."""
         rows = self.require_rows(purpose)
-        if not isinstance(rows, RowSource):
+        if rows.elsewhere is not None:
             raise DataError(
                 f"{purpose}: needs every row here, and they are on the workers of a cluster; build "
                 "the problem of samples or files."
@@ -306,7 +306,7 @@ class Problem(Shown):
 
     def rows_of(self, samples: Samples) -> RowSource:
         """Return the rows of other samples, on which this problem's parameters are judged."""
-        scale = self.rows.force_scale if isinstance(self.rows, RowSource) else 1.0
+        scale = 1.0 if self.rows is None else self.rows.force_scale
         rows = RowSource(self.robot, self.friction, self.base, samples.judged)
         return rows.with_force_scale(scale)
 
@@ -431,9 +431,7 @@ def build_problem(
     model, profiled = close_terms(model, robot, here, lambda rows: covariance(rows, weighting))
     if base is None:
         base = structural_base(robot, model)
-    rows: Rows = RowSource(robot, model, base, here)
-    if elsewhere is not None:
-        rows = elsewhere.rows(robot, model, base)
+    rows = RowSource(robot, model, base, here, elsewhere=elsewhere)
     found = Factor.of(rows, weighting)
     if found.force_scale != 1.0:
         rows = rows.with_force_scale(found.force_scale)

@@ -21,7 +21,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import compress, weights, weights_and_shares, weights_of
+from sdpid.estimation.compression.whitening import compress, weights_and_shares, weights_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.several import without_efforts
@@ -118,33 +118,6 @@ def test_independent_rows_have_the_products_of_all() -> None:
         triangle.R.T @ triangle.R, X.T @ X, atol=1e-12 * np.outer(size, size).max()
     )
     assert count == np.linalg.matrix_rank(T).sum()
-
-
-def test_compiled_rows_have_the_same_products() -> None:
-    pytest.importorskip("numba")
-    contacts = gait(40).samples.contacts
-    again = ContactSamples(
-        frames=(*FEET, FEET[1]), offset=RADIUS, down=contacts.down[:, [0, 1, 2, 3, 1]]
-    )
-    samples = replace(gait(40).noisy(), contacts=again)
-    mask = np.ones((40, 18), dtype=bool)
-    mask[::3, 7] = False
-    rows = problem(replace(samples, mask=mask)).rows
-    powers, index = weights(SIGMA, mask)
-    found = []
-    for compiled in (False, True):
-        touching = ContactRows.of(quadruped(), samples, slice(None), compiled=compiled)
-        block = rows.rows(slice(None))
-        W, apart, lost = touching.independent(powers, index, block, rows.branches)
-        product = W.T @ W
-        for own, columns in zip(apart, rows.branches.columns, strict=True):
-            # Of the legs that are in the air, unless their rows are mixed by the compiled loop.
-            assert bool(len(own)) == compiled
-            product[np.ix_(columns, columns)] += own.T @ own
-        found.append((product, lost))
-    assert found[0][1] == found[1][1]
-    size = np.sqrt(np.diagonal(found[0][0]))
-    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-12 * np.outer(size, size).max())
 
 
 def test_rounding_decides_no_correlation_time() -> None:

@@ -21,7 +21,7 @@ import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.intervals.links import link_properties
-from sdpid.estimation.compression.rows import Rows
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.output.charts.charts import Charts, packed, scripts, style
 from sdpid.output.charts.page import number, policy
 from sdpid.output.report import report
@@ -335,7 +335,8 @@ def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(result: Identifi
     problem = result.problem
 
     assert problem.rows is not None
-    there = replace(problem, rows=Many(problem.rows, problem.samples.every(10)))
+    thinned = problem.rows.on(problem.samples.every(10))
+    there = replace(problem, rows=replace(thinned, elsewhere=Many(problem.rows)))
     thin = sdpid.validate(replace(result.estimate, problem=there), there.samples)
     seen = replace(
         result, problem=there, training=thin, validation=None, validation_samples=None,
@@ -356,12 +357,13 @@ def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(result: Identifi
 
 
 class Many:
-    """Rows that are elsewhere."""
+    """Samples that are elsewhere."""
 
-    def __init__(self, elsewhere: Rows, samples: sdpid.Samples) -> None:
-        self.robot, self.friction, self.base = elsewhere.robot, elsewhere.friction, elsewhere.base
-        self.samples, self.n_samples = samples, elsewhere.n_samples
-        self.map = elsewhere.map
+    def __init__(self, rows: RowSource) -> None:
+        self.rows, self.samples, self.n_samples = rows, rows.samples, rows.n_samples
+
+    def map(self, _: RowSource, function: Any, arguments: Any, sigma: Any) -> list[Any]:
+        return self.rows.map(function, *arguments, sigma=sigma)
 
 
 def test_samples_without_time_and_with_masked_rows(result: Identification) -> None:

@@ -83,7 +83,7 @@ def held_out_blocks(problem: Problem) -> tuple[Block, ...]:
         base parameters undetermined.
     """
     rows = problem.rows
-    if not isinstance(rows, RowSource) or problem.weighting in PRINTED:
+    if rows is None or rows.elsewhere is not None or problem.weighting in PRINTED:
         return ()
     guard = math.ceil(_GUARD * rows.samples.block)
     longest = max(p.stop - p.start for p in rows.samples.parts)

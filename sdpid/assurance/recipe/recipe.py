@@ -13,7 +13,6 @@ from sdpid._common.tables import plain
 from sdpid.assurance.recipe.stated_problem import StatedProblem
 from sdpid.errors import CertificateError, ModelError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.choose import Profiled
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import Prepared
@@ -172,7 +171,7 @@ class Recipe:
             weighting=problem.weighting,
             sigma=None if each else _symmetric(problem.sigma),
             problem=StatedProblem.of(problem),
-            force_scale=problem.rows.force_scale if isinstance(problem.rows, RowSource) else 1.0,
+            force_scale=1.0 if problem.rows is None else problem.rows.force_scale,
             profiled=problem.origin.profiled,
         )
         recipe.to_dict()

@@ -66,20 +66,6 @@ _ROUNDS = 5
 class MadeRows(RowSource):
     """Rows whose columns are mixed, so that any may be of any joint."""
 
-    @abstractmethod
-    def pieces(self) -> Iterator[MadeRows]:
-        """Yield the rows of each piece of the samples."""
-
-    def map(
-        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
-    ) -> list[T]:
-        """Apply a function to the rows of each piece; as `RowSource.map`."""
-        found = []
-        for part, rows in zip(self.samples.parts, self.pieces(), strict=True):
-            own = () if sigma is None else (sigma if sigma.ndim == 2 else sigma[part],)
-            found.append(function(rows, *own, *arguments))
-        return found
-
     @cached_property
     def reached(self) -> Mask:
         """At which columns rows may not be zero: at all."""

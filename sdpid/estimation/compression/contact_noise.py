@@ -25,8 +25,10 @@ from sdpid.estimation.compression.covariance import (
     LaggedSums,
     integrated_time,
     least_variance,
+    require_effort,
+    settled,
 )
-from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, Rows, RowSource
+from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights_and_shares
 
@@ -49,7 +51,7 @@ _NO_SHARE = 1e-12
 _INNER = 4
 
 
-def contact_noise(rows: Rows) -> tuple[Array, float, float]:
+def contact_noise(rows: RowSource) -> tuple[Array, float, float]:
     """Return the errors of rows in contact that the residuals make most likely.
 
     Returns
@@ -70,26 +72,23 @@ def contact_noise(rows: Rows) -> tuple[Array, float, float]:
     samples = rows.samples
     thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
     groups = _groups(rows)
-    sizes, least = _beginning(thin)
+    begun, least = _beginning(thin)
     left = _Left(thin)
     kept, force = left.rows(thin)
-    for _ in range(ROUNDS):
-        base, rank, count = _fitted(left, kept, sizes)
+
+    def updated(sizes: Array) -> Array:
+        base, residual, freedom = left.fitted(kept, sizes)
         if rows.robot.n_base:
             _bound_base(least, force @ base, thin)
-        residual = _missed(kept, base)
-        freedom = count / max(count - rank, 1.0)
-        before = sizes
-        sizes = _settled(left, sizes, residual, groups, freedom, least, _INNER)
-        if np.allclose(sizes, before, rtol=_SETTLED):
-            break
-    base, rank, count = _fitted(left, kept, sizes)
-    residual, freedom = _missed(kept, base), count / max(count - rank, 1.0)
+        return left.settled(sizes, residual, groups, freedom, least, _INNER)
+
+    sizes = settled(updated, begun, _SETTLED)
+    base, residual, freedom = left.fitted(kept, sizes)
     # One factor for all efforts, which were bounded one by one, beside that of forces.
     alike = np.append(np.zeros(rows.robot.n, dtype=np.intp), 1)
     least = np.append(LEAST_NOISE * sizes[:-1], 1.0)
-    sizes = _settled(left, sizes, residual, alike, freedom, least)
-    shown = float(_settled(left, sizes, residual, alike, freedom, 0.0 * least)[-1])
+    sizes = left.settled(sizes, residual, alike, freedom, least)
+    shown = float(left.settled(sizes, residual, alike, freedom, 0.0 * least)[-1])
     variance, scaled = sizes[:-1], rows.with_force_scale(float(sizes[-1]))
     sums = LaggedSums.merged(scaled.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
@@ -121,7 +120,7 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
     sizes, least = _beginning(rows)
     if rows.robot.n_base:
         _bound_base(least, predicted[:, :3], rows)
-    return _settled(left, sizes, residual, groups, 1.0, least, ROUNDS * _INNER)[:-1]
+    return left.settled(sizes, residual, groups, 1.0, least, ROUNDS * _INNER)[:-1]
 
 
 def _beginning(rows: RowSource) -> tuple[Array, Array]:
@@ -138,12 +137,7 @@ def _beginning(rows: RowSource) -> tuple[Array, Array]:
         # The base's rows alone: forces that are known take the place of efforts.
         known = [np.where(rows.mask(p), rows.effort(p), 0.0)[:, :3] for p in rows.parts()]
         effort = _reach(rows) ** 2 * float(np.mean(np.concatenate(known) ** 2))
-    if not effort > 0.0:
-        raise DataError(
-            f"samples: all {used or mask.sum()} efforts that count are zero, so residuals have no "
-            "variance for weighting='residual' to estimate; check that effort was recorded and "
-            "read (columns, units, mask)."
-        )
+    require_effort(effort, used or int(mask.sum()))
     variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
     variance[: min(3, n_base)] /= _reach(rows) ** 2
     return np.append(variance, 1.0), np.append(_least(rows, effort, square), 1.0)
@@ -159,7 +153,7 @@ def _reach(rows: RowSource) -> float:
     return float(max(rows.robot.reach, np.finfo(float).tiny))
 
 
-def _groups(rows: Rows) -> Indices:
+def _groups(rows: RowSource) -> Indices:
     """Return which rows share a variance, and that the factor of forces is alone, (n + 1,)."""
     n_base = rows.robot.n_base
     own = np.arange(rows.robot.n + 1)
@@ -218,66 +212,53 @@ class _Left:
                 out[own] = np.swapaxes(N[own], 1, 2) @ block[some[own] - part.start]
         return found, np.concatenate(force)
 
+    def fitted(self, kept: list[Array], sizes: Array) -> tuple[Array, list[Array], float]:
+        """Return the best fit under sizes, what it leaves, and rows a degree of freedom."""
+        count = sum(X.shape[0] * X.shape[1] for X in kept)
+        if count < 1:
+            raise DataError(
+                "samples: the forces of the contacts explain every row, nothing is left to fit; "
+                "check the mask and the contacts (flags, kinds), or give measured forces."
+            )
+        triangle = Triangle(kept[0].shape[2])
+        for X, root in zip(kept, self.roots(sizes), strict=True):
+            size = max(1, CHUNK_BYTES // max(8 * X.shape[1] * X.shape[2], 1))
+            for start in range(0, len(X), size):
+                own = slice(start, start + size)
+                triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
+        R = triangle.R
+        base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
+        residual = [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
+        return np.asarray(base), residual, count / max(count - int(rank), 1.0)
 
-def _fitted(left: _Left, kept: list[Array], sizes: Array) -> tuple[Array, int, int]:
-    """Return the base parameters that fit best under sizes, their rank, and the rows."""
-    count = sum(X.shape[0] * X.shape[1] for X in kept)
-    if count < 1:
-        raise DataError(
-            "samples: the forces of the contacts explain every row, nothing is left to fit; check "
-            "the mask and the contacts (flags, kinds), or give measured forces."
-        )
-    triangle = Triangle(kept[0].shape[2])
-    for X, root in zip(kept, left.roots(sizes), strict=True):
-        size = max(1, CHUNK_BYTES // max(8 * X.shape[1] * X.shape[2], 1))
-        for start in range(0, len(X), size):
-            own = slice(start, start + size)
-            triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
-    R = triangle.R
-    base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
-    return np.asarray(base), int(rank), count
+    def settled(
+        self,
+        sizes: Array,
+        residual: list[Array],
+        groups: Indices,
+        freedom: float,
+        least: Array,
+        rounds: int = ROUNDS,
+    ) -> Array:
+        """Return the most likely sizes under residuals that stay as they are."""
 
+        def updated(sizes: Array) -> Array:
+            scores, information = np.zeros((2, len(sizes)))
+            for (_, N, spread), own, G in zip(
+                self.pieces, residual, self.roots(sizes), strict=True
+            ):
+                whitened = G @ own
+                of_rows, of_forces = N @ np.swapaxes(G, 1, 2), np.swapaxes(G @ spread, 1, 2)
+                scores[:-1] += np.sum((of_rows @ whitened)[:, :, 0] ** 2, axis=0)
+                scores[-1] += np.sum((of_forces @ whitened) ** 2)
+                information[:-1] += np.einsum("kir,kir->i", of_rows, of_rows)
+                information[-1] += np.sum(of_forces**2)
+            said, known = (np.bincount(groups, sizes * s)[groups] for s in (scores, information))
+            # What contacts hide altogether keeps its size.
+            ratio = np.where(known > 0.0, freedom * said / np.where(known > 0.0, known, 1.0), 1.0)
+            return np.maximum(sizes * ratio, least)
 
-def _missed(kept: list[Array], base: Array) -> list[Array]:
-    """Return what base parameters leave (s, r, 1) of rows, the efforts last."""
-    return [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
-
-
-def _settled(
-    left: _Left,
-    sizes: Array,
-    residual: list[Array],
-    groups: Indices,
-    freedom: float,
-    least: Array,
-    rounds: int = ROUNDS,
-) -> Array:
-    """Return the most likely sizes under residuals that stay as they are."""
-    for _ in range(rounds):
-        before = sizes
-        sizes = np.maximum(_updated(left, sizes, residual, groups, freedom), least)
-        if np.allclose(sizes, before, rtol=_SETTLED):
-            break
-    return sizes
-
-
-def _updated(
-    left: _Left, sizes: Array, residual: list[Array], groups: Indices, freedom: float
-) -> Array:
-    """Return more likely sizes."""
-    scores, information = np.zeros((2, len(sizes)))
-    for (_, N, spread), own, G in zip(left.pieces, residual, left.roots(sizes), strict=True):
-        whitened = G @ own
-        of_rows, of_forces = N @ np.swapaxes(G, 1, 2), np.swapaxes(G @ spread, 1, 2)
-        scores[:-1] += np.sum((of_rows @ whitened)[:, :, 0] ** 2, axis=0)
-        scores[-1] += np.sum((of_forces @ whitened) ** 2)
-        information[:-1] += np.einsum("kir,kir->i", of_rows, of_rows)
-        information[-1] += np.sum(of_forces**2)
-    said: Array = np.asarray(np.bincount(groups, sizes * scores)[groups])
-    known: Array = np.asarray(np.bincount(groups, sizes * information)[groups])
-    # What contacts hide altogether keeps its size.
-    ratio = np.where(known > 0.0, freedom * said / np.where(known > 0.0, known, 1.0), 1.0)
-    return np.asarray(sizes * ratio)
+        return settled(updated, sizes, _SETTLED, rounds)
 
 
 def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.estimation.compression.branches import NO_BRANCHES, Branches
-from sdpid.estimation.compression.contact_kernel import independent_rows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import frame_axes, relative_jacobians
 from sdpid.robot.model.model import RobotModel
@@ -53,15 +51,12 @@ class ContactRows:
     spread : ndarray, shape (k, n, s), or None
         Efforts of independent errors of measured forces, each of one standard deviation: L, so that
         their covariance is L·L^T.
-    compiled : bool
-        Whether to use compiled loops.
     """
 
     directions: Array
     active: Mask
     effort: Array | None
     spread: Array | None
-    compiled: bool = False
 
     @property
     def covariance(self) -> Array | None:
@@ -116,7 +111,7 @@ class ContactRows:
             acts = size > _NOTHING**2 * size.max(axis=1, keepdims=True, initial=0.0)
             active = [np.concatenate(active, axis=1) & acts]
         if known is None or contacts.forces is None:
-            return cls(directions, np.concatenate(active, axis=1), None, None, compiled)
+            return cls(directions, np.concatenate(active, axis=1), None, None)
         values, vectors = np.linalg.eigh(scale * np.where(np.isinf(known), 0.0, known))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         f = np.where(infinite, 0.0, contacts.forces[part])
@@ -127,18 +122,22 @@ class ContactRows:
             np.concatenate(active, axis=1),
             np.einsum("kcin,kci->kn", J, f),
             np.einsum("kcin,cij->kncj", J, root)[:, :, root.any(axis=1)],
-            compiled,
         )
 
-    def pattern_of(self, some: Indices) -> Iterator[tuple[Indices, Indices]]:
-        """Yield those of some samples with the same active directions, and these directions."""
-        if not len(some):
-            return
-        patterns, index = np.unique(self.active[some], axis=0, return_inverse=True)
+    def _patterns(self) -> Iterator[tuple[Indices, Indices]]:
+        """Yield samples with the same active directions, and these directions."""
+        patterns, index = np.unique(self.active, axis=0, return_inverse=True)
         order = np.argsort(index.reshape(-1), kind="stable")
         ends = np.cumsum(np.bincount(index.reshape(-1), minlength=len(patterns)))[:-1]
-        for own, few in zip(patterns, np.split(order, ends), strict=True):
-            yield some[few], np.flatnonzero(own)
+        for own, some in zip(patterns, np.split(order, ends), strict=True):
+            yield some, np.flatnonzero(own)
+
+    def _left(self, powers: Array, index: Indices) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield samples, bases N (s, n, r) of what forces leave of whitened rows, and N^T·P."""
+        for some, own in self._patterns():
+            P = powers[index[some]]
+            for few, N in complements(P @ self.directions[some][:, :, own]):
+                yield some[few], N, np.swapaxes(N, 1, 2) @ P[few]
 
     def unforced(self, mask: Mask) -> Iterator[tuple[Indices, Array]]:
         """Yield samples, and bases N (s, n, r) of what forces leave of the rows in use (k, n).
@@ -146,13 +145,13 @@ class ContactRows:
         They are the same for all weights: a covariance C of the rows makes
         ``Omega = N·(N^T·C·N)^-1·N^T``. Samples without a row in use have none.
         """
-        for some, own in self.pattern_of(np.arange(len(self.active))):
+        for some, own in self._patterns():
             used, index = np.unique(mask[some], axis=0, return_inverse=True)
             for i in np.flatnonzero(used.any(axis=1)):
                 rows = used[i]
                 alike = some[index.reshape(-1) == i]
                 A = self.directions[alike][:, rows][:, :, own]
-                for few, kept, _ in complements(A):
+                for few, kept in complements(A):
                     N = np.zeros((len(few), len(rows), kept.shape[2]))
                     N[:, rows] = kept
                     yield alike[few], N
@@ -170,44 +169,21 @@ class ContactRows:
         """
         found = np.empty((len(index), *powers.shape[1:]))
         shares = mask.astype(np.float64)
-        for some, own in self.pattern_of(np.arange(len(self.active))):
-            P = powers[index[some]]
-            for few, N, _ in complements(P @ self.directions[some][:, :, own]):
-                found[some[few]] = N @ (np.swapaxes(N, 1, 2) @ P[few])
-                shares[some[few]] *= np.einsum("knr,knr->kn", N, N)
+        for some, N, left in self._left(powers, index):
+            found[some] = N @ left
+            shares[some] *= np.einsum("knr,knr->kn", N, N)
         return found, shares
 
-    def independent(
-        self, powers: Array, index: Indices, rows: Array, branches: Branches = NO_BRANCHES
-    ) -> tuple[Array, list[Array], int]:
-        """Return the independent whitened rows (r, c) of rows (k, n, c), and their lost directions.
+    def independent(self, powers: Array, index: Indices, rows: Array) -> tuple[Array, int]:
+        """Return the independent whitened rows (r, c) of rows (k, n, c), and lost directions.
 
-        They have the same products as T·rows, sample by sample. With compiled loops, rows of
-        branches that no unknown force moves stand apart, with the columns of the branch alone.
+        They have the same products as T·rows, sample by sample.
         """
         found, lost = [], 0
-        apart = [np.zeros((0, len(own))) for own in branches.columns]
-        every = np.arange(len(index))
-        scale = np.diagonal(powers, axis1=1, axis2=2)
-        if self.compiled and np.count_nonzero(powers) == np.count_nonzero(scale):
-            directions = np.swapaxes(self.directions, 1, 2)
-            quick = independent_rows(
-                directions, self.active, scale, index, rows, branches, doubtful=_SUSPICIOUS
-            )
-            if quick is not None:
-                dense, apart, good = quick
-                found.append(dense)
-                lost += int(np.count_nonzero(self.active[good]))
-                every = np.flatnonzero(~good)
-        for some, own in self.pattern_of(every):
-            P = powers[index[some]]
-            A = P @ self.directions[some][:, :, own]
-            for few, N, rank in complements(A):
-                chosen = some[few]
-                weighted = (np.swapaxes(N, 1, 2) @ P[few]) @ rows[chosen]
-                found.append(weighted.reshape(-1, rows.shape[2]))
-                lost += rank * len(chosen)
-        return found[0] if len(found) == 1 else np.concatenate(found), apart, lost
+        for some, _, left in self._left(powers, index):
+            found.append((left @ rows[some]).reshape(-1, rows.shape[2]))
+            lost += (left.shape[2] - left.shape[1]) * len(some)
+        return np.concatenate(found), lost
 
     def errors(self, powers: Array, index: Indices, residual: Array) -> Array:
         """Return errors of the efforts (k, n, c) from residuals: less what forces explain best.
@@ -217,7 +193,7 @@ class ContactRows:
         """
         out: Array = residual.copy()
         weighted = np.zeros_like(residual)
-        for some, own in self.pattern_of(np.arange(len(self.active))):
+        for some, own in self._patterns():
             P, r = powers[index[some]], residual[some]
             A = self.directions[some][:, :, own]
             # Least squares by the pseudo-inverse: a repeated direction has no force of its own.
@@ -242,31 +218,24 @@ def with_spread(P: Array, L: Array) -> Array:
     return np.asarray(P - (U * lost[:, None, :]) @ (np.swapaxes(U, 1, 2) @ P))
 
 
-def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
-    """Yield samples, bases N (s, n, n − r) of what columns (s, n, m) leave, and the rank r."""
+def complements(A: Array) -> Iterator[tuple[Indices, Array]]:
+    """Yield samples, and bases N (s, n, n − rank) of what columns (s, n, m) leave."""
     n, m = A.shape[1:]
     if not m:
-        yield np.arange(len(A)), np.broadcast_to(np.eye(n), (len(A), n, n)), 0
+        yield np.arange(len(A)), np.broadcast_to(np.eye(n), (len(A), n, n))
         return
     length = np.sqrt(np.einsum("snm,snm->sm", A, A))
     A = A / np.where(length > 0.0, length, 1.0)[:, None, :]
-    doubtful = np.arange(len(A))
+    doubtful = np.ones(len(A), dtype=bool)
     if m <= n:
         Q, R = np.linalg.qr(A, mode="complete")
-        doubtful = _doubtful(R)
-        sure = np.delete(np.arange(len(A)), doubtful)
-        if len(sure):
-            yield sure, Q[sure][:, :, m:], m
-    if not len(doubtful):
+        doubtful = np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1) < _SUSPICIOUS
+        if not doubtful.all():
+            yield np.flatnonzero(~doubtful), Q[~doubtful][:, :, m:]
+    if not doubtful.any():
         return
     U, s, _ = np.linalg.svd(A[doubtful], full_matrices=True)
     ranks = np.count_nonzero(s > RANK * s[:, :1], axis=1)
     for rank in np.unique(ranks).tolist():
-        some = np.flatnonzero(ranks == rank)
-        yield doubtful[some], U[some][:, :, rank:n], rank
-
-
-def _doubtful(R: Array) -> Indices:
-    """Return whose triangle may be singular."""
-    least = np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1, initial=1.0)
-    return np.flatnonzero(least < _SUSPICIOUS)
+        some = ranks == rank
+        yield np.flatnonzero(doubtful)[some], U[some][:, :, rank:n]

@@ -7,7 +7,7 @@ alone (masking a joint is not knowing it, not knowing it to be zero).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 
 Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
@@ -180,19 +180,13 @@ class JointRows:
         pairs = zip(self.columns, self.triangles, strict=True)
         return np.array([float(np.sum((t.R @ error[own]) ** 2)) for own, t in pairs])
 
-    def variance(self, base: Array, rank: int) -> Array:
+    def residual_variance(self, base: Array, rank: int) -> Array:
         """Return the variance of every joint's residuals at some base parameters, (n,).
 
-        Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
-        of the overall effort added.
+        Each joint gives up degrees of freedom in proportion to its rows.
         """
-        return self.residual_variance(base, rank) + self.least_variance
-
-    def residual_variance(self, base: Array, rank: int) -> Array:
-        """Return `variance` without that share."""
-        residual = self.squared_residuals(base)
         freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
-        return np.asarray(residual / freedom)
+        return np.asarray(self.squared_residuals(base) / freedom)
 
     def share_of_noise(self, noise: Array, variance: Array) -> float:
         """Return how large variances of noise (n,) are beside given ones, on average over rows.
@@ -216,7 +210,7 @@ def least_variance(own: Array, effort: float) -> Array:
     return np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
 
 
-def residual_covariance(rows: Rows) -> Array:
+def residual_covariance(rows: RowSource) -> Array:
     """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
 
     Each joint has one variance, found by iteration: fit, take the residuals' variance with the
@@ -241,31 +235,46 @@ def residual_covariance(rows: Rows) -> Array:
     return np.diag(variance * time)
 
 
-def residual_noise(rows: Rows, joints: JointRows) -> tuple[Array, float]:
+def residual_noise(rows: RowSource, joints: JointRows) -> tuple[Array, float]:
     """Return every joint's variance (n,) of residuals and their correlation time, in samples.
 
     They are the factors of `residual_covariance`, with its errors, of rows compressed before.
     """
-    if not joints.squares.sum() > 0.0:
-        raise DataError(
-            f"samples: all {int(joints.used.sum())} efforts that count are zero, so residuals have "
-            "no variance for weighting='residual' to estimate; check that effort was recorded and "
-            "read (columns, units, mask)."
-        )
-    variance = np.full(rows.robot.n, joints.effort)
-    base = np.zeros(rows.base.count)
-    for _ in range(ROUNDS):
+    require_effort(float(joints.squares.sum()), int(joints.used.sum()))
+    base, rank = np.zeros(rows.base.count), 0
+
+    def updated(variance: Array) -> Array:
+        nonlocal base, rank
         base, rank = joints.fit(variance)
-        updated = joints.variance(base, rank)
-        settled = np.allclose(updated, variance, rtol=1e-6)
-        variance = updated
-        if settled:
-            break
+        return joints.residual_variance(base, rank) + joints.least_variance
+
+    variance = settled(updated, np.full(rows.robot.n, joints.effort), 1e-6)
     variance *= joints.share_of_noise(joints.residual_variance(base, rank), variance)
     return variance, correlation_time(rows, base, joints)
 
 
-def correlation_time(rows: Rows, base: Array, joints: JointRows) -> float:
+def settled(
+    updated: Callable[[Array], Array], sizes: Array, tolerance: float, rounds: int = ROUNDS
+) -> Array:
+    """Return the sizes that an iteration ends with: those that it leaves within a tolerance."""
+    for _ in range(rounds):
+        before, sizes = sizes, updated(sizes)
+        if np.allclose(sizes, before, rtol=tolerance):
+            break
+    return sizes
+
+
+def require_effort(size: float, count: int) -> None:
+    """Refuse efforts that are all zero."""
+    if not size > 0.0:
+        raise DataError(
+            f"samples: all {count} efforts that count are zero, so residuals have no variance for "
+            "weighting='residual' to estimate; check that effort was recorded and read (columns, "
+            "units, mask)."
+        )
+
+
+def correlation_time(rows: RowSource, base: Array, joints: JointRows) -> float:
     """Return how many samples make one independent one, averaged over the joints, at least 1."""
     mean = joints.mean_residual(base)
     sums = LaggedSums.merged(rows.map(LaggedSums.of_residuals, base, mean))

@@ -8,7 +8,7 @@ result: what was lost is read again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from operator import attrgetter, methodcaller
@@ -97,24 +97,16 @@ class DistributedSamples:
         given = as_pieces(recordings)
         if not given:
             raise DataError("samples: there are none to join.")
-        there = client.submit(_same, robot, pure=False)
-        why = None
+        there, why = client.submit(_same, robot, pure=False), None
         if processing is None and not all(isinstance(piece, Samples) for piece in given):
-            own = [client.submit(_choice, piece, pure=False) for piece in given]
-            choices = [each for each in _gathered(client, own) if each is not None]
+            choices = [each for each in _asked(client, _choice, given) if each is not None]
             processing, why = agreed(choices, floating=robot.free_flyer)
         futures = tuple(
             client.submit(samples_of, there, piece, processing, pure=False) for piece in given
         )
-        counts = tuple(
-            _gathered(
-                client, [client.submit(attrgetter("n_samples"), f, pure=False) for f in futures]
-            )
-        )
+        counts = tuple(_asked(client, attrgetter("n_samples"), futures))
         step = max(sum(counts) // _BROUGHT, 1)
-        found = _gathered(
-            client, [client.submit(methodcaller("every", step), f, pure=False) for f in futures]
-        )
+        found = _asked(client, methodcaller("every", step), futures)
         thin = Samples.join(found)
         if thin.covariance is not None and thin.covariance.ndim == 3:
             raise DataError(
@@ -127,67 +119,32 @@ class DistributedSamples:
         notes = (*thin.notes, note) if why is None else (*thin.notes, why, note)
         return cls(client, there, futures, counts, replace(thin, notes=notes))
 
-    def rows(
-        self, robot: RobotModel, friction: FrictionModel, base: BaseParameters
-    ) -> DistributedRows:
-        """Return their rows for friction terms and base parameters of the same robot."""
-        return DistributedRows(self, robot, friction, base)
-
-
-@dataclass(frozen=True, eq=False)
-class DistributedRows:
-    """The rows of all recordings on a cluster.
-
-    Attributes
-    ----------
-    source : DistributedSamples
-        Where the samples are.
-    robot, friction, base
-        What the rows are made of, as in `RowSource`.
-    """
-
-    source: DistributedSamples
-    robot: RobotModel
-    friction: FrictionModel
-    base: BaseParameters
-
-    @property
-    def samples(self) -> Samples:
-        """A thinned selection of the samples."""
-        return self.source.samples
-
     @property
     def n_samples(self) -> int:
-        """Number of samples that the rows are made of."""
-        return sum(self.source.counts)
-
-    def with_force_scale(self, scale: float) -> DistributedRows:
-        """Return the same rows; measured contact forces are used here only."""
-        contacts = self.samples.contacts
-        if contacts is not None and contacts.measured:
-            raise DataError(
-                "samples: measured contact forces cannot be weighted by residuals on a cluster; "
-                "give the flags alone, or use the samples here."
-            )
-        return self
+        """Number of samples of all recordings."""
+        return sum(self.counts)
 
     def map(
-        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
+        self,
+        rows: RowSource,
+        function: Callable[..., T],
+        arguments: tuple[object, ...],
+        sigma: Array | None,
     ) -> list[T]:
-        """Apply a function to the rows of each piece and return the results in their order."""
+        """Apply a function to the rows of each recording; results are in their order.
+
+        Raises
+        ------
+        DataError
+            For a covariance a sample.
+        """
         if sigma is not None and sigma.ndim == 3:
             raise DataError(
                 "samples: a covariance a sample cannot be used with rows on a cluster; use the "
                 "weighting 'gls' or 'residual'."
             )
-        client, model = self.source.client, (self.friction, self.base)
-        tasks = [
-            client.submit(
-                _mapped, self.source.robot, piece, model, function, arguments, sigma, pure=False
-            )
-            for piece in self.source.pieces
-        ]
-        return list(chain.from_iterable(_gathered(client, tasks)))
+        given = self.robot, (rows.friction, rows.base), function, arguments, sigma
+        return list(chain.from_iterable(_asked(self.client, _mapped, self.pieces, *given)))
 
 
 def _same(robot: RobotModel) -> RobotModel:
@@ -201,9 +158,9 @@ def _choice(piece: Piece) -> Processing | None:
 
 
 def _mapped(
-    robot: RobotModel,
     samples: Samples,
-    model: tuple[Any, Any],
+    robot: RobotModel,
+    model: tuple[FrictionModel, BaseParameters],
     function: Callable[..., T],
     arguments: tuple[object, ...],
     sigma: Array | None,
@@ -212,8 +169,9 @@ def _mapped(
     return RowSource(robot, *model, samples).map(function, *arguments, sigma=sigma)
 
 
-def _gathered(client: Client, futures: Sequence[Future[Any]]) -> list[Any]:
-    """Return the results of tasks, in their order."""
+def _asked(client: Client, function: Callable[..., T], each: Iterable[Any], *rest: Any) -> list[T]:
+    """Return the results of a function of several things on a cluster, in their order."""
+    futures = [client.submit(function, one, *rest, pure=False) for one in each]
     import distributed
 
     try:
@@ -228,7 +186,7 @@ def _gathered(client: Client, futures: Sequence[Future[Any]]) -> list[Any]:
                         f"cluster: no worker has been left for up to {_LONELY:g} s, and "
                         f"{len(futures)} pieces wait; see the workers' logs, and start new ones."
                     ) from None
-        return list(client.gather(list(futures)))
+        return list(client.gather(futures))
     except distributed.KilledWorker as cause:
         raise SolverError(
             f"cluster: the same task ended its worker again and again ({cause}); a recording may "

@@ -16,7 +16,7 @@ from sdpid.estimation.compression.covariance import (
     residual_covariance,
     residual_noise,
 )
-from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress, whitened_chunks
 
@@ -50,7 +50,7 @@ class Factor:
     time: float = 1.0
 
     @classmethod
-    def of(cls, rows: Rows, weighting: Weighting) -> Factor:
+    def of(cls, rows: RowSource, weighting: Weighting) -> Factor:
         """Weight and compress rows, piece by piece; the order of the pieces decides rounding."""
         if weighting == "residual":
             if rows.samples.contacts is not None:
@@ -66,7 +66,7 @@ class Factor:
         return cls(sigma, *triangle.split(), used)
 
     @classmethod
-    def of_contacts(cls, rows: Rows) -> Factor:
+    def of_contacts(cls, rows: RowSource) -> Factor:
         """Weight rows with contacts by one variance a joint and two of the base, from residuals."""
         variance, time, force = contact_noise(rows)
         # Residuals only raise errors of forces: a fit follows forces that are all wrong alike, as
@@ -76,7 +76,7 @@ class Factor:
         return cls(sigma, *triangle.split(), used, scale, time)
 
     @classmethod
-    def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
+    def of_joints(cls, rows: RowSource, joints: JointRows) -> Factor:
         """Weight rows that are compressed already with one variance a joint, from residuals."""
         variance, time = residual_noise(rows, joints)
         used = int(joints.used.sum())
@@ -84,7 +84,7 @@ class Factor:
         return cls(np.diag(variance * time), *split, used, time=time)
 
 
-def compressed(rows: Rows, sigma: Array) -> tuple[Triangle, int]:
+def compressed(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     """Return the triangle of all whitened rows, and how many independent ones there are."""
     triangle, used = Triangle(rows.base.count + 1), 0
     for piece, count in rows.map(compress, sigma=sigma):
@@ -93,7 +93,7 @@ def compressed(rows: Rows, sigma: Array) -> tuple[Triangle, int]:
     return triangle, used
 
 
-def covariance(rows: Rows, weighting: Weighting) -> Array:
+def covariance(rows: RowSource, weighting: Weighting) -> Array:
     """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
     if weighting == "residual":
         if rows.samples.contacts is not None:

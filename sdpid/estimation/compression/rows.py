@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid.errors import DataError
 from sdpid.estimation.compression.branches import NO_BRANCHES, Branches, moved
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
@@ -39,61 +40,29 @@ _DIAGONAL = JointwiseTerm.columns, JointwiseTerm.columns_in
 CHUNK = 4096
 
 
-class Rows(Protocol):
-    """The rows of a problem, piece by piece, wherever the pieces are."""
-
-    @property
-    def robot(self) -> RobotModel:
-        """The robot."""
-
-    @property
-    def friction(self) -> FrictionModel:
-        """Its friction terms."""
-
-    @property
-    def base(self) -> BaseParameters:
-        """The base parameters, one a column."""
-
-    @property
-    def samples(self) -> Samples:
-        """The samples that are here: all, or an evenly thinned selection."""
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples that the rows are made of."""
-
-    def with_force_scale(self, scale: float) -> Rows:
-        """Return the same rows with other covariances of measured contact forces."""
-
-    def map(
-        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
-    ) -> list[T]:
-        """Apply a function to the rows of each piece and return the results in their order.
-
-        What is added up over the pieces is the same wherever they are, to the last bit.
-
-        Parameters
-        ----------
-        function : callable
-            Of the `RowSource` of a piece, of its part of `sigma` if there is one, and of the
-            arguments.
-        *arguments
-            The same for all pieces.
-        sigma : ndarray, shape (n, n) or (K, n, n), optional
-            A covariance, for all samples or one a sample.
-        """
-
-
 @runtime_checkable
 class SamplesElsewhere(Protocol):
-    """Samples that stay where they are, and hand out their rows."""
+    """Samples that stay where they are, and have functions applied to their rows there."""
 
     @property
     def samples(self) -> Samples:
         """An evenly thinned selection."""
 
-    def rows(self, robot: RobotModel, friction: FrictionModel, base: BaseParameters) -> Rows:
-        """Return their rows for friction terms and base parameters."""
+    @property
+    def n_samples(self) -> int:
+        """Number of all samples."""
+
+    def map(
+        self,
+        rows: RowSource,
+        function: Callable[..., T],
+        arguments: tuple[object, ...],
+        sigma: Array | None,
+    ) -> list[T]:
+        """Apply a function to each piece, with robot, friction and base of rows: `RowSource.map`.
+
+        What is added up over the pieces is the same wherever they are, to the last bit.
+        """
 
 
 @dataclass(frozen=True)
@@ -106,6 +75,8 @@ class RowSource:
         What the rows are made of.
     force_scale : float
         What covariances of measured contact forces are multiplied by.
+    elsewhere : SamplesElsewhere or None
+        Where the samples are of which `samples` is a selection; None where these are all.
     """
 
     robot: RobotModel
@@ -113,11 +84,12 @@ class RowSource:
     base: BaseParameters
     samples: Samples
     force_scale: float = field(default=1.0, kw_only=True)
+    elsewhere: SamplesElsewhere | None = field(default=None, kw_only=True)
 
     @property
     def n_samples(self) -> int:
         """Number of samples that the rows are made of."""
-        return self.samples.n_samples
+        return (self.elsewhere or self.samples).n_samples
 
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
@@ -133,12 +105,17 @@ class RowSource:
         sigma : ndarray, shape (n, n) or (K, n, n), optional
             A covariance, for all samples or one a sample.
         """
-        samples = self.samples
+        if self.elsewhere is not None:
+            return self.elsewhere.map(self, function, arguments, sigma)
         found = []
-        for part, piece in zip(samples.parts, samples.pieces, strict=True):
+        for part, rows in zip(self.samples.parts, self.pieces(), strict=True):
             own = () if sigma is None else (sigma if sigma.ndim == 2 else sigma[part],)
-            found.append(function(self.on(piece), *own, *arguments))
+            found.append(function(rows, *own, *arguments))
         return found
+
+    def pieces(self) -> Iterator[RowSource]:
+        """Yield the rows of each piece of the samples."""
+        return map(self.on, self.samples.pieces)
 
     def on(self, samples: Samples) -> RowSource:
         """Return the ordinary rows of other samples, of whatever kind these rows are."""
@@ -147,7 +124,19 @@ class RowSource:
         )
 
     def with_force_scale(self, scale: float) -> RowSource:
-        """Return the same rows with other covariances of measured contact forces."""
+        """Return the same rows with other covariances of measured contact forces.
+
+        Raises
+        ------
+        DataError
+            Where such forces are elsewhere.
+        """
+        contacts = self.samples.contacts
+        if self.elsewhere is not None and contacts is not None and contacts.measured:
+            raise DataError(
+                "samples: measured contact forces cannot be weighted by residuals on a cluster; "
+                "give the flags alone, or use the samples here."
+            )
         return replace(self, force_scale=scale)
 
     @property

@@ -213,7 +213,7 @@ def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tupl
 
     for found, few, own in one_ahead(made, chunks, ahead=ahead):
         triangle.add(found)
-        # Rows that weights mix stand with all columns, those of branches too.
+        # Rows that weights or contacts mix stand with all columns, those of branches too.
         for own_triangle, rows_apart in zip(apart, few, strict=False):
             own_triangle.add(rows_apart)
         used += own
@@ -242,8 +242,8 @@ def _independent(
     block = rows.rows(part, memory[0])
     block[done] = 0.0
     powers, index = _roots(rows, part, sigma, -0.5, touching)
-    found, apart, lost = touching.independent(powers, index, block, rows.branches)
-    return found, apart, int(np.count_nonzero(rows.mask(part))) - lost
+    found, lost = touching.independent(powers, index, block)
+    return found, [], int(np.count_nonzero(rows.mask(part))) - lost
 
 
 def are_diagonal(powers: Array) -> bool:

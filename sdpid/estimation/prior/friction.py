@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.robot.friction.terms import Offset
 
@@ -34,7 +34,7 @@ _MOST = 10.0
 _SLOW = 1e-3
 
 
-def friction_rows(rows: Rows) -> Array:
+def friction_rows(rows: RowSource) -> Array:
     """Return the rows (f, f) whose squared norm is twice the nats of the friction parameters."""
     columns, efforts, unshown = _columns_and_efforts(rows)
     # Size of a term's effect relative to the effort of each joint that it acts on.
@@ -45,13 +45,11 @@ def friction_rows(rows: Rows) -> Array:
     for i, j in rows.friction.alike:
         # A side that never moved has no weight of its own.
         weight = max(float(weights[i]), float(weights[j])) or float(unshown[i])
-        found[[i, j]] = 0.0
-        found[i, [i, j]] = 0.5 * weight
-        found[j, [i, j]] = _ALIKE * weight, -_ALIKE * weight
+        found[np.ix_([i, j], [i, j])] = weight * np.array([[0.5, 0.5], [_ALIKE, -_ALIKE]])
     return found
 
 
-def with_friction_max(constraints: Constraints, rows: Rows) -> Constraints:
+def with_friction_max(constraints: Constraints, rows: RowSource) -> Constraints:
     """Return constraints whose bound on friction follows the efforts, unless it was given."""
     if constraints.friction_max is not None:
         return constraints
@@ -61,7 +59,7 @@ def with_friction_max(constraints: Constraints, rows: Rows) -> Constraints:
     return replace(constraints, friction_max=max(float(power), constraints.theta_max))
 
 
-def _columns_and_efforts(rows: Rows) -> tuple[Array, Array, Array]:
+def _columns_and_efforts(rows: RowSource) -> tuple[Array, Array, Array]:
     """Return rms columns of the terms (n, f), the efforts (n, f) they are believed to make.
 
     And what weighs a term (f,) whose column is zero throughout: as if that were one. Of a joint

@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen, is_number, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import Rows
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
@@ -198,7 +198,9 @@ def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
     return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
 
 
-def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = None) -> PriorTerms:
+def prior_terms(
+    prior: Prior, rows: RowSource, *, data: tuple[Array, Array] | None = None
+) -> PriorTerms:
     """Turn a prior into terms of a problem's cost.
 
     Parameters
