@@ -12,7 +12,8 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
 from sdpid._common.tables import Shown, Table, plain_dict
-from sdpid.assurance.diagnostics.validation import Validation, validate
+from sdpid.assurance.diagnostics.rest import moving_rows
+from sdpid.assurance.diagnostics.validation import Errors, Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
@@ -51,21 +52,21 @@ class Fold:
     processing : Processing
         Processing of all recordings of the fold; chosen from the training part alone.
     training : float
-        Relative residual on the training rows.
-    held_out : Validation
-        Errors of the estimate on what was held out.
-    unconstrained : Validation
-        Errors of the unconstrained fit on what was held out.
-    power : ndarray, shape (n,)
-        Sum of the squared efforts held out, (N·m)².
+        Relative residual on the training rows in motion.
+    held_out : Errors
+        Errors of the estimate on what was held out, in motion; all, if nothing moves.
+    unconstrained : Errors
+        The same of the unconstrained fit.
+    power : float
+        Sum of the squared efforts of these rows, (N·m)².
     """
 
     name: str
     processing: Processing
     training: float
-    held_out: Validation
-    unconstrained: Validation
-    power: Array
+    held_out: Errors
+    unconstrained: Errors
+    power: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -81,17 +82,17 @@ class CrossValidation(Shown):
     joint_names : tuple of str
         The joints.
     rmse, rmse_unconstrained : ndarray, shape (n,)
-        Root mean square errors over all held-out rows, N·m, of the estimates and of the
+        Root mean square errors over all held-out rows in motion, N·m, of the estimates and of the
         unconstrained fits.
     relative, relative_unconstrained : float
-        Norm of all held-out errors over the norm of the efforts.
+        Norm of all held-out errors in motion over the norm of the efforts.
 
     Examples
     --------
     >>> run = sdpid.Recording(time=log.time, position=log.position, effort=log.effort)
     >>> held_out = sdpid.cross_validate(robot, run, folds=2, effects="none")
     >>> held_out.relatives.round(3), held_out.rmse.round(1)
-    (array([0.001, 0.001]), array([0.2, 0.3, 0.2, 0.1, 0.1, 0.1]))
+    (array([0.001, 0.002]), array([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]))
     """
 
     by: By
@@ -114,7 +115,7 @@ class CrossValidation(Shown):
 
     @property
     def relatives(self) -> Array:
-        """Relative residual on the held-out rows of each fold, (folds,)."""
+        """Relative residual on the held-out rows in motion of each fold, (folds,)."""
         return np.array([fold.held_out.relative for fold in self.folds])
 
     @property
@@ -124,7 +125,7 @@ class CrossValidation(Shown):
 
     @property
     def training(self) -> float:
-        """Mean of the folds' relative residuals on their training rows."""
+        """Mean of the folds' relative residuals on their training rows in motion."""
         return float(np.mean([fold.training for fold in self.folds]))
 
     def summary(self) -> str:
@@ -132,14 +133,14 @@ class CrossValidation(Shown):
         what = "blocks of time" if self.by == "time" else "recordings"
         low, high = float(self.relatives.min()), float(self.relatives.max())
         return (
-            f"{self.count} {what} held out in turn: relative residual {100 * self.relative:.2f} % "
-            f"({100 * low:.2f} to {100 * high:.2f} %, unconstrained "
+            f"{self.count} {what} held out in turn: relative residual in motion "
+            f"{100 * self.relative:.2f} % ({100 * low:.2f} to {100 * high:.2f} %, unconstrained "
             f"{100 * self.relative_unconstrained:.2f} %)"
         )
 
     def table(self) -> str:
         """Return `as_table` as aligned text under a title."""
-        title = "held out in turn: relative residuals in %, RMSE of every joint in N.m"
+        title = "held out in turn, in motion: relative residuals in %, RMSE of every joint in N.m"
         return f"{title}\n{self.as_table().text(3)}"
 
     def as_table(self) -> Table:
@@ -243,9 +244,9 @@ def cross_validate(
     >>> run = sdpid.Recording(time=log.time, position=log.position, effort=log.effort)
     >>> held_out = sdpid.cross_validate(robot, run, folds=2, effects="none")
     >>> held_out.count, held_out.rmse.round(1)
-    (2, array([0.2, 0.3, 0.2, 0.1, 0.1, 0.1]))
+    (2, array([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]))
     >>> print(held_out.summary())
-    2 blocks of time held out in turn: relative residual 0.14 % (...)
+    2 blocks of time held out in turn: relative residual in motion 0.15 % (...)
     """
     without_effort = joints_without(without_effort)
     columns = columns_without(robot_of(robot), without_effort) if without_effort else ()
@@ -276,13 +277,14 @@ def cross_validate(
                 raise type(reason)(f"cross-validation without {name}: {reason}{advice}") from None
             estimate = solve_sdp(problem)
             free = solve_wls(replace(problem, prior=None))
+            whole = validate(estimate, fresh)
             fold = Fold(
                 name=name,
                 processing=prepared.processing,
-                training=validate(estimate).relative,
-                held_out=validate(estimate, fresh),
-                unconstrained=validate(free, fresh),
-                power=_power(fresh),
+                training=validate(estimate).told.relative,
+                held_out=whole.told,
+                unconstrained=validate(free, fresh).told,
+                power=_power(whole, fresh),
             )
             fits.append(fold)
             errors = (fold.held_out, fold.unconstrained)
@@ -290,7 +292,7 @@ def cross_validate(
             advance(1)
     constrained, unconstrained = np.sum(squares, axis=0)
     rows = np.maximum(np.sum([fold.held_out.rows for fold in fits], axis=0), 1)
-    power = max(float(np.sum([fold.power for fold in fits])), np.finfo(float).tiny)
+    power = max(sum(fold.power for fold in fits), np.finfo(float).tiny)
     return CrossValidation(
         by=by,
         folds=tuple(fits),
@@ -302,10 +304,10 @@ def cross_validate(
     )
 
 
-def _power(samples: Samples) -> Array:
-    """Return the sum of the squared efforts of each joint over the rows that are not masked."""
-    used = samples.effort if samples.mask is None else np.where(samples.mask, samples.effort, 0.0)
-    return frozen(np.sum(used**2, axis=0))
+def _power(fit: Validation, samples: Samples) -> float:
+    """Return the sum of the squared efforts of the rows whose errors are told."""
+    told = moving_rows(samples, fit.slides) if fit.told is fit.moving else samples.used
+    return float(np.sum(np.where(told, samples.effort, 0.0)[:, fit.n_base :] ** 2))
 
 
 def _parts(

@@ -307,8 +307,8 @@ def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) 
     fold = crossed.folds[1]
     assert fold.name == "block 2 of 4"
     assert fold.processing == processing
-    assert fold.training == pytest.approx(sdpid.validate(estimate).relative, rel=1e-6)
-    expected = sdpid.validate(estimate, fresh)
+    assert fold.training == pytest.approx(sdpid.validate(estimate).told.relative, rel=1e-6)
+    expected = sdpid.validate(estimate, fresh).told
     np.testing.assert_allclose(fold.held_out.rmse, expected.rmse, rtol=1e-5)
     # Between training and held-out rows lies twice what either filter needs to forget its ends.
     time, held = problem.samples.time, fresh.time

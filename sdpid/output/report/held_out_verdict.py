@@ -137,7 +137,7 @@ def _crossed(result: Judged) -> Iterator[Finding]:
     ratio = crossed.relative / max(crossed.training, np.finfo(float).tiny)
     numbers = (
         f"with {len(crossed.relatives)} {what} held out in turn, and every choice made without "
-        f"them, the relative residual is {percent(crossed.relative)} ({percent(low)} to "
+        f"them, the relative residual in motion is {percent(crossed.relative)} ({percent(low)} to "
         f"{percent(high)}), on the training data {percent(crossed.training)}"
     )
     if ratio > FAILS:

@@ -303,7 +303,7 @@ def _sources(result: Judged) -> Iterator[Finding]:
 
 def _constraints(result: Judged) -> Iterator[Finding]:
     """Report what the constraints cost in residual, and parameters at a numerical limit."""
-    own, free = result.training.relative, result.training_wls.relative
+    own, free = (each.told.relative for each in (result.training, result.training_wls))
     states = [s for s in constraint_states(result.estimate) if s.active]
     pressing = sorted((s for s in states if s.multiplier), key=lambda s: -abs(s.multiplier or 0.0))
     if own > (1.0 + PRICE) * free:
@@ -315,9 +315,9 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             why, end = "The prior and the constraints hold the fit back", _whether_it_pays(result)
         yield Finding(
             "caution",
-            f"{why}: the relative residual on the fitted rows is {percent(own)}, without them "
-            f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
-            "what each costs).",
+            f"{why}: the relative residual in motion on the fitted rows is {percent(own)}, "
+            f"without them {percent(free)}. {end} Active constraints: {names} "
+            "(cost_of_constraints tells what each costs).",
         )
     ends = [s for s in states if s.kind == "theta_max"]
     held = [s.name for s in ends if _rises(result, s) > PRICE]

@@ -34,6 +34,7 @@ from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFT, small_arm
 from tests.helpers.runs import arm, recorded
+from tests.helpers.studies import study
 from tests.output.test_report import elements
 
 FIRST, LAST = ARM.joint_names
@@ -462,6 +463,18 @@ def test_public_recordings(data_folder: Path, name: str) -> None:
     folder = data_folder / name
     others = None if validation is None else folder / validation
     result = sdpid.identify(folder / robot, folder / log, validation=others, intervals=False)
+    assert list(unlike(result)) == []
+
+
+def test_a_public_robot_on_legs(data_folder: Path) -> None:
+    """Of the master arm and the hung quadruped, drives and efforts are not known."""
+    folder = data_folder / "solo12_simulated"
+    robot = sdpid.load_robot(folder / "solo12.urdf", root="free_flyer")
+    log, other = (study("solo12_public").read(folder, name) for name in ("trot", "stand"))
+    terms = (sdpid.friction.Coulomb(width=0.02), "viscous")
+    result = sdpid.identify(
+        robot, log, validation=other, friction=terms, effects="none", intervals=False
+    )
     assert list(unlike(result)) == []
 
 
