@@ -20,7 +20,6 @@ from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
 from sdpid.estimation.compression import whitening
 from sdpid.estimation.compression.ahead import one_ahead
-from sdpid.estimation.compression.branches import Branches
 from sdpid.estimation.compression.covariance import (
     WEIGHTINGS,
     JointRows,
@@ -238,9 +237,7 @@ def test_an_error_arrives_where_its_result_would() -> None:
 
 
 @pytest.mark.parametrize("flying", [False, True])
-def test_threads_change_no_bit_and_branches_no_product(
-    monkeypatch: pytest.MonkeyPatch, flying: bool
-) -> None:
+def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, flying: bool) -> None:
     pytest.importorskip("numba")
     monkeypatch.setattr(kernels, "WORTH", 0)
     monkeypatch.setattr(rows_module, "CHUNK_BYTES", 1 << 19)
@@ -248,7 +245,6 @@ def test_threads_change_no_bit_and_branches_no_product(
     if flying:
         samples = replace(samples, contacts=None)
     rows = row_source(robot, samples, ("viscous",))
-    assert len(rows.branches.columns) == 4
     sigma = np.diag(NOISE**2)
     found = []
     for count in (1, 2):
@@ -275,8 +271,9 @@ def test_no_product_of_rows_is_lost(kind: str, terms: tuple[Any, ...]) -> None:
     rows = row_source(quadruped(), samples, terms)
     b, source = rows.base.count, (rows.robot, rows.friction, rows.base, samples)
     if kind == "plain":
-        branches = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
-        np.testing.assert_array_equal(rows.branches.of_row, [-1] * 6 + branches)
+        links = np.flatnonzero(rows.base.kept < 10 * rows.robot.n_links)
+        legs = rows.reached[6:, links].reshape(4, 3, -1).any(axis=1)
+        assert legs.sum(axis=0).max() == 1
     elif kind == "instrumental":
         link, fit = rng.standard_normal((b, b)), rng.standard_normal(b)
         rows = InstrumentalRows(*source, instruments=samples, link=link, fit=fit, shift=0.0 * fit)
@@ -288,12 +285,6 @@ def test_no_product_of_rows_is_lost(kind: str, terms: tuple[Any, ...]) -> None:
     scale = np.linalg.norm(whole, axis=0) + 1e-300
     for R in (JointRows.of(rows).joined(variance).R, compress(rows, np.diag(variance))[0].R):
         np.testing.assert_allclose(*((x / scale).T @ (x / scale) for x in (R, whole)), atol=1e-13)
-
-
-def test_rows_that_have_most_columns_are_of_no_branch() -> None:
-    found = Branches.of(np.tri(4, dtype=bool))
-    assert found.of_row.tolist() == [0, 0, -1, -1]
-    assert [own.tolist() for own in found.columns] == [[0, 1]]
 
 
 # ---- Residual weighting, and covariances of masked joints.

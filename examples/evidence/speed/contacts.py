@@ -1,7 +1,7 @@
 """From samples of a quadruped in contact to the compressed cost, against robots without contacts.
 
 The same states are compressed with four feet that are down for 60 % of the time, without contacts,
-and as those of the legs alone on a base that is fixed: leg by leg, and as all one chain.
+and as those of the legs alone on a base that is fixed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from harness import Bench, Row
 
-from sdpid.estimation.compression.branches import NO_BRANCHES
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import compress
 from sdpid.experiment.processing.samples import Samples
@@ -50,20 +49,15 @@ def measure(bench: Bench) -> Iterator[Row]:
     touching = source(quadruped(), samples)
     flying = source(quadruped(), replace(samples, contacts=None))
     held = source(fixed, legs)
-    chain = source(fixed, legs)
-    # As a chain without branches is compressed.
-    chain.__dict__["branches"] = NO_BRANCHES
     found = bench.seconds(
         contacts=lambda: compress(touching, sigma),
         alone=lambda: compress(flying, sigma),
         plain=lambda: compress(held, sigma[6:, 6:]),
-        single=lambda: compress(chain, sigma[6:, 6:]),
         jacobians=lambda: contact_jacobians(quadruped(), samples.position, FEET, RADIUS),
     )
     each = {name: seconds / samples.n_samples for name, seconds in found.items()}
     for against, reference in (
-        ("its base fixed, one chain", "single"),
-        ("its base fixed, leg by leg", "plain"),
+        ("its base fixed", "plain"),
         ("no contacts", "alone"),
     ):
         yield Row.of("compress, 4 feet, per sample", each["contacts"], against, each[reference])

@@ -15,7 +15,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.compression.branches import NO_BRANCHES, Branches, moved
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
@@ -24,7 +23,7 @@ from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import Entries
+from sdpid.robot.model.regressor_kernel import Entries, Tree
 
 T = TypeVar("T")
 
@@ -167,13 +166,6 @@ class RowSource:
         return places
 
     @cached_property
-    def branches(self) -> Branches:
-        """Which columns of `rows` the rows of branches have, none of a single chain."""
-        found = Branches.of(self.reached)
-        # The last joints of a single chain share their columns with those before.
-        return found if len(found.columns) > 1 else NO_BRANCHES
-
-    @cached_property
     def reached(self) -> Mask:
         """At which columns of `rows` the row of each joint may not be zero, (n, b + 1)."""
         tree, friction = self.robot.tree, self.friction
@@ -182,7 +174,7 @@ class RowSource:
         for term, place in friction.placed:
             if _is_diagonal(term):
                 terms[friction.first :, place] = np.eye(len(friction.joint_names), dtype=bool)
-        standard = np.concatenate([np.repeat(moved(tree), 10, axis=1), terms], axis=1)
+        standard = np.concatenate([np.repeat(_moved(tree), 10, axis=1), terms], axis=1)
         reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
         reached[:, :-1] = standard[:, self.base.kept]
         return reached
@@ -308,6 +300,18 @@ class RowSource:
             else:
                 columns.append((to[kept], term.columns_in(motion, names)[:, :, kept]))
         return entries, columns
+
+
+def _moved(tree: Tree) -> Mask:
+    """Return which coordinates move which links, shape (n, links)."""
+    links = len(tree.kind)
+    found = np.zeros((tree.n, links), dtype=bool)
+    ends = [*tree.first_v[1:], len(tree.column)]
+    for i in range(links):
+        if tree.parent[i] >= 0:
+            found[:, i] = found[:, tree.parent[i]]
+        found[tree.column[tree.first_v[i] : ends[i]], i] = True
+    return found
 
 
 def _is_diagonal(term: FrictionTerm) -> bool:

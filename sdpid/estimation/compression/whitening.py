@@ -185,8 +185,6 @@ def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tupl
     """
     columns, n = rows.base.count + 1, rows.robot.n
     triangle, used = Triangle(columns), 0
-    branches = rows.branches
-    apart = [Triangle(len(own)) for own in branches.columns]
     begin, end, _ = within.indices(len(rows.samples.effort))
     count = end - begin
     step = max(1, count * n // (_FIRST * columns))
@@ -206,28 +204,23 @@ def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tupl
     if ahead:
         memory.append(_memory(rows))
 
-    def made(chunk: tuple[slice, slice, int], turn: int) -> tuple[Array, list[Array], int]:
+    def made(chunk: tuple[slice, slice, int], turn: int) -> tuple[Array, int]:
         part, done, counted = chunk
-        found, few, own = _independent(rows, part, sigma, memory[turn % len(memory)], done)
-        return found, few, counted * own
+        found, own = _independent(rows, part, sigma, memory[turn % len(memory)], done)
+        return found, counted * own
 
-    for found, few, own in one_ahead(made, chunks, ahead=ahead):
+    for found, own in one_ahead(made, chunks, ahead=ahead):
         triangle.add(found)
-        # Rows that weights or contacts mix stand with all columns, those of branches too.
-        for own_triangle, rows_apart in zip(apart, few, strict=False):
-            own_triangle.add(rows_apart)
         used += own
-    branches.join(triangle, apart)
     return triangle, used
 
 
 def _independent(
     rows: RowSource, part: slice, sigma: Array, memory: tuple[Array, Array], done: slice = slice(0)
-) -> tuple[Array, list[Array], int]:
+) -> tuple[Array, int]:
     """Return independent whitened rows (r, b + 1) of some samples, and how many there are.
 
-    Those of branches may stand apart. The rows of samples that were done before are zero, but
-    counted.
+    The rows of samples that were done before are zero, but counted.
     """
     touching = _touching(rows, part, -0.5)
     if touching is None:
@@ -235,15 +228,12 @@ def _independent(
         block = rows.rows(part, memory[0])
         whitened = apply(powers, index, block, memory[1][: len(block)])
         whitened[done] = 0.0
-        used = int(np.count_nonzero(rows.mask(part)))
-        if rows.branches.columns and are_diagonal(powers):
-            return *rows.branches.split(whitened), used
-        return whitened.reshape(-1, whitened.shape[2]), [], used
+        return whitened.reshape(-1, whitened.shape[2]), int(np.count_nonzero(rows.mask(part)))
     block = rows.rows(part, memory[0])
     block[done] = 0.0
     powers, index = _roots(rows, part, sigma, -0.5, touching)
     found, lost = touching.independent(powers, index, block)
-    return found, [], int(np.count_nonzero(rows.mask(part))) - lost
+    return found, int(np.count_nonzero(rows.mask(part))) - lost
 
 
 def are_diagonal(powers: Array) -> bool:
