@@ -34,7 +34,7 @@ from sdpid.robot.description.mjcf import read_mjcf
 from sdpid.robot.description.origin import numbers, relative
 from sdpid.robot.description.xml import encode_xml, is_mjcf, is_xml, parse_xml
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
+from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.geometry import link_placements, neutral
@@ -123,6 +123,8 @@ def write_mjcf(
     friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.ours, offsets=offsets)
     written = friction.values
     notes = friction.notes + notes
+    if any(lost.term == Offset.__name__ for lost in friction.left_out):
+        notes += ("offsets have a place where they are asked for: offsets=True, or --offsets",)
     if not np.array_equal(robot.gravity, problem.robot.gravity):
         notes += (f"gravity is {patch.gravity()} m/s²: its base stands tilted, as found",)
     for link, body in enumerate(bodies):

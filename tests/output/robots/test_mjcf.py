@@ -371,16 +371,22 @@ def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Pat
     samples, recipe = result.validation_samples, result.recipe
     assert samples is not None
     assert recipe is not None
-    used, errors = samples.used, []
-    write_mjcf(result.estimate, target=tmp_path / "arm.xml", offsets=True)
-    for efforts in (
-        _played(tmp_path / "arm.xml", motion),
-        result.model().inverse_dynamics(*motion),
-    ):
+    used, theta = samples.used, result.estimate.named_theta()
+    offsets = np.array([theta[f"Fo{k + 1}"] for k in range(robot.n)])
+
+    def missed(efforts: np.ndarray) -> float:
         # Efforts pass the filter of the log's.
         played = sdpid.process(replace(other, effort=efforts), recipe.processing)
-        errors.append(float(np.linalg.norm((samples.effort - played.effort)[used])))
-    assert errors[0] <= 1.05 * errors[1]
+        return float(np.linalg.norm((samples.effort - played.effort)[used]))
+
+    own = missed(result.model().inverse_dynamics(*motion))
+    write_mjcf(result.estimate, target=tmp_path / "arm.xml", offsets=True)
+    assert missed(_played(tmp_path / "arm.xml", motion)) <= 1.05 * own
+    # By default offsets, and nothing else, are left out.
+    report = write_mjcf(result.estimate, target=tmp_path / "default.xml")
+    assert "offsets have a place where they are asked for" in report.describe()
+    default = _played(tmp_path / "default.xml", motion)
+    assert missed(default + offsets) <= 1.05 * own < missed(default)
     # Readers of the URDF find the base tilted, and the same links and joints on it.
     report = sdpid.write_urdf(result.estimate, target=tmp_path / "arm.urdf")
     assert "tilted by 1.59°" in report.describe()
