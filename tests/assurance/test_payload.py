@@ -12,10 +12,9 @@ from scipy.stats import norm
 from sdpid import DriveGains, Prior, Recording, RobotModel, Samples, load_robot, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import identify_payload
-from sdpid.assurance.payload.intervals import PayloadIntervals
 from sdpid.assurance.payload.payload import Payload
 from sdpid.assurance.payload.program import PayloadProgram, least_second_moment, quantities
-from sdpid.assurance.payload.rows import Description, PayloadRows, rows_beside_recording
+from sdpid.assurance.payload.rows import Description, PayloadRows, RowErrors, rows_beside_recording
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -265,11 +264,10 @@ def test_ends_of_the_center_of_mass_are_fiellers() -> None:
         matrix=np.diag(1.0 / sigma),
         rhs=body / sigma,
         floor=0.0,
-        sources=(),
-        unit=np.eye(10),
-        short=False,
+        errors=(RowErrors(np.eye(10), np.eye(10), lambda moved: np.full(len(moved), np.inf)),),
     )
-    lower, upper = PayloadIntervals(PayloadProgram(rows, 100.0, 1.0), body, 0.95).ends()
+    found, unsolved = PayloadProgram(rows, 100.0, 1.0).intervals(body, 0.95)
+    assert not unsolved
     r2 = norm.ppf(0.975) ** 2
     for k in (1, 2, 3):
         # (h - c·m)² = r²·(var(h) + c²·var(m)), a quadratic equation in c.
@@ -281,7 +279,7 @@ def test_ends_of_the_center_of_mass_are_fiellers() -> None:
             ]
         )
         # Iterations end at changes of 1e-5.
-        assert [lower[k], upper[k]] == pytest.approx(sorted(ends), rel=1e-5)
+        assert found[k] == pytest.approx(sorted(ends), rel=1e-5)
 
 
 def test_nothing_and_less_than_nothing_are_nothing(arm: RobotModel) -> None:
@@ -407,13 +405,13 @@ def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
         return rows_beside_recording(problems[0], problems[1], link, np.zeros(0, dtype=np.intp))
 
     here = rows(np.zeros(6))
-    ((_, moves),) = here.gains
+    (errors,) = here.gains
 
     def turned(given: PayloadRows) -> Array:
         """Return the right-hand side of the normal equations: rows may be turned."""
         return given.matrix.T @ given.rhs
 
-    slopes = here.matrix.T @ moves
+    slopes = here.matrix.T @ errors.moves
     size = np.abs(turned(here)).max()
     for j in (0, 3):
         moved = (turned(rows(1e-3 * np.eye(6)[j])) - turned(here)) / 1e-3

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Indices, frozen, require_probability
 from sdpid._common.threads import one_thread
-from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
 from sdpid.assurance.payload.payload import Payload
-from sdpid.assurance.payload.program import PayloadProgram, least_second_moment
+from sdpid.assurance.payload.program import NOTHING, PayloadProgram, least_second_moment
 from sdpid.assurance.payload.rows import (
     Description,
     PayloadRows,
@@ -181,15 +180,13 @@ def identify_payload(
     require_fixed_robot(model, "payload")
     require_open_chain(model, "payload")
     absent = joints_without(without_effort)
-    columns_absent = columns_without(model, absent)
-    known = as_gains(gains)
+    known, columns_absent = as_gains(gains), columns_without(model, absent)
     with_load, without_load = (
         _read(log, columns_absent, known, name)
         for log, name in ((with_load, "log"), (without_load, "without_load"))
     )
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
-            require_fixed_base(log, f"payload, {name}")
             findings += inspected(model, [log], accept, absent, name=name)
     number = carrying_link(model, link, what="payload")
     rotation, translation, name = frame_on_link(model, number, frame, what="payload")
@@ -211,7 +208,11 @@ def identify_payload(
             f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
             "trust the weighting",
         )
-    notes += tuple(f"gains: {errors.gains.in_words}" for errors, _ in rows.gains if errors.gains)
+    notes += tuple(
+        f"gains: {each.gains.gains.in_words}"
+        for each in rows.errors
+        if each.gains is not None and each.gains.gains is not None
+    )
     found = _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
     return replace(found, described=described, findings=findings)
 
@@ -245,14 +246,13 @@ def _solved(
         theta = raise_second_moments(theta, least_second_moment(theta[0]))
     else:
         theta = np.zeros(10)
-    intervals = PayloadIntervals(program, theta, level)
-    lower, upper = intervals.ends()
-    if intervals.unsolved:
-        names = ", ".join(dict.fromkeys(intervals.unsolved))
+    ends, unsolved = program.intervals(theta, level)
+    if unsolved:
+        names = ", ".join(unsolved)
         notes += (f"the solver stopped short of its tolerance at the intervals of {names}",)
     shown = program.shown(theta, level)
     if not shown:
-        lower[0] = 0.0
+        ends[0, 0] = 0.0
         notes += ("not shown: without any payload the errors explain the recordings, too",)
     mass, com, inertia = physical_parameters(theta)
     value = float(margin(theta, "pseudo_inertia"))
@@ -263,8 +263,8 @@ def _solved(
         theta=frozen(theta),
         link=link,
         frame=frame,
-        lower=frozen(lower),
-        upper=frozen(upper),
+        lower=frozen(ends[:, 0]),
+        upper=frozen(ends[:, 1]),
         level=level,
         margin=value if np.isfinite(value) else None,
         cost=program.cost(theta),
@@ -273,7 +273,7 @@ def _solved(
         shown=shown,
         status=status,
         notes=notes,
-        gains_share=frozen(intervals.gains_share()) if rows.gains else None,
+        gains_share=frozen(program.gains_share(theta)) if rows.gains else None,
     )
 
 
@@ -285,6 +285,7 @@ def _read(log: Any, absent: Sequence[str], gains: Any, name: str) -> Any:
         log = scaled(log, gains)
     if isinstance(log, Recording):
         require_torques(log, f"payload, {name}")
+        require_fixed_base(log, f"payload, {name}")
     return log
 
 
@@ -344,12 +345,11 @@ def _problems(
             robot, samples, weighting=weighting or usual, check_excitation=False, **known
         )
 
-    arm: Problem | None = None
     if isinstance(without_load, Estimate):
-        arm = without_load.problem
-    elif without_load is not None:
-        bare = read(without_load)
-        arm = built(bare, friction=terms, prior=prior)
+        arm: Problem | None = without_load.problem
+    else:
+        bare = None if without_load is None else read(without_load)
+        arm = None if bare is None else built(bare, friction=terms, prior=prior)
     if arm is None:
         loaded = built(samples, friction=terms, prior=prior)
     else:
@@ -362,14 +362,13 @@ def _problems(
 
 def _separate(problem: Problem, names: Iterable[str]) -> Indices:
     """Return the entries of theta of the friction terms that differ between the recordings."""
-    kinds = []
-    for name in names:
-        if name not in BY_NAME:
-            raise DataError(
-                f"payload: separate names '{name}', which is no friction term; there are "
-                f"{', '.join(BY_NAME)}."
-            )
-        kinds.append(BY_NAME[name])
+    names = tuple(names)
+    if unknown := [name for name in names if name not in BY_NAME]:
+        raise DataError(
+            f"payload: separate names '{unknown[0]}', which is no friction term; there are "
+            f"{', '.join(BY_NAME)}."
+        )
+    kinds = tuple(BY_NAME[name] for name in names)
     places = np.arange(problem.n_theta)[10 * problem.robot.n_links :]
-    out = [places[own] for term, own in problem.friction.placed if isinstance(term, tuple(kinds))]
+    out = [places[own] for term, own in problem.friction.placed if isinstance(term, kinds)]
     return np.concatenate([places[:0], *out])

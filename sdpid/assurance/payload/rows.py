@@ -13,7 +13,9 @@ the best theta and delta leave for each pi.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +41,15 @@ _LEAST_TOLERANCE, _MOST_TOLERANCE = 0.1, 0.3
 _RANK = 1e-11
 
 
+class RowErrors(NamedTuple):
+    """Errors of one source: how rhs moves with them (10, k), their covariance, its freedom."""
+
+    moves: Array
+    covariance: Array
+    freedom: Callable[[Array], Array]
+    gains: ErrorSource | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class PayloadRows:
     """The cost ``‖matrix·pi − rhs‖² + floor`` of a payload, and where its errors come from.
@@ -47,45 +58,33 @@ class PayloadRows:
     ----------
     matrix, rhs : ndarray, shapes (10, 10) and (10,)
     floor : float
-    sources : tuple of (ScoreBlocks, ndarray)
-        Errors of fits and the matrices (10, r) that take their coordinates to rhs.
-    unit : ndarray, shape (10, j)
-        What takes errors of variance one to rhs: of priors, and of records too short for blocks.
+    errors : tuple of RowErrors
+        Of the fits, of priors and descriptions, and of the gains that made efforts of currents.
     short : bool
-        Whether a record was too short.
-    gains : tuple of (ErrorSource, ndarray)
-        Errors of the gains that made efforts of currents, and how rhs moves with their logarithms,
-        (10, n).
+        Whether a record was too short for blocks: the weighting is trusted.
     """
 
     matrix: Array
     rhs: Array
     floor: float
-    sources: tuple[tuple[ScoreBlocks, Array], ...]
-    unit: Array
-    short: bool
-    gains: tuple[tuple[ErrorSource, Array], ...] = ()
+    errors: tuple[RowErrors, ...]
+    short: bool = False
 
-    def of_gains(self, direction: Array) -> tuple[float, float]:
-        """Return the gains' variance of ``direction @ rhs``, and its square over its freedom."""
-        total, spread = 0.0, 0.0
-        for errors, moves in self.gains:
-            slopes = (direction @ moves)[None]
-            own = float(errors.variance(slopes)[0])
-            total += own
-            spread += own**2 / float(errors.degrees(slopes)[0])
-        return total, spread
+    @property
+    def gains(self) -> tuple[RowErrors, ...]:
+        """The errors of gains."""
+        return tuple(each for each in self.errors if each.gains is not None)
 
-    def error(self, direction: Array) -> tuple[float, float]:
+    def error(
+        self, direction: Array, among: tuple[RowErrors, ...] | None = None
+    ) -> tuple[float, float]:
         """Return variance and degrees of freedom of ``direction @ rhs``, by Welch's formula."""
-        of_gains, spread = self.of_gains(direction)
-        known = float(np.sum((direction @ self.unit) ** 2))
-        variance = known + of_gains
-        for blocks, matrix in self.sources:
-            moved = direction @ matrix
-            own = float(moved @ blocks.scores @ moved)
+        variance, spread = 0.0, 0.0
+        for each in self.errors if among is None else among:
+            moved = (direction @ each.moves)[None]
+            own = float(moved[0] @ each.covariance @ moved[0])
             variance += own
-            spread += own**2 / float(blocks.freedom(moved[None])[0])
+            spread += own**2 / float(each.freedom(moved)[0]) if own > 0.0 else 0.0
         return variance, variance**2 / spread if spread > 0.0 else np.inf
 
 
@@ -151,8 +150,8 @@ def rows_beside_recording(
         ]
     )
     payload = np.vstack([np.zeros((len(G), 10)), loaded.A @ columns])
-    T, s, floor, W = _eliminated(nuisance, payload, np.concatenate([h, loaded.rhs]))
     count = arm.base.count
+    T, s, floor, W = _eliminated(nuisance, payload, np.concatenate([h, loaded.rhs]))
     parts = [(arm, W[:, :count]), (loaded, W[:, len(G) :])]
     return _with_errors(T, s, floor + arm.floor + loaded.floor, parts, W[:, count : len(G)])
 
@@ -214,14 +213,14 @@ def rows_beside_description(
     granted = Description(tolerance, likely > _MOST_TOLERANCE)
     spread = tolerance * np.linalg.inv(term.matrix[each, : links.size])
     described = W @ loaded.A @ B[:, : links.size] @ spread
-    gains = _of_gains([(loaded, W)])
+    beside_fit = (_known(described), *_of_gains([(loaded, W)]))
     try:
         blocks = ScoreBlocks.of(loaded)
     except DataError:
         # The rows are whitened by the residuals of a fit in which the links are free too.
         worse = floor / loaded.floor if loaded.floor > 0.0 else 1.0
-        unit = np.hstack([described, W * np.sqrt(max(worse, 1.0))])
-        return PayloadRows(T, s, floor, (), unit, True, gains), granted
+        unsure = _known(W * np.sqrt(max(worse, 1.0)))
+        return PayloadRows(T, s, floor, (unsure, *beside_fit), True), granted
     K = np.hstack([friction, columns])
     root, shown = information_root(loaded.A @ K), loaded.excitation.inverse
     turned = shown @ K @ root
@@ -232,25 +231,33 @@ def rows_beside_description(
         root,
     )
     takes = T @ reduced.root[friction.shape[1] :]
-    rows = PayloadRows(T, s, floor, ((reduced, takes),), described, False, gains)
-    return rows, granted
+    own = RowErrors(takes, reduced.scores, reduced.freedom)
+    return PayloadRows(T, s, floor, (own, *beside_fit)), granted
+
+
+def _known(moves: Array) -> RowErrors:
+    """Return errors of variance one."""
+    return RowErrors(moves, np.eye(moves.shape[1]), lambda moved: np.full(len(moved), np.inf))
 
 
 def _with_errors(
     T: Array, s: Array, floor: float, parts: list[tuple[Problem, Array]], unit: Array
 ) -> PayloadRows:
-    sources, short = [], False
+    """Return the rows with errors of some problems' rows, and of others of variance one."""
+    errors, short = [_known(unit), *_of_gains(parts)], False
     for problem, W in parts:
         try:
             blocks = ScoreBlocks.of(problem)
-            sources.append((blocks, W @ (problem.A @ blocks.root)))
+            moves = W @ (problem.A @ blocks.root)
+            errors.append(RowErrors(moves, blocks.scores, blocks.freedom))
         except DataError:
             # Too short for blocks: the rows are whitened, their variance is one.
-            unit, short = np.hstack([unit, W]), True
-    return PayloadRows(T, s, floor, tuple(sources), unit, short, _of_gains(parts))
+            errors.append(_known(W))
+            short = True
+    return PayloadRows(T, s, floor, tuple(errors), short)
 
 
-def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[tuple[ErrorSource, Array], ...]:
+def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[RowErrors, ...]:
     """Return the errors of gains and how rhs moves with them; those of the same gains are one."""
     found: list[tuple[ErrorSource, Array]] = []
     for problem, W in parts:
@@ -264,7 +271,7 @@ def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[tuple[ErrorSource, Ar
                 break
         else:
             found.append((errors, moves))
-    return tuple(found)
+    return tuple(RowErrors(moves, each.covariance, each.degrees, each) for each, moves in found)
 
 
 def _eliminated(nuisance: Array, payload: Array, rhs: Array) -> tuple[Array, Array, float, Array]:
