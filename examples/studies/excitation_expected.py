@@ -32,7 +32,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.jobs import parallel
 from sdpid._common.tables import Table
-from sdpid.assurance.intervals.friction_curve import friction_curve
+from sdpid.assurance.intervals.delta_method import friction_curve
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort

@@ -28,7 +28,7 @@ import sdpid
 from sdpid._common.files import atomic_write_text
 from sdpid._common.jobs import parallel
 from sdpid._common.tables import Table
-from sdpid.assurance.intervals.friction_curve import friction_curve
+from sdpid.assurance.intervals.delta_method import friction_curve
 
 # Speeds at which friction curves are compared, rad/s, on joints that reach them and whose Coulomb
 # friction is so many times the noise of the effort.

@@ -15,8 +15,12 @@ from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
-from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
-from sdpid.assurance.intervals.noise_in_motion import noise_in_words
+from sdpid.assurance.intervals.intervals import (
+    Intervals,
+    Method,
+    confidence_intervals,
+    noise_in_words,
+)
 from sdpid.assurance.recipe.inputs import input_files
 from sdpid.assurance.recipe.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.assurance.intervals.friction_curve import joint_curve
+from sdpid.assurance.intervals.delta_method import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.estimation.closed_loop.bias import BiasTest
 from sdpid.estimation.effects.tried import Tried

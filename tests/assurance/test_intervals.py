@@ -15,9 +15,14 @@ from sdpid import DhTable, RobotModel, build_problem
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals import bootstrap
 from sdpid.assurance.intervals.bootstrap import Refit, resample
-from sdpid.assurance.intervals.friction_curve import friction_curve, joint_curve
+from sdpid.assurance.intervals.delta_method import (
+    friction_curve,
+    joint_curve,
+    link_properties,
+    properties,
+    slopes,
+)
 from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR, Intervals
-from sdpid.assurance.intervals.links import link_properties, properties, slopes
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks

@@ -8,8 +8,7 @@ from scipy.stats import norm
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.intervals import Intervals
-from sdpid.assurance.intervals.noise_in_motion import noise_in_words
+from sdpid.assurance.intervals.intervals import Intervals, noise_in_words
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.error_source import ErrorSource

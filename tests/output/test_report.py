@@ -20,7 +20,7 @@ from lxml import etree
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import hold_out
-from sdpid.assurance.intervals.links import link_properties
+from sdpid.assurance.intervals.delta_method import link_properties
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.output.charts.charts import Charts, packed, scripts, style
 from sdpid.output.charts.page import number, policy

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import sdpid
-from sdpid.assurance.intervals.friction_curve import joint_curve
+from sdpid.assurance.intervals.delta_method import joint_curve
 from sdpid.cli import app
 from sdpid.errors import DataError
 from sdpid.estimation.effects.kinds import names_of_effects

@@ -24,6 +24,7 @@ from sdpid._common.arrays import Array, Mask, frozen, require_probability
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
+from sdpid.assurance.intervals.delta_method import half_widths
 from sdpid.assurance.intervals.parameters import ParameterFunctions
 from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
@@ -39,14 +40,34 @@ FROM_DATA = "from data"
 FROM_PHYSICS = "from physics"
 FROM_PRIOR = "from the prior"
 
-# Sources of errors that residuals do not show, in words.
+# Sources of errors that residuals do not show: their name, what biases do, and what makes intervals
+# shorter.
 _SOURCES = {
-    "gains": "gains",
-    "motion": "noise in motion",
-    "landing": "landings",
-    "filter": "the filter",
-    "friction": "friction's law",
+    "gains": ("gains", "", ""),
+    "motion": (
+        "noise in motion",
+        "noise in the measured motion moves",
+        "a lower cutoff_hz, or less noise in joint positions, makes them shorter",
+    ),
+    "landing": (
+        "landings",
+        "landings, where joint speeds jump, move",
+        "a motion with fewer of them beside this one, or impact_s = 0, leaves them out",
+    ),
+    "filter": (
+        "the filter",
+        "what the filter takes away moves",
+        "a higher cut-off (cutoff_hz), or efforts with less noise, makes them shorter",
+    ),
+    "friction": (
+        "friction's law",
+        "a law of friction that is not the model's moves",
+        "friction terms that bend as the robot's do make them shorter",
+    ),
 }
+
+# Above this share of the variance a bias is larger than all other errors together.
+_MOST = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -146,7 +167,7 @@ class Intervals(Shown):
         }
         for source, share in self.shares.items():
             shown = [round(100.0 * each) for each in share.tolist()]
-            columns[f"from {_SOURCES[source]}, %"] = shown
+            columns[f"from {_SOURCES[source][0]}, %"] = shown
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -279,8 +300,6 @@ def _gauss_markov(
     estimate: Estimate, names: tuple[str, ...] | None, level: float, groups: Groups
 ) -> Intervals:
     """Return the estimate and quantiles of its errors either way, cut off at declared limits."""
-    from scipy.special import stdtrit
-
     problem = estimate.problem
     with_prior = estimate.theta is not None and problem.prior is not None
     if not with_prior:
@@ -294,8 +313,7 @@ def _gauss_markov(
         else wanted.functions @ estimate.theta
     )
     posterior = Posterior.of(estimate, groups)
-    variance, prior_share, freedom = posterior.spread(wanted.functions)
-    half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
+    half, prior_share = half_widths(posterior, wanted.functions, level)
     lower, upper = value - half, value + half
     if estimate.method != "wls":
         least, most = problem.feasible.limits_of(wanted.functions)
@@ -307,12 +325,12 @@ def _gauss_markov(
         wanted,
         lower,
         upper,
-        value,
-        level,
-        "gauss_markov",
-        groups,
-        _shares(estimate, wanted, posterior),
+        estimate=frozen(value),
         label=labels,
+        level=level,
+        method="gauss_markov",
+        groups=groups,
+        shares=_shares(estimate, wanted, posterior),
     )
 
 
@@ -346,11 +364,11 @@ def _bootstrap(
         wanted,
         lower,
         upper,
-        value,
-        level,
-        "bootstrap",
-        groups,
-        _shares(estimate, wanted),
+        estimate=frozen(value),
+        level=level,
+        method="bootstrap",
+        groups=groups,
+        shares=_shares(estimate, wanted),
         seconds=drawn.seconds,
         solves=len(drawn.base),
     )
@@ -403,11 +421,11 @@ def _profile(
         wanted,
         proven[:, 0],
         proven[:, 1],
-        wanted.functions @ theta,
-        level,
-        "profile",
-        groups,
-        _shares(estimate, wanted),
+        estimate=frozen(wanted.functions @ theta),
+        level=level,
+        method="profile",
+        groups=groups,
+        shares=_shares(estimate, wanted),
         label=labels,
         by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
         slack=frozen(slack),
@@ -441,24 +459,11 @@ def _box(
     return lower, upper
 
 
-def _made(
-    wanted: ParameterFunctions,
-    lower: Array,
-    upper: Array,
-    value: Array,
-    level: float,
-    method: str,
-    groups: str,
-    shares: dict[str, Array],
-    *,
-    label: tuple[str, ...] | None = None,
-    by_mass: Mask | None = None,
-    slack: Array | None = None,
-    seconds: float = 0.0,
-    solves: int = 0,
-) -> Intervals:
+def _made(wanted: ParameterFunctions, lower: Array, upper: Array, **facts: Any) -> Intervals:
+    """Return the intervals of some parameters; all are from data unless that is said."""
     count = len(wanted.names)
-    marks = np.zeros((count, 2), dtype=bool) if by_mass is None else by_mass
+    facts.setdefault("label", (FROM_DATA,) * count)
+    marks = facts.setdefault("by_mass", np.zeros((count, 2), dtype=bool))
     marks.setflags(write=False)
     return Intervals(
         names=wanted.names,
@@ -466,16 +471,7 @@ def _made(
         units=wanted.units,
         lower=frozen(lower),
         upper=frozen(upper),
-        estimate=frozen(value),
-        label=label or (FROM_DATA,) * count,
-        by_mass=marks,
-        level=level,
-        method=method,
-        groups=groups,
-        slack=slack,
-        seconds=seconds,
-        solves=solves,
-        shares=shares,
+        **facts,
     )
 
 
@@ -488,3 +484,22 @@ def _shares(
         return {}
     found = posterior or Posterior.of(estimate)
     return {each.name: frozen(found.share(each, wanted.functions)) for each in sources}
+
+
+def noise_in_words(intervals: Intervals) -> str | None:
+    """Return which base parameters biases move most; None where they move little."""
+    base = np.array([kind == "base" for kind in intervals.kind])
+    found = []
+    for name, share in intervals.shares.items():
+        _, what, remedy = _SOURCES[name]
+        much = np.flatnonzero(base & (share > _MOST))
+        if not (what and len(much)):
+            continue
+        most = int(much[np.argmax(share[much])])
+        found.append(
+            f"{what} {len(much)} of {np.count_nonzero(base)} base "
+            f"parameters by more than all other errors (limit {100.0 * _MOST:.0f} % of the "
+            f"variance), {intervals.names[most]} by {100.0 * share[most]:.0f} %: their intervals "
+            f"are wider by that; {remedy}"
+        )
+    return "; ".join(found) or None

@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
-from sdpid.assurance.intervals.friction_curve import joint_curves
+from sdpid.assurance.intervals.delta_method import joint_curves
 from sdpid.errors import SdpidError
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged, grades_of, judged

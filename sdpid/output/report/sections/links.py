@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.links import LinkProperties, link_properties, properties
+from sdpid.assurance.intervals.delta_method import LinkProperties, link_properties, properties
 from sdpid.errors import SdpidError
 from sdpid.output.report.judged import Judged
 
