@@ -15,12 +15,7 @@ from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
-from sdpid.assurance.intervals.intervals import (
-    Intervals,
-    Method,
-    confidence_intervals,
-    noise_in_words,
-)
+from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.recipe.inputs import input_files
 from sdpid.assurance.recipe.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
@@ -294,7 +289,7 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
     method: Method = DEFAULT_INTERVALS if wanted is True else wanted
     try:
         found = confidence_intervals(estimate, method=method)
-        return found, noise_in_words(found)
+        return found, found.noise_in_words()
     except (DataError, IdentifiabilityError, SolverError) as reason:
         return None, f"no intervals of the parameters ({method}): {reason}"
 

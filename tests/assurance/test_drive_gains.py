@@ -166,15 +166,29 @@ def test_what_makes_no_sense_is_told(
     refuses(error, said, identified, *given, **options)
 
 
-def test_torques_are_no_currents() -> None:
-    one = np.ones(6)
-    with pytest.raises(DataError, match="efforts are torques in N·m"):
-        identified(currents(0, currents=False), currents(1, mass=MASS))
-    with pytest.raises(DataError, match="torques, not currents: the described links need"):
-        identified(currents(0, gains=one), currents(1, gains=one, mass=MASS))
-    taken = identified(
-        currents(0, gains=one), currents(1, gains=one, mass=MASS), accept="effort_scale"
-    )
+ONES = np.ones(6)
+
+
+@pytest.mark.parametrize(
+    ("bare", "loaded", "error", "said"),
+    [
+        ({"currents": False}, {}, DataError, "efforts are torques in N·m"),
+        ({"gains": ONES}, {"gains": ONES}, DataError, "torques, not currents: the described links"),
+        ({}, {"gains": GAINS[[0, 3, 2, 1, 4, 5]]}, DataError, "not of one arm"),
+        ({}, {"mass": 0.0}, IdentifiabilityError, "are open.*check that it was mounted"),
+        ({"noise": 9.0}, {"noise": 9.0}, IdentifiabilityError, "do not show the gains of all"),
+    ],
+)
+def test_recordings_that_show_no_gains_are_told(
+    bare: dict[str, Any], loaded: dict[str, Any], error: type[Exception], said: str
+) -> None:
+    logs = currents(0, **bare), currents(1, **{"mass": MASS, **loaded})
+    refuses(error, said, identified, *logs)
+
+
+def test_gains_near_one_are_told() -> None:
+    given = currents(0, gains=ONES), currents(1, gains=ONES, mass=MASS)
+    taken = identified(*given, accept="effort_scale")
     assert any("all gains are near 1 N·m/A" in note for note in taken.notes)
     assert not any("near 1" in note for note in plain().notes)
 
@@ -182,21 +196,6 @@ def test_torques_are_no_currents() -> None:
 def test_a_recording_that_is_given_twice_is_told() -> None:
     log = currents(0)
     refuses(DataError, "recording 1 without load and recording 1 with load", identified, log, log)
-
-
-def test_a_load_that_was_not_mounted_is_told() -> None:
-    with pytest.raises(IdentifiabilityError, match=r"are open.*check that it was mounted"):
-        identified(currents(0), currents(1))
-
-
-def test_a_load_that_is_too_light_is_told() -> None:
-    with pytest.raises(IdentifiabilityError, match="do not show the gains of all joints"):
-        identified(currents(0, noise=0.2), currents(1, mass=0.02, noise=0.2), load=0.02)
-
-
-def test_two_arms_are_told() -> None:
-    with pytest.raises(DataError, match="not of one arm"):
-        identified(currents(0), currents(1, mass=MASS, gains=GAINS[[0, 3, 2, 1, 4, 5]]))
 
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="plate"><inertial>

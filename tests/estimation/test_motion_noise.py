@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.intervals import Intervals, noise_in_words
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.error_source import ErrorSource
@@ -91,9 +91,9 @@ def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     np.testing.assert_allclose(drawn.width[most_moved], honest.width[most_moved], rtol=0.3)
     assert np.all(shorter.width[most_moved] < 0.7 * drawn.width[most_moved])
     most = problem.base.names[int(np.argmax(honest.shares["motion"]))]
-    words = noise_in_words(honest)
+    words = honest.noise_in_words()
     assert most in words
-    assert noise_in_words(short) is None
+    assert short.noise_in_words() is None
     with pytest.raises(DataError, match="not those of the"):
         with_motion_bias(problem, [recorded(NOISE, 1)], PROCESSING)
 
@@ -180,7 +180,7 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     problem = legged_problem(robot, run.recording, LEGGED)
     honest = counted_bias(problem, run, "landing", 0.5)
     assert "from landings, %" in honest.table()
-    words = noise_in_words(honest)
+    words = honest.noise_in_words()
     assert honest.names[int(np.argmax(honest.shares["landing"]))] in words
     # Where landings are left out there is nothing to count.
     apart = legged_problem(robot, run.recording, replace(LEGGED, impact_s=0.0))
@@ -251,7 +251,7 @@ def test_intervals_of_a_stand_count_what_the_filter_does(
     assert moved_by(problem, "landing") is None
     honest = counted_bias(problem, run, "filter", 0.8)
     assert "from the filter, %" in honest.table()
-    words = noise_in_words(replace(honest, shares={"filter": np.full(len(honest), 0.9)}))
+    words = replace(honest, shares={"filter": np.full(len(honest), 0.9)}).noise_in_words()
     assert "what the filter takes away moves" in words
 
 
@@ -304,7 +304,7 @@ def test_the_bias_is_what_the_fit_is_off_by() -> None:
     counted = replace(wls, problem=replace(problem, errors=(ErrorSource.bias("friction", bias),)))
     honest, _ = with_and_without(counted, wls.problem, "friction")
     assert "from friction's law, %" in honest.table()
-    words = noise_in_words(replace(honest, shares={"friction": np.full(len(honest), 0.9)}))
+    words = replace(honest, shares={"friction": np.full(len(honest), 0.9)}).noise_in_words()
     assert "a law of friction that is not the model's moves" in words
 
 

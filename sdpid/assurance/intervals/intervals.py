@@ -178,6 +178,24 @@ class Intervals(Shown):
         """Return aligned text, one line a parameter."""
         return self._table().text(5)
 
+    def noise_in_words(self) -> str | None:
+        """Return which base parameters biases move most; None where they move little."""
+        base = np.array([kind == "base" for kind in self.kind])
+        found = []
+        for name, share in self.shares.items():
+            _, what, remedy = _SOURCES[name]
+            much = np.flatnonzero(base & (share > _MOST))
+            if not (what and len(much)):
+                continue
+            most = int(much[np.argmax(share[much])])
+            found.append(
+                f"{what} {len(much)} of {np.count_nonzero(base)} base "
+                f"parameters by more than all other errors (limit {100.0 * _MOST:.0f} % of the "
+                f"variance), {self.names[most]} by {100.0 * share[most]:.0f} %: their intervals "
+                f"are wider by that; {remedy}"
+            )
+        return "; ".join(found) or None
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         columns: dict[str, Sequence[object]] = {
@@ -484,22 +502,3 @@ def _shares(
         return {}
     found = posterior or Posterior.of(estimate)
     return {each.name: frozen(found.share(each, wanted.functions)) for each in sources}
-
-
-def noise_in_words(intervals: Intervals) -> str | None:
-    """Return which base parameters biases move most; None where they move little."""
-    base = np.array([kind == "base" for kind in intervals.kind])
-    found = []
-    for name, share in intervals.shares.items():
-        _, what, remedy = _SOURCES[name]
-        much = np.flatnonzero(base & (share > _MOST))
-        if not (what and len(much)):
-            continue
-        most = int(much[np.argmax(share[much])])
-        found.append(
-            f"{what} {len(much)} of {np.count_nonzero(base)} base "
-            f"parameters by more than all other errors (limit {100.0 * _MOST:.0f} % of the "
-            f"variance), {intervals.names[most]} by {100.0 * share[most]:.0f} %: their intervals "
-            f"are wider by that; {remedy}"
-        )
-    return "; ".join(found) or None
