@@ -13,7 +13,7 @@ import pytest
 
 import sdpid
 from sdpid.constraints import TotalMass
-from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.duality.bound import Multipliers
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.workflow.runs.saved import SavedRun
 from tests.helpers.arm_files import ARM_URDF

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.estimation.conic.solve import Matrix
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.scaling import Scaling, congruent
+from sdpid.robot.inertia import pseudo_inertia
 
 # Equations that are this close to dependent are dependent; what they then contradict each other
 # by, in units of the rows, must be rounding.
@@ -100,25 +101,24 @@ class Coordinates:
         """Return the standard parameters at x."""
         return np.asarray(self.origin + self.directions @ x)
 
-    def limited(self, problem: Problem, scaling: Scaling) -> Indices:
-        """Return the rows that are not equations and that x can change."""
-        feasible = problem.feasible
-        moved = np.abs(feasible.rows @ self.directions).max(axis=1, initial=0.0)
-        moves = moved > FIXED * scaling.row_sizes(feasible)
-        return np.flatnonzero(~feasible.equations & moves)
-
     def inequalities(
-        self, feasible: FeasibleSet, inverses: Array, *, slack: float = 0.0
+        self, feasible: FeasibleSet, scaling: Scaling, *, slack: float = 0.0
     ) -> list[Matrix]:
-        """Return a set's matrix inequalities, each scaled by its inverse, as functions of x."""
-        transposed = np.swapaxes(inverses, 1, 2)
-        return self.matrices(
-            inverses @ feasible.block_constants @ transposed + slack * np.eye(feasible.size),
-            inverses[:, None] @ feasible.block_basis @ transposed[:, None],
+        """Return a set's scaled matrix inequalities, loosened by a slack, as functions of x."""
+        inverses = scaling.inverses(feasible)
+        return self._matrices(
+            congruent(inverses, feasible.block_constants) + slack * np.eye(feasible.size),
+            congruent(inverses[:, None], feasible.block_basis),
             feasible.block_links,
         )
 
-    def matrices(self, constants: Array, basis: Array, links: Indices) -> list[Matrix]:
+    def pseudo_inertias(self, scaling: Scaling, links: Indices) -> list[Matrix]:
+        """Return the pseudo-inertias of links, in scaled units, as functions of x."""
+        inverses = np.asarray(np.linalg.inv(scaling.roots(4)[links]))
+        basis = congruent(inverses[:, None], pseudo_inertia(np.eye(10)))
+        return self._matrices(np.zeros_like(inverses), basis, links)
+
+    def _matrices(self, constants: Array, basis: Array, links: Indices) -> list[Matrix]:
         """Return matrices of links, ``constant + Σ body_k·basis_k``, as functions of x."""
         out = []
         for constant, units, link in zip(constants, basis, links, strict=True):
@@ -128,3 +128,54 @@ class Coordinates:
             here = self.origin[10 * link : 10 * link + 10]
             out.append(Matrix(index, linear, constant + np.einsum("k,kij->ij", here, units)))
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Bounds on parameters and linear rows, in units of their sizes, as functions of x.
+
+    Of all p parameters and then all r rows it holds those that x can change; no equations.
+
+    Attributes
+    ----------
+    chosen : ndarray of int
+        Which of the p + r these are.
+    sizes : ndarray
+        Their sizes.
+    C, lower, upper : ndarray
+        ``lower ≤ C·x ≤ upper``.
+    counts : (int, int)
+        Numbers p of parameters and r of rows.
+    """
+
+    chosen: Indices
+    sizes: Array
+    C: Array
+    lower: Array
+    upper: Array
+    counts: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls, problem: Problem, scaling: Scaling, coordinates: Coordinates, bounded: Mask
+    ) -> Limits:
+        """Return the limits of the rows, and of some parameters (p,)."""
+        feasible, X = problem.feasible, coordinates.directions
+        sizes = np.concatenate([scaling.theta, scaling.row_sizes(feasible)])
+        moved = np.abs(feasible.rows @ X).max(axis=1, initial=0.0)
+        limited = ~feasible.equations & (moved > FIXED * sizes[len(X) :])
+        chosen = np.flatnonzero(np.concatenate([bounded & np.any(X != 0.0, axis=1), limited]))
+        sizes = sizes[chosen]
+        functions = np.vstack([np.eye(len(X)), feasible.rows])[chosen]
+        here = functions @ coordinates.origin
+        lower = np.concatenate([feasible.lower, feasible.row_lower])[chosen]
+        upper = np.concatenate([feasible.upper, feasible.row_upper])[chosen]
+        C = functions @ X / sizes[:, None]
+        lower, upper = (lower - here) / sizes, (upper - here) / sizes
+        return cls(chosen, sizes, C, lower, upper, (len(X), len(feasible.rows)))
+
+    def split(self, values: Array) -> tuple[Array, Array]:
+        """Return values of the chosen as those of all parameters and all rows; others are zero."""
+        out = np.zeros(sum(self.counts))
+        out[self.chosen] = values
+        return out[: self.counts[0]], out[self.counts[0] :]

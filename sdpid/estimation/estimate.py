@@ -15,7 +15,7 @@ from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
-from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.duality.bound import Multipliers
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem

@@ -26,9 +26,8 @@ from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem, check_samples
-from sdpid.estimation.sdp.program import SdpProgram
+from sdpid.estimation.sdp.program import ReusableProgram, SdpProgram
 from sdpid.estimation.sdp.repair import repair
-from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.processing.samples import Samples
 
@@ -94,7 +93,7 @@ class RecursiveEstimator(Shown):
         self._folded = True
         self._time: float | None = None
         # The program of the solves to come, and what it is about.
-        self._program: tuple[SdpProgram, ReusableProgram] | None = None
+        self._program: ReusableProgram | None = None
         self._about: Estimate | None = None
         self._bounds_included = start.feasible.bounded
         self._last: Array | None = None
@@ -209,24 +208,23 @@ class RecursiveEstimator(Shown):
         if len(problem.log_det.links):
             # The weight of its logarithms is in units of the cost, which changes.
             return
-        program = program_about(
-            problem, np.array(estimate.theta), estimate.cost, self._bounds_included
-        )
-        self._about, self._program = estimate, (program, ReusableProgram.of(program))
+        theta = np.array(estimate.theta)
+        program = SdpProgram.about(problem, theta, estimate.cost, self._bounds_included)
+        self._about, self._program = estimate, ReusableProgram.of(program)
 
     def _solved(
         self, problem: Problem, unit: float
     ) -> tuple[SdpProgram, ConicSolution, Array] | None:
         """Return the solution of the program of before with the data of now, and its theta."""
         while self._program is not None and self._about is not None:
-            program, reusable = self._program
-            solution = reusable.solve(
+            program = self._program.program
+            solution = self._program.solve(
                 problem.A, problem.rhs, cost=unit, regularization=_REGULARIZATION
             )
             if solution.x is None:
                 break
-            theta = reusable.coordinates.theta(solution.x)
-            outside = ~reusable.inside(theta)
+            theta = program.theta(solution)
+            outside = ~self._program.inside(theta)
             if not outside.any():
                 scaling = replace(program.scaling, cost=unit)
                 return replace(program, problem=problem, scaling=scaling), solution, theta

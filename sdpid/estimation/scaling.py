@@ -126,10 +126,19 @@ class Scaling:
         rest = np.sqrt(np.maximum(scale, np.finfo(float).tiny))[:, None, None] * np.eye(size)
         return np.concatenate([own, rest])
 
+    def inverses(self, feasible: FeasibleSet) -> Array:
+        """Return the inverses of `block_roots`: from the set's matrices to scaled ones."""
+        return np.asarray(np.linalg.inv(self.block_roots(feasible)))
+
     def row_sizes(self, feasible: FeasibleSet) -> Array:
         """Return the size of each of the set's linear rows, shape (r,)."""
         size = np.linalg.norm(feasible.rows * self.theta, axis=1)
         return np.asarray(np.maximum(size, np.finfo(float).tiny))
+
+
+def congruent(T: Array, matrices: Array) -> Array:
+    """Return ``T @ matrix @ T^T`` of stacks of matrices."""
+    return np.asarray(T @ matrices @ np.swapaxes(T, -1, -2))
 
 
 def thickened(bodies: Array, length: float) -> Array:

@@ -38,6 +38,7 @@ from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.conic.solve import ConicSolution
 from sdpid.estimation.duality.bound import (
     PROVEN,
+    Multipliers,
     bound_of,
     clip_psd,
     cost_scale,
@@ -45,7 +46,6 @@ from sdpid.estimation.duality.bound import (
     relative_gap,
 )
 from sdpid.estimation.duality.correct_multipliers import corrected_multipliers
-from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.duality.refine_multipliers import lower_bound, refine_multipliers
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local.starts import random_start

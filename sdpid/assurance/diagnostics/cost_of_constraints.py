@@ -225,12 +225,10 @@ def _program(problem: Problem, scaling: Scaling, theta: Array) -> SdpProgram | N
 
 def _pressing(program: SdpProgram, found: ConicSolution) -> Iterator[Constraint]:
     """Yield the constraints with a multiplier in scaled units, and all equations."""
-    problem, feasible, count = program.problem, program.problem.feasible, len(program.bounded)
-    matrices, bounds = np.zeros(len(feasible.block_names)), np.zeros(problem.n_theta)
-    rows = np.zeros(len(feasible.rows))
-    matrices[program.moving] = [np.trace(dual) for dual in found.blocks]
-    bounds[program.bounded] = found.rows[:count]
-    rows[program.coordinates.limited(problem, program.scaling)] = found.rows[count:]
+    feasible = program.problem.feasible
+    matrices = np.zeros(len(feasible.block_names))
+    matrices[list(program.moving)] = [np.trace(dual) for dual in found.blocks]
+    bounds, rows = program.limits.split(found.rows)
     for constraint in feasible.named:
         # A multiplier belongs to the side that it presses to.
         if constraint.kind in ("consistency", "cone"):

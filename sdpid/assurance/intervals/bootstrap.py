@@ -32,7 +32,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
+from sdpid.estimation.sdp.program import ReusableProgram, SdpProgram
 from sdpid.estimation.sdp.solve import solve_sdp
 
 Kind = Literal["percentile", "basic"]
@@ -273,7 +273,7 @@ class Refit:
             return cls(problem, ())
         theta, few = np.array(estimate.theta), problem.feasible.bounded
         programs = [
-            program_about(problem, theta, estimate.cost, included)
+            SdpProgram.about(problem, theta, estimate.cost, included)
             for included in (few, np.ones_like(few))
         ]
         return cls(problem, tuple(ReusableProgram.of(program) for program in programs))
@@ -297,9 +297,10 @@ class Refit:
         for program in self.programs:
             found = _solved(program, A, rhs)
             seconds += found.seconds
-            x = found.value if found.accepted else None
-            if x is not None and np.all(program.inside(program.coordinates.theta(x))):
-                return np.asarray(program.origin + program.base @ x), seconds
+            if found.accepted and found.value is not None:
+                theta = program.program.coordinates.theta(found.value)
+                if np.all(program.inside(theta)):
+                    return self.problem.base_of(theta), seconds
         try:
             again = solve_sdp(replace(self.problem, A=frozen(A), rhs=frozen(rhs)))
         except SolverError:

@@ -20,12 +20,11 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
-from sdpid.estimation.coordinates import Coordinates
+from sdpid.estimation.coordinates import Coordinates, Limits
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Groups, fit_errors, rows_covariance
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.robot.inertia import pseudo_inertia
 
 # Draws stay inside of every matrix inequality by this much, in units of the link's own size:
 # rounding and the digits of a file cannot take them out, and loaders take them for bodies.
@@ -162,14 +161,8 @@ class Density:
         errors = fit_errors(estimate, groups)
         coordinates, mean, precision = _gaussian(problem, coordinates, errors)
         feasible, log_det = problem.feasible, problem.log_det
-        inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
-        walls = coordinates.inequalities(feasible, inverses, slack=-_INSIDE)
-        roots = np.linalg.inv(scaling.roots(4)[log_det.links])
-        bodies = coordinates.matrices(
-            np.zeros_like(roots),
-            roots[:, None] @ pseudo_inertia(np.eye(10)) @ np.swapaxes(roots, 1, 2)[:, None],
-            log_det.links,
-        )
+        walls = coordinates.inequalities(feasible, scaling, slack=-_INSIDE)
+        bodies = coordinates.pseudo_inertias(scaling, log_det.links)
         rows, lower, upper = _limits(problem, scaling, coordinates)
         return cls(
             problem=problem,
@@ -329,13 +322,9 @@ def _limits(
 ) -> tuple[Array, Array, Array]:
     """Return rows (m, n) and their limits (m,), in units of the rows, a rounding inside."""
     feasible, X, origin = problem.feasible, coordinates.directions, coordinates.origin
-    unequal = coordinates.limited(problem, scaling)
-    bounded = np.flatnonzero(np.abs(X).max(axis=1) > _FIXED * scaling.theta)
-    rows = np.vstack([np.eye(len(X))[bounded], feasible.rows[unequal]])
-    sizes = np.concatenate([scaling.theta[bounded], scaling.row_sizes(feasible)[unequal]])
-    lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
-    upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
-    here = rows @ origin
+    bounded = np.abs(X).max(axis=1) > _FIXED * scaling.theta
+    limits = Limits.of(problem, scaling, coordinates, bounded)
+    rows = np.vstack([np.eye(len(X)), feasible.rows])[limits.chosen]
     # A value is the sum of its parts, which rounding is relative to.
-    room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(origin) / sizes)
-    return rows @ X / sizes[:, None], (lower - here) / sizes + room, (upper - here) / sizes - room
+    room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(origin) / limits.sizes)
+    return limits.C, limits.lower + room, limits.upper - room

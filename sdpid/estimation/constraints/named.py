@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "cone"]
+ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "cone", "exists"]
 Side = Literal["least", "most"]
 
 
@@ -15,9 +15,10 @@ class Constraint:
 
     Attributes
     ----------
-    kind : {"consistency", "mass", "sign", "theta_max", "row", "cone"}
+    kind : {"consistency", "mass", "sign", "theta_max", "row", "cone", "exists"}
         Consistency of a link, bound on a mass, sign of a friction parameter, the widest bound on a
-        parameter, or a linear row or cone of a further condition.
+        parameter, a linear row or cone of a further condition, or that a body exists, which an
+        entropic prior asks for.
     name : str
         The constraint in words, unlike any other's.
     index : int
@@ -50,5 +51,9 @@ class Constraint:
         """What it belongs to: all links' consistency, all masses' upper bounds, or itself."""
         if self.kind == "mass":
             return f"masses at {self.side} {self.limit:g} kg"
-        groups = {"consistency": "consistency of the links", "sign": "friction_nonnegative"}
+        groups = {
+            "consistency": "consistency of the links",
+            "sign": "friction_nonnegative",
+            "exists": "entropic prior",
+        }
         return groups.get(self.kind, self.name)

@@ -1,4 +1,4 @@
-"""Lower bounds on the cost of all feasible parameters, from multipliers.
+"""Multipliers of the constraints and the residual, and the lower bounds that they prove.
 
 For any y, any Z ⪰ 0 and any multipliers of the rows the cost obeys, at every feasible theta,
 
@@ -18,9 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 
 # The gap is relative to the cost, or to this share of the weighted squared efforts where the data
@@ -32,6 +31,68 @@ PROVEN = 1e-6
 
 # A gap this small is not worth refining the multipliers, or another round of it.
 TARGET_GAP = 3e-7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Multipliers:
+    """Multipliers of one problem, in units of the cost.
+
+    Attributes
+    ----------
+    y : ndarray, shape (rows of `Problem.squared`,)
+        Multiplier of `Problem.squared`; at an optimum its residual.
+    Z : ndarray, shape (N, s, s)
+        Multipliers of the matrix inequalities of `FeasibleSet`, positive semidefinite.
+    rows : ndarray, shape (r,)
+        Multipliers of the linear rows: positive at the lower limit, negative at the upper one.
+    W : ndarray, shape (L, 4, 4)
+        Multiplier of `Problem.log_det`, the inverses of pseudo-inertias; L may be zero.
+    bounds : ndarray, shape (p,)
+        Multipliers of the bounds on theta, signed likewise; zero where they are not included.
+    bounds_included : ndarray of bool, shape (p,)
+        Whose bounds the solver was given.
+    """
+
+    y: Array
+    Z: Array
+    rows: Array
+    W: Array
+    bounds: Array
+    bounds_included: Mask
+
+    def __repr__(self) -> str:
+        bounds = int(np.count_nonzero(self.bounds_included))
+        return (
+            f"Multipliers({len(self.y)} of the cost, {len(self.Z)} matrices, {len(self.rows)} "
+            f"rows, {bounds} of {len(self.bounds)} bounds, {len(self.W)} log-det)"
+        )
+
+    @classmethod
+    def of_cost(cls, problem: Problem, y: Array, W: Array | None = None) -> Multipliers:
+        """Return multipliers of the cost's terms alone; those of the constraints are zero.
+
+        Without W the log-det term's are those of the believed bodies.
+        """
+        feasible = problem.feasible
+        return cls(
+            y=y,
+            Z=np.zeros_like(feasible.block_constants),
+            rows=np.zeros(len(feasible.rows)),
+            bounds=np.zeros(problem.n_theta),
+            bounds_included=np.zeros(problem.n_theta, dtype=bool),
+            W=problem.log_det.inverses if W is None else W,
+        )
+
+    @classmethod
+    def at(cls, problem: Problem, theta: Array) -> Multipliers:
+        """Return the multipliers of the cost's terms at theta, where it is finite."""
+        y, W = problem.squared.multiplier(theta), problem.log_det.multiplier(theta)
+        return cls.of_cost(problem, y, W)
+
+    @property
+    def constrained(self) -> bool:
+        """Whether any constraint has a multiplier."""
+        return bool(np.any(self.Z) or np.any(self.rows) or np.any(self.bounds))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +111,23 @@ class Bound:
     multipliers: Multipliers
 
 
-def evaluate(problem: Problem, multipliers: Multipliers) -> float:
-    """Return the bound that multipliers prove, Z positive semidefinite and W definite."""
+def support(problem: Problem, multipliers: Multipliers) -> tuple[float, Array]:
+    """Return constant and slope c (p,) of the bound that multipliers prove, before the box."""
     feasible = problem.feasible
-    constant, linear = problem.squared.support(multipliers.y)
-    tangent = problem.log_det.support(multipliers.W)
-    constant, linear = constant + tangent[0], linear + tangent[1]
-    linear = linear - feasible.adjoint(multipliers.Z)
+    terms = problem.squared.support(multipliers.y), problem.log_det.support(multipliers.W)
+    constant, slope = terms[0][0] + terms[1][0], terms[0][1] + terms[1][1]
     constant -= float(np.einsum("nij,nij->", multipliers.Z, feasible.block_constants))
     limits = np.where(multipliers.rows > 0.0, feasible.row_lower, feasible.row_upper)
     used = np.where(np.isfinite(limits), multipliers.rows, 0.0)
-    linear = linear - used @ feasible.rows
     constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
-    ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
-    return float(constant + linear @ ends)
+    return constant, slope - feasible.adjoint(multipliers.Z) - used @ feasible.rows
+
+
+def evaluate(problem: Problem, multipliers: Multipliers) -> float:
+    """Return the bound that multipliers prove, Z positive semidefinite and W definite."""
+    constant, slope = support(problem, multipliers)
+    ends = np.where(slope > 0.0, problem.feasible.lower, problem.feasible.upper)
+    return float(constant + slope @ ends)
 
 
 def clip_psd(Z: Array) -> Array:

@@ -18,17 +18,16 @@ left to the bounds of theta than taken by matrices that would have to be indefin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, Matrix, solve_conic
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.conic.standard_form import symmetric_basis
-from sdpid.estimation.duality.bound import clip_psd
-from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.duality.bound import Multipliers, clip_psd, support
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.scaling import Scaling, congruent
 
 # Where nothing is left of ρ this is the unit of corrections: some rounding.
 _LEAST = 1e-12
@@ -55,172 +54,81 @@ def corrected_multipliers(problem: Problem, theta: Array, multipliers: Multiplie
     Multipliers
         The same ones where the program has no solution.
     """
-    program = _Program.of(problem, theta, multipliers)
-    solution = solve_conic(program.conic(), tolerance=_TOLERANCE)
-    return multipliers if solution.x is None else program.corrected(solution)
-
-
-@dataclass(frozen=True, eq=False)
-class _Program:
-    """The program in scaled coordinates, for a unit cost.
-
-    Its variables are dy, dZ, dλ of rows that have multipliers, and ρ⁻, in this order.
-
-    Attributes
-    ----------
-    problem : Problem
-        The problem.
-    scaling : Scaling
-        Units about the parameters.
-    theta : ndarray, shape (p,)
-        The parameters.
-    multipliers : Multipliers
-        To be corrected.
-    unit : float
-        ε.
-    rest : ndarray, shape (p,)
-        ρ of the multipliers.
-    inverses : ndarray, shape (N, s, s)
-        From the matrices of the inequalities to scaled ones.
-    Z : ndarray, shape (N, s, s)
-        Multipliers of the scaled matrices.
-    rows : ndarray of int
-        The rows that have multipliers, and equations.
-    """
-
-    problem: Problem
-    scaling: Scaling
-    theta: Array
-    multipliers: Multipliers
-    unit: float
-    rest: Array
-    inverses: Array
-    Z: Array
-    rows: Indices
-
-    @classmethod
-    def of(cls, problem: Problem, theta: Array, multipliers: Multipliers) -> _Program:
-        feasible = problem.feasible
-        scaling = Scaling.of(problem).around(theta)
-        rest = problem.squared.support(multipliers.y)[1]
-        rest = rest + problem.log_det.support(multipliers.W)[1]
-        rest = rest - feasible.adjoint(multipliers.Z) - multipliers.rows @ feasible.rows
-        rest = rest * scaling.theta / scaling.cost
-        # Of parameters with bounds of their own ρ is the multiplier, and no error.
-        unit = float(np.abs(rest[~feasible.bounded]).max(initial=_LEAST))
-        roots = scaling.block_roots(feasible)
-        return cls(
-            problem=problem,
-            scaling=scaling,
-            theta=theta,
-            multipliers=multipliers,
-            unit=unit,
-            rest=rest,
-            inverses=np.asarray(np.linalg.inv(roots)),
-            Z=np.asarray(np.swapaxes(roots, 1, 2) @ multipliers.Z @ roots / scaling.cost),
-            rows=np.flatnonzero((multipliers.rows != 0.0) | feasible.equations),
-        )
-
-    def _split(self) -> tuple[slice, slice, slice, slice]:
-        """Return where dy, dZ, dλ and ρ⁻ are among the variables."""
-        count, size = self.Z.shape[0], self.Z.shape[-1]
-        lengths = (
-            len(self.multipliers.y),
-            count * (size * (size + 1) // 2),
-            len(self.rows),
-            self.problem.n_theta,
-        )
-        ends = np.cumsum((0, *lengths))
-        y, Z, rows, left = (slice(ends[i], ends[i + 1]) for i in range(4))
-        return y, Z, rows, left
-
-    def conic(self) -> ConicProgram:
-        """Return the program of the corrections."""
-        problem, feasible, scaling = self.problem, self.problem.feasible, self.scaling
-        y, Z, rows, left = self._split()
-        symmetric = symmetric_basis(feasible.size)
-        J = self._derivative()
-        above = np.maximum((self.theta - feasible.lower) / scaling.theta, 0.0)
-        below = np.maximum((feasible.upper - self.theta) / scaling.theta, 0.0)
-        F = self.inverses @ feasible.matrices(self.theta) @ np.swapaxes(self.inverses, 1, 2)
-        # ρ⁺ = ρ + ρ⁻.
-        cost = above @ J
-        cost[Z] += np.einsum("nij,aij->na", F, symmetric).ravel()
-        cost[rows] += self._slacks()
-        cost[left] += above + below
-        squares = np.zeros((len(self.multipliers.y), J.shape[1]))
-        squares[:, y] = np.sqrt(self.unit) * np.eye(len(squares))
-        short = problem.squared.residual(self.theta) - self.multipliers.y
-        short = short / np.sqrt(scaling.cost * self.unit)
-        # ρ⁻ and ρ⁺ are positive, and so is λ in its direction.
-        directions = np.sign(self.multipliers.rows[self.rows])
-        directed = np.flatnonzero(~feasible.equations[self.rows])
-        signs = np.zeros((len(directed), J.shape[1]))
-        signs[np.arange(len(directed)), rows.start + directed] = directions[directed]
-        positive = np.zeros_like(J)
-        positive[:, left] = np.eye(len(J))
-        sizes = np.abs(self.multipliers.rows) * scaling.row_sizes(feasible) / scaling.cost
-        lower = [np.zeros(len(J)), -self.rest, -sizes[self.rows[directed]]]
-        limits = np.concatenate(lower) / self.unit
-        return ConicProgram(
+    feasible, scaling = problem.feasible, Scaling.of(problem).around(theta)
+    size, cost = scaling.theta, scaling.cost
+    rest = support(problem, multipliers)[1] * size / cost
+    # Of parameters with bounds of their own ρ is the multiplier, and no error.
+    unit = float(np.abs(rest[~feasible.bounded]).max(initial=_LEAST))
+    inverses, roots = scaling.inverses(feasible), scaling.block_roots(feasible)
+    Z = congruent(np.swapaxes(roots, 1, 2), multipliers.Z) / cost
+    held = np.flatnonzero((multipliers.rows != 0.0) | feasible.equations)
+    rows, row_sizes = feasible.rows[held], scaling.row_sizes(feasible)[held]
+    # How ρ, in units of ε, changes with dy, dZ and dλ, which are the variables, and last ρ⁻.
+    parts = (
+        2.0 * problem.squared.matrix.T / np.sqrt(cost),
+        -slopes(problem, inverses, feasible.block_basis, feasible.block_links),
+        -(rows / row_sizes[:, None]).T,
+        np.zeros((len(size), len(size))),
+    )
+    J = np.hstack(parts) * size[:, None]
+    starts = np.cumsum([part.shape[1] for part in parts])
+    # What each variable costs; ρ⁺ = ρ + ρ⁻.
+    symmetric = symmetric_basis(feasible.size)
+    above, below = ((theta - feasible.lower) / size, (feasible.upper - theta) / size)
+    above, below = np.maximum(above, 0.0), np.maximum(below, 0.0)
+    F = congruent(inverses, feasible.matrices(theta))
+    directions = np.sign(multipliers.rows[held])
+    limits = np.where(directions > 0.0, feasible.row_lower[held], feasible.row_upper[held])
+    linear = above @ J
+    linear[starts[0] : starts[1]] += np.einsum("nij,aij->na", F, symmetric).ravel()
+    linear[starts[1] : starts[2]] += (rows @ theta - limits) / row_sizes
+    linear[starts[2] :] += above + below
+    squares = np.sqrt(unit) * np.eye(len(multipliers.y), J.shape[1])
+    short = (problem.squared.residual(theta) - multipliers.y) / np.sqrt(cost * unit)
+    # ρ⁻ and ρ⁺ are positive, and so is λ in its direction.
+    variables = np.eye(J.shape[1])
+    directed = np.flatnonzero(~feasible.equations[held])
+    signs = directions[directed, None] * variables[starts[1] + directed]
+    sizes = np.abs(multipliers.rows[held]) * row_sizes / cost
+    least = np.concatenate([np.zeros(len(size)), -rest, -sizes[directed]]) / unit
+    # Z + ε·dZ, each taken by its own eigenvectors to order one.
+    blocks = []
+    for n, each in enumerate(Z):
+        values, vectors = np.linalg.eigh(each)
+        K = (vectors / np.sqrt(np.maximum(values, unit))).T
+        index = starts[0] + n * len(symmetric) + np.arange(len(symmetric))
+        blocks.append(Matrix(index, unit * (K @ symmetric @ K.T), K @ each @ K.T))
+    solution = solve_conic(
+        ConicProgram(
             M=squares,
             m=-short,
-            cost=cost,
-            C=np.vstack([positive, J + positive, signs]),
-            lower=limits,
-            upper=np.full(len(limits), np.inf),
-            blocks=self._blocks(Z.start, symmetric),
-        )
+            cost=linear,
+            C=np.vstack([variables[starts[2] :], J + variables[starts[2] :], signs]),
+            lower=least,
+            upper=np.full(len(least), np.inf),
+            blocks=tuple(blocks),
+        ),
+        tolerance=_TOLERANCE,
+    )
+    if solution.x is None:
+        return multipliers
+    dy, dZ, dl, _ = np.split(unit * solution.x, starts[:-1])
+    Z = Z + np.einsum("na,aij->nij", dZ.reshape(len(Z), len(symmetric)), symmetric)
+    found = np.array(multipliers.rows)
+    found[held] += cost * dl / row_sizes
+    return replace(
+        multipliers,
+        y=multipliers.y + np.sqrt(cost) * dy,
+        Z=clip_psd(cost * congruent(np.swapaxes(inverses, 1, 2), Z)),
+        rows=found,
+    )
 
-    def _derivative(self) -> Array:
-        """Return how ρ, in units of ε, changes with dy, dZ and dλ; ρ⁻ changes nothing."""
-        problem, feasible, scaling = self.problem, self.problem.feasible, self.scaling
-        y, Z, rows, left = self._split()
-        symmetric = symmetric_basis(feasible.size)
-        J = np.zeros((problem.n_theta, left.stop))
-        J[:, y] = 2.0 * problem.squared.matrix.T / np.sqrt(scaling.cost)
-        scaled = self.inverses[:, None] @ feasible.block_basis
-        scaled = scaled @ np.swapaxes(self.inverses, 1, 2)[:, None]
-        moved = np.einsum("aij,nkij->nka", symmetric, scaled)
-        for n, link in enumerate(feasible.block_links):
-            first = Z.start + n * len(symmetric)
-            J[10 * link : 10 * link + 10, first : first + len(symmetric)] = -moved[n]
-        J[:, rows] = -(feasible.rows[self.rows] / self._row_sizes()[:, None]).T
-        return J * scaling.theta[:, None]
 
-    def _row_sizes(self) -> Array:
-        return self.scaling.row_sizes(self.problem.feasible)[self.rows]
-
-    def _slacks(self) -> Array:
-        """Return by how much the rows with multipliers are above the limits that these hold."""
-        feasible, chosen = self.problem.feasible, self.rows
-        at_lower = self.multipliers.rows[chosen] > 0.0
-        limits = np.where(at_lower, feasible.row_lower[chosen], feasible.row_upper[chosen])
-        return np.asarray((feasible.rows[chosen] @ self.theta - limits) / self._row_sizes())
-
-    def _blocks(self, first: int, symmetric: Array) -> tuple[Matrix, ...]:
-        """Return Z + ε·dZ, each taken by its own eigenvectors to order one."""
-        out = []
-        for n, Z in enumerate(self.Z):
-            values, vectors = np.linalg.eigh(Z)
-            K = (vectors / np.sqrt(np.maximum(values, self.unit))).T
-            index = first + n * len(symmetric) + np.arange(len(symmetric))
-            out.append(Matrix(index, self.unit * (K @ symmetric @ K.T), K @ Z @ K.T))
-        return tuple(out)
-
-    def corrected(self, solution: ConicSolution) -> Multipliers:
-        """Return the multipliers with the corrections of a solution that has a point."""
-        multipliers, cost = self.multipliers, self.scaling.cost
-        step = self.unit * np.asarray(solution.x)
-        y, Z, rows, _ = self._split()
-        symmetric = symmetric_basis(self.Z.shape[-1])
-        moved = np.einsum("na,aij->nij", step[Z].reshape(len(self.Z), len(symmetric)), symmetric)
-        corrected = np.swapaxes(self.inverses, 1, 2) @ (self.Z + moved) @ self.inverses
-        found = np.array(multipliers.rows)
-        found[self.rows] += cost * step[rows] / self._row_sizes()
-        return replace(
-            multipliers,
-            y=multipliers.y + np.sqrt(cost) * step[y],
-            Z=clip_psd(cost * corrected),
-            rows=found,
-        )
+def slopes(problem: Problem, T: Array, basis: Array, links: Indices) -> Array:
+    """Return how c falls with ``T^T·D·T`` in place of each Z, (p, N·s·(s+1)/2), by D's entries."""
+    symmetric = symmetric_basis(basis.shape[-1])
+    out = np.zeros((len(T), len(symmetric), problem.n_theta))
+    values = np.einsum("aij,nkij->nak", symmetric, congruent(T[:, None], basis))
+    for n, link in enumerate(links):
+        out[n, :, 10 * link : 10 * link + 10] = values[n]
+    return out.reshape(-1, problem.n_theta).T

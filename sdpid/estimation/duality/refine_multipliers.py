@@ -6,28 +6,33 @@ the solver gives too, and zero in every parameter without one. That is a linear 
 all multipliers; the matrices among them change as ``S·(E + D)·S``, S being the square root of Z
 smoothed so that its null space can take part. As long as D is above −E the result is positive
 semidefinite; where it is not, it is clipped, and another round takes the rest.
+
+Corrections by a program (`sdpid.estimation.duality.correct_multipliers`) cannot take its place: of
+24 robots of a catalogue they alone leave 13 unproven, most with an entropic prior, both together
+one. On 15 problems of five real arms they alone prove all.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array
 from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.duality.bound import (
     PROVEN,
     TARGET_GAP,
     Bound,
+    Multipliers,
     bound_of,
     clip_psd,
     relative_gap,
+    support,
 )
-from sdpid.estimation.duality.correct_multipliers import corrected_multipliers
-from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.duality.correct_multipliers import corrected_multipliers, slopes
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import pseudo_inertia
 
 # How far the null space of a multiplier may take part in refining it, relative to its largest
@@ -128,12 +133,12 @@ def refine_multipliers(
         Go through all rounds, even where they do not seem to help.
     """
     best = bound_of(problem, multipliers)
-    system = _System.of(problem, Scaling.of(problem).around(np.array(theta)))
+    scaling = Scaling.of(problem).around(np.array(theta))
     for first in _SMOOTHING:
         trial, smoothing = multipliers, first
         last = -np.inf
         for _ in range(_ROUNDS):
-            trial = system.refined(trial, smoothing)
+            trial = _refined(problem, scaling, trial, smoothing)
             bound = bound_of(problem, trial)
             if not np.isfinite(bound.value):
                 break
@@ -150,145 +155,67 @@ def _value(bound: Bound) -> float:
     return bound.value
 
 
-@dataclass(frozen=True, eq=False)
-class _System:
-    """What does not change from round to round.
+def _refined(
+    problem: Problem, scaling: Scaling, multipliers: Multipliers, smoothing: float
+) -> Multipliers:
+    """Return the multipliers after one round."""
+    from scipy.linalg import lstsq
 
-    Attributes
-    ----------
-    problem : Problem
-        The problem.
-    scaling : Scaling
-        Its units.
-    basis : ndarray, shape (p, p)
-        From scaled coordinates to theta.
-    inverses : ndarray, shape (N, s, s)
-        From the matrices of the inequalities to scaled ones.
-    tangent_inverses : ndarray, shape (L, 4, 4)
-        The same of the pseudo-inertias that a log-det prior sees.
-    GT : ndarray, shape (p, rows of `Problem.squared`)
-        Derivative of c in y, for a unit cost.
-    row_scale : ndarray, shape (r,)
-        Sizes of the linear rows.
-    """
-
-    problem: Problem
-    scaling: Scaling
-    basis: Array
-    inverses: Array
-    tangent_inverses: Array
-    GT: Array
-    row_scale: Array
-
-    @classmethod
-    def of(cls, problem: Problem, scaling: Scaling) -> _System:
-        feasible = problem.feasible
-        believed = np.asarray(np.linalg.inv(scaling.roots(4)[problem.log_det.links]))
-        return cls(
-            problem=problem,
-            scaling=scaling,
-            basis=scaling.basis(),
-            inverses=np.asarray(np.linalg.inv(scaling.block_roots(feasible))),
-            tangent_inverses=believed,
-            GT=2.0 * problem.squared.matrix.T / np.sqrt(scaling.cost),
-            row_scale=scaling.row_sizes(feasible),
-        )
-
-    def refined(self, multipliers: Multipliers, smoothing: float) -> Multipliers:
-        """Return the multipliers after one round."""
-        from scipy.linalg import lstsq
-
-        problem, scaling, feasible = self.problem, self.scaling, self.problem.feasible
-        unit = float(np.sqrt(scaling.cost))
-        Z = _Smoothed.of(multipliers.Z, self.inverses, scaling.cost, smoothing)
-        columns = [
-            _columns(Z.S, self.inverses, feasible.block_basis, feasible.block_links, problem)
-        ]
-        missing = feasible.adjoint(Z.full())
-        parts = [Z]
-        log_det = problem.log_det
-        W = _Smoothed.of(multipliers.W, self.tangent_inverses, 1.0, 0.0)
-        basis = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(W.S), 10, 4, 4))
-        moved = _columns(W.S, self.tangent_inverses, basis, log_det.links, problem)
-        columns.append(2.0 * log_det.strength / scaling.cost * moved)
-        missing = missing - log_det.support(multipliers.W)[1]
-        parts.append(W)
-        bounded = np.flatnonzero(multipliers.bounds_included)
-        mu = multipliers.bounds
-        missing = (missing + mu + multipliers.rows @ feasible.rows) / scaling.cost
-        missing = missing - 2.0 * problem.squared.transposed(multipliers.y) / scaling.cost
-        scale_y = max(float(np.linalg.norm(multipliers.y)) / unit, 1e-3)
-        relax = np.eye(problem.n_theta)[:, bounded]
-        relax = relax * (np.abs(mu[bounded]) / scaling.cost + smoothing / scaling.theta[bounded])
-        # A limit without a multiplier takes no part: its side is not known.
-        size = (
-            np.abs(multipliers.rows) / scaling.cost
-            + smoothing * feasible.equations / self.row_scale
-        )
-        system = np.hstack(
-            [self.GT * scale_y, *(-block for block in columns), -relax, -feasible.rows.T * size]
-        )
-        # Smallest solution by pivoted QR: ten times faster than by singular values.
-        step = lstsq(
-            self.basis.T @ system,
-            self.basis.T @ missing,
-            cond=_CUT,
-            lapack_driver="gelsy",
-            check_finite=False,
-        )[0]
-        at = len(multipliers.y)
-        results = []
-        for part, block in zip(parts, columns, strict=True):
-            results.append(part.moved(step[at : at + block.shape[1]]))
-            at += block.shape[1]
-        return replace(
-            multipliers,
-            y=multipliers.y + scale_y * unit * step[: len(multipliers.y)],
-            Z=clip_psd(results[0]),
-            rows=multipliers.rows + scaling.cost * size * step[at + len(bounded) :],
-            W=results[1],
-        )
+    feasible, log_det, cost = problem.feasible, problem.log_det, scaling.cost
+    unit, y, mu = float(np.sqrt(cost)), multipliers.y, multipliers.bounds
+    inverses = scaling.inverses(feasible)
+    believed = np.asarray(np.linalg.inv(scaling.roots(4)[log_det.links]))
+    S = _smoothed(multipliers.Z, inverses, cost, smoothing)
+    V = _smoothed(multipliers.W, believed, 1.0, 0.0)
+    transposed = np.swapaxes(inverses, 1, 2), np.swapaxes(believed, 1, 2)
+    full = replace(multipliers, Z=cost * congruent(transposed[0], S @ S))
+    missing = (mu - support(problem, full)[1]) / cost
+    bounded = np.flatnonzero(multipliers.bounds_included)
+    relax = np.eye(problem.n_theta)[:, bounded]
+    relax = relax * (np.abs(mu[bounded]) / cost + smoothing / scaling.theta[bounded])
+    # A limit without a multiplier takes no part: its side is not known.
+    row_sizes = scaling.row_sizes(feasible)
+    size = np.abs(multipliers.rows) / cost + smoothing * feasible.equations / row_sizes
+    scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
+    units = pseudo_inertia(np.eye(10))
+    parts = (
+        problem.squared.matrix.T * (2.0 * scale_y / unit),
+        -slopes(problem, S @ inverses, feasible.block_basis, feasible.block_links),
+        -2.0 * log_det.strength / cost * slopes(problem, V @ believed, units, log_det.links),
+        -relax,
+        -feasible.rows.T * size,
+    )
+    basis = scaling.basis()
+    # Smallest solution by pivoted QR: ten times faster than by singular values.
+    step = lstsq(
+        basis.T @ np.hstack(parts),
+        basis.T @ missing,
+        cond=_CUT,
+        lapack_driver="gelsy",
+        check_finite=False,
+    )[0]
+    steps = np.split(step, np.cumsum([part.shape[1] for part in parts[:-1]]))
+    return replace(
+        multipliers,
+        y=y + scale_y * unit * steps[0],
+        Z=clip_psd(cost * congruent(transposed[0], _moved(S, steps[1]))),
+        rows=multipliers.rows + cost * size * steps[4],
+        W=congruent(transposed[1], _moved(V, steps[2])),
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class _Smoothed:
-    """Positive semidefinite matrices in scaled units, and the roots that changes go through."""
-
-    S: Array
-    inverses: Array
-    cost: float
-
-    @classmethod
-    def of(cls, Z: Array, inverses: Array, cost: float, smoothing: float) -> _Smoothed:
-        D = np.linalg.inv(inverses)
-        scaled = np.swapaxes(D, 1, 2) @ Z @ D / cost
-        values, vectors = np.linalg.eigh(scaled)
-        values = np.maximum(values, 0.0)
-        values = values + smoothing * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
-        S = (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-        return cls(np.asarray(S), inverses, cost)
-
-    def full(self) -> Array:
-        """Return the matrices in their own units."""
-        return np.asarray(
-            self.cost * np.swapaxes(self.inverses, 1, 2) @ self.S @ self.S @ self.inverses
-        )
-
-    def moved(self, step: Array) -> Array:
-        """Return them changed by coordinates of D in ``S·(E + D)·S``."""
-        symmetric = symmetric_basis(self.S.shape[-1])
-        D = np.einsum("na,aij->nij", step.reshape(len(self.S), len(symmetric)), symmetric)
-        changed = clip_psd(self.S @ self.S + self.S @ D @ self.S)
-        return np.asarray(self.cost * np.swapaxes(self.inverses, 1, 2) @ changed @ self.inverses)
+def _smoothed(Z: Array, inverses: Array, cost: float, smoothing: float) -> Array:
+    """Return the roots S of matrices in scaled units, which changes go through."""
+    values, vectors = np.linalg.eigh(
+        congruent(np.swapaxes(np.linalg.inv(inverses), 1, 2), Z) / cost
+    )
+    values = np.maximum(values, 0.0)
+    values = values + smoothing * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
+    return np.asarray((vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
-def _columns(S: Array, inverses: Array, basis: Array, links: Indices, problem: Problem) -> Array:
-    """Return how c changes with the coordinates of D of each matrix, (p, N·s·(s+1)/2)."""
+def _moved(S: Array, step: Array) -> Array:
+    """Return ``S·(E + D)·S`` for coordinates of D, clipped."""
     symmetric = symmetric_basis(S.shape[-1])
-    out = np.zeros((len(S), len(symmetric), problem.n_theta))
-    scaled = inverses[:, None] @ basis @ np.swapaxes(inverses, 1, 2)[:, None]
-    moved = S[:, None] @ symmetric @ S[:, None]
-    values = np.einsum("naij,nkij->nak", moved, scaled)
-    for n, link in enumerate(links):
-        out[n, :, 10 * link : 10 * link + 10] = values[n]
-    return out.reshape(-1, problem.n_theta).T
+    D = np.einsum("na,aij->nij", step.reshape(len(S), len(symmetric)), symmetric)
+    return clip_psd(S @ S + S @ D @ S)

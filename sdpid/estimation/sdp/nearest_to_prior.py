@@ -17,7 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
-from sdpid.estimation.coordinates import Coordinates
+from sdpid.estimation.coordinates import Coordinates, Limits
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import SdpProgram
@@ -127,27 +127,17 @@ def _step(
     scaling: Scaling,
 ) -> ConicSolution:
     """Return the step along the null directions that brings theta nearest."""
-    feasible = problem.feasible
-    coordinates = Coordinates(theta, null)
-    inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
-    blocks = coordinates.inequalities(feasible, inverses, slack=_SLACK)
-    bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
-    scale = scaling.theta[bounded][:, None]
-    unequal = coordinates.limited(problem, scaling)
-    rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal][:, None]
-    C = np.vstack([null[bounded] / scale, rows @ null / sizes])
-    here = np.concatenate([theta[bounded], rows @ theta])
-    scale = np.concatenate([scale, sizes])[:, 0]
-    lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
-    upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
+    feasible, coordinates = problem.feasible, Coordinates(theta, null)
+    limits = Limits.of(problem, scaling, coordinates, feasible.bounded)
+    blocks = coordinates.inequalities(feasible, scaling, slack=_SLACK)
     return solve_conic(
         ConicProgram(
             M=distance[:, :-1],
             m=distance[:, -1],
-            C=C,
+            C=limits.C,
             # Where theta is outside by rounding it need not come back.
-            lower=np.minimum(lower - here, 0.0) / scale,
-            upper=np.maximum(upper - here, 0.0) / scale,
+            lower=np.minimum(limits.lower, 0.0),
+            upper=np.maximum(limits.upper, 0.0),
             blocks=tuple(block for block in blocks if len(block.index)),
         )
     )

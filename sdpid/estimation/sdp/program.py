@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask, frozen
-from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, Matrix
-from sdpid.estimation.coordinates import FIXED, Coordinates
-from sdpid.estimation.duality.bound import clip_psd
-from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid._common.arrays import Array, Mask, frozen
+from sdpid.errors import SolverError
+from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, ConicSolution
+from sdpid.estimation.coordinates import FIXED, Coordinates, Limits
+from sdpid.estimation.duality.bound import Multipliers, clip_psd
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.wls import solve_wls
-from sdpid.robot.inertia import pseudo_inertia
+from sdpid.estimation.scaling import Scaling, congruent
 
-
-def best_fit(problem: Problem, scaling: Scaling) -> Array:
-    """Return standard parameters whose base parameters fit best, smallest in scaled size."""
-    basis = scaling.basis()
-    if problem.prior is not None:
-        squared = problem.squared
-        scaled = squared.matrix @ basis
-        return np.asarray(basis @ np.linalg.lstsq(scaled, squared.rhs, rcond=None)[0])
-    target = solve_wls(problem).base
-    return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
+# Of programs that are solved for other data, in units of the cost: far below what is proven (1e-6),
+# and reached without wasting iterations.
+_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +31,12 @@ class SdpProgram:
         The units.
     coordinates : Coordinates
         From x to theta.
-    bounded : ndarray of int
-        The parameters whose bounds are part of the program.
     bounds_included : ndarray of bool, shape (p,)
-        Those of them whose bounds are the problem's.
-    moving : ndarray of int
+        Parameters whose bounds are part of the program, where x can change them.
+    limits : Limits
+        Of these and of the rows.
+    moving : tuple of int
         The matrix inequalities that x can change.
-    inverses : ndarray, shape (N, s, s)
-        From matrices to scaled ones.
     conic : ConicProgram
         The program.
     """
@@ -55,10 +44,9 @@ class SdpProgram:
     problem: Problem
     scaling: Scaling
     coordinates: Coordinates
-    bounded: Indices
     bounds_included: Mask
-    moving: Indices
-    inverses: Array
+    limits: Limits
+    moving: tuple[int, ...]
     conic: ConicProgram
 
     @classmethod
@@ -86,53 +74,62 @@ class SdpProgram:
         proximal_weight : float, optional
             Weight of ‖x‖² beside the cost.
         """
-        feasible = problem.feasible
-        x, origin = coordinates.directions, coordinates.origin
-        unit = np.sqrt(scaling.cost)
-        M, m = problem.squared.matrix @ x / unit, problem.squared.residual(origin) / unit
+        n = coordinates.directions.shape[1]
+        M, m = _squares(problem, coordinates, scaling.cost)
         if proximal_weight > 0.0:
-            M = np.vstack([M, np.sqrt(proximal_weight) * np.eye(x.shape[1])])
-            m = np.concatenate([m, np.zeros(x.shape[1])])
-        bounded = np.flatnonzero(bounds_included & np.any(x != 0.0, axis=1))
-        size = scaling.theta[bounded]
-        unequal = coordinates.limited(problem, scaling)
-        rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal]
-        C = [x[bounded] / size[:, None], rows @ x / sizes[:, None]]
-        lower = [
-            (feasible.lower - origin)[bounded] / size,
-            (feasible.row_lower[unequal] - rows @ origin) / sizes,
-        ]
-        upper = [
-            (feasible.upper - origin)[bounded] / size,
-            (feasible.row_upper[unequal] - rows @ origin) / sizes,
-        ]
-        inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
-        blocks = coordinates.inequalities(feasible, inverses)
+            M = np.vstack([M, np.sqrt(proximal_weight) * np.eye(n)])
+            m = np.concatenate([m, np.zeros(n)])
+        limits = Limits.of(problem, scaling, coordinates, bounds_included)
+        blocks = coordinates.inequalities(problem.feasible, scaling)
         moving = [
             i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > FIXED
         ]
-        cost, log_dets, weight = _log_dets(problem, scaling, coordinates)
+        term = problem.log_det
         conic = ConicProgram(
             M=M,
             m=m,
-            cost=cost,
-            C=np.vstack(C),
-            lower=np.concatenate(lower),
-            upper=np.concatenate(upper),
+            cost=(term.trace_slope() / scaling.cost) @ coordinates.directions,
+            C=limits.C,
+            lower=limits.lower,
+            upper=limits.upper,
             blocks=tuple(blocks[i] for i in moving),
-            log_dets=log_dets,
-            weight=weight,
+            log_dets=tuple(coordinates.pseudo_inertias(scaling, term.links)),
+            weight=2.0 * term.strength / scaling.cost,
         )
-        return cls(
-            problem,
-            scaling,
-            coordinates,
-            bounded,
-            bounds_included,
-            np.array(moving, dtype=np.intp),
-            inverses,
-            conic,
-        )
+        return cls(problem, scaling, coordinates, bounds_included, limits, tuple(moving), conic)
+
+    @classmethod
+    def about(
+        cls, problem: Problem, theta: Array, cost: float, bounds_included: Mask
+    ) -> SdpProgram:
+        """Build a program in the units of the description, about a solution.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        theta : ndarray, shape (p,)
+            A solution.
+        cost : float
+            What it costs: the unit of the cost, where it is not smaller than the scaling's own.
+        bounds_included : ndarray of bool, shape (p,)
+            Parameters whose bounds are part of the program: at least `FeasibleSet.bounded`.
+
+        Raises
+        ------
+        SolverError
+            When the equations among the constraints contradict each other.
+        """
+        scaling = Scaling.of(problem)
+        scaling = replace(scaling, cost=max(scaling.cost, cost))
+        coordinates = Coordinates.of(problem, scaling.basis(), theta)
+        if coordinates is None:
+            raise SolverError(
+                f"'{problem.robot.name}': the equations among the constraints contradict each "
+                "other.",
+                problem=problem,
+            )
+        return cls.build(problem, scaling, coordinates, bounds_included)
 
     def theta(self, solution: ConicSolution) -> Array:
         """Return the standard parameters of a solution that has a point."""
@@ -145,54 +142,86 @@ class SdpProgram:
         is smaller by orders than with the residual at theta, the point moved inside.
         """
         problem, feasible, scaling = self.problem, self.problem.feasible, self.scaling
-        count = len(self.bounded)
-        bounds = np.zeros(problem.n_theta)
-        included = np.zeros(problem.n_theta, dtype=bool)
-        bounds[self.bounded] = scaling.cost * solution.rows[:count] / scaling.theta[self.bounded]
-        included[self.bounded] = True
-        rows = np.zeros(len(feasible.rows))
-        unequal = self.coordinates.limited(problem, scaling)
-        rows[unequal] = scaling.cost * solution.rows[count:] / scaling.row_sizes(feasible)[unequal]
+        bounds, rows = self.limits.split(scaling.cost * solution.rows / self.limits.sizes)
         Z = np.zeros_like(feasible.block_constants)
-        for i, dual in zip(self.moving, solution.blocks, strict=True):
-            Z[i] = scaling.cost * self.inverses[i].T @ dual @ self.inverses[i]
-        Z = clip_psd(Z)
-        if np.any(feasible.equations):
-            rows[feasible.equations] = self._of_equations(theta, Z, bounds, rows)
+        Z[list(self.moving)] = np.reshape(solution.blocks, (-1, *Z.shape[1:]))
+        transposed = np.swapaxes(scaling.inverses(feasible), 1, 2)
+        Z = clip_psd(scaling.cost * congruent(transposed, Z))
         y = problem.squared.residual(theta)
         if len(solution.residual) >= len(y):
             y = np.asarray(solution.residual[: len(y)] * np.sqrt(scaling.cost))
         exists = np.isfinite(problem.log_det.value(theta))
+        if np.any(feasible.equations):
+            # What the others leave of the gradient.
+            left = problem.gradient(theta) - feasible.adjoint(Z) - bounds - rows @ feasible.rows
+            basis = scaling.basis()
+            equations = feasible.rows[feasible.equations] @ basis
+            rows[feasible.equations] = np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0]
         return Multipliers(
             y=frozen(y),
             Z=frozen(Z),
             rows=frozen(rows),
             W=problem.log_det.multiplier(theta) if exists else problem.log_det.inverses,
             bounds=frozen(bounds),
-            bounds_included=included,
+            bounds_included=np.isin(np.arange(problem.n_theta), self.limits.chosen),
         )
 
-    def _of_equations(self, theta: Array, Z: Array, bounds: Array, rows: Array) -> Array:
-        """Return the multipliers of the equations: what the others leave of the gradient."""
-        problem, feasible = self.problem, self.problem.feasible
-        left = problem.gradient(theta) - feasible.adjoint(Z)
-        left = left - bounds - rows @ feasible.rows
-        basis = self.scaling.basis()
-        equations = feasible.rows[feasible.equations] @ basis
-        return np.asarray(np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0])
+
+@dataclass(frozen=True, eq=False)
+class ReusableProgram:
+    """A program that takes other data; it holds no samples, and is small enough to be sent away.
+
+    Attributes
+    ----------
+    program : SdpProgram
+        The program, without the rows of its problem.
+    family : ConicFamily
+        Its form, of which only the numbers of the squares change.
+    """
+
+    program: SdpProgram
+    family: ConicFamily
+
+    @classmethod
+    def of(cls, program: SdpProgram) -> ReusableProgram:
+        """Keep what a program needs to be solved for other data."""
+        problem, base = program.problem.without_rows(), program.problem.base
+        pattern = program.conic.M != 0.0
+        # Any data mix the rows of the base parameters.
+        pattern[: base.count] = np.any(base.matrix @ program.coordinates.directions, axis=0)
+        family = ConicFamily(program.conic, pattern=pattern, tolerance=_TOLERANCE)
+        return cls(replace(program, problem=problem), family)
+
+    def solve(
+        self, A: Array, rhs: Array, *, cost: float | None = None, regularization: float
+    ) -> ConicSolution:
+        """Solve with the cost ``‖A @ base − rhs‖²`` of other data.
+
+        Parameters
+        ----------
+        A, rhs : ndarray, shapes (b, b) and (b,)
+            Compressed data.
+        cost : float, optional
+            Another unit of the cost; not with a log-det prior.
+        regularization : float
+            Of Clarabel.
+        """
+        problem = replace(self.program.problem, A=A, rhs=rhs)
+        unit = self.program.scaling.cost if cost is None else cost
+        squares = _squares(problem, self.program.coordinates, unit)
+        return self.family.solve(squares=squares, regularization=regularization)
+
+    def inside(self, theta: Array) -> Mask:
+        """Return which parameters (p,) are within their bounds, which the program need not have.
+
+        Those that it has are met but for rounding.
+        """
+        feasible = self.program.problem.feasible
+        within = (theta >= feasible.lower) & (theta <= feasible.upper)
+        return np.asarray(self.program.bounds_included | within)
 
 
-def _log_dets(
-    problem: Problem, scaling: Scaling, coordinates: Coordinates
-) -> tuple[Array, tuple[Matrix, ...], float]:
-    """Return linear cost, matrices and weight of the log-det term."""
-    term = problem.log_det
-    inverses = np.linalg.inv(scaling.roots(4)[term.links])
-    units = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(inverses), 10, 4, 4))
-    matrices = coordinates.matrices(
-        np.zeros_like(inverses),
-        inverses[:, None] @ units @ np.swapaxes(inverses, 1, 2)[:, None],
-        term.links,
-    )
-    slope = term.trace_slope() / scaling.cost
-    return slope @ coordinates.directions, tuple(matrices), 2.0 * term.strength / scaling.cost
+def _squares(problem: Problem, coordinates: Coordinates, cost: float) -> tuple[Array, Array]:
+    """Return M and m of the squares of a problem, in units of a cost."""
+    unit, term = np.sqrt(cost), problem.squared
+    return term.matrix @ coordinates.directions / unit, term.residual(coordinates.origin) / unit

@@ -18,7 +18,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.infeasibility import explained, require_consistent
 from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
-from sdpid.estimation.sdp.program import SdpProgram, best_fit
+from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.repair import repair
 
 # Choosing among the optimal points may cost this share of the cost.
@@ -134,7 +134,9 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     except InfeasibleError as error:
         error.problem = problem
         raise
-    search = _Search.of(problem, verbose=verbose)
+    scaling = Scaling.of(problem)
+    start = scaling, _described(problem, scaling)
+    search = _Search(problem, verbose, (start, start), problem.feasible.bounded)
     for attempt in (*_ATTEMPTS, *_AGAIN):
         search.try_once(attempt)
         if search.proven:
@@ -153,10 +155,9 @@ class _Search:
         The problem.
     verbose : bool
         Whether the solver prints.
-    scaling, around : Scaling
-        Units of the description's links, and of those found last.
-    described, reference : ndarray, shape (p,)
-        Where attempts are measured from: the description's links, and those found last.
+    starts : pair of (Scaling, ndarray)
+        Units and where attempts are measured from: by the description's links, and by those found
+        last.
     bounds_included : ndarray of bool, shape (p,)
         Parameters whose bounds the solver is given.
     seconds, iterations, status
@@ -169,24 +170,13 @@ class _Search:
 
     problem: Problem
     verbose: bool
-    scaling: Scaling
-    around: Scaling
-    described: Array
-    reference: Array
+    starts: tuple[tuple[Scaling, Array], tuple[Scaling, Array]]
     bounds_included: Mask
     seconds: float = 0.0
     iterations: int = 0
     status: str = ""
     best: Estimate | None = None
     bound: Bound | None = None
-
-    @classmethod
-    def of(cls, problem: Problem, *, verbose: bool) -> _Search:
-        """Begin at the links of the description."""
-        scaling = Scaling.of(problem)
-        described = _described(problem, scaling)
-        bounds_included = problem.feasible.bounded
-        return cls(problem, verbose, scaling, scaling, described, described, bounds_included)
 
     @property
     def gap(self) -> float:
@@ -205,7 +195,17 @@ class _Search:
     def try_once(self, attempt: _Attempt) -> None:
         """Solve once, and keep what is better than before."""
         problem = self.problem
-        program = self._program(attempt)
+        scaling, center = self.starts[attempt.warm_started]
+        coordinates = Coordinates.of(problem, scaling.basis(), center)
+        if coordinates is None:
+            raise explained(problem)
+        program = SdpProgram.build(
+            problem,
+            scaling,
+            coordinates,
+            self.bounds_included,
+            proximal_weight=attempt.proximal_weight,
+        )
         solution = solve_conic(
             program.conic, regularization=attempt.regularization, verbose=self.verbose
         )
@@ -240,21 +240,6 @@ class _Search:
             )
         )
 
-    def _program(self, attempt: _Attempt) -> SdpProgram:
-        """Return the problem in the units of an attempt, measured from its center."""
-        scaling = self.around if attempt.warm_started else self.scaling
-        center = self.reference if attempt.warm_started else self.described
-        coordinates = Coordinates.of(self.problem, scaling.basis(), center)
-        if coordinates is None:
-            raise explained(self.problem)
-        return SdpProgram.build(
-            self.problem,
-            scaling,
-            coordinates,
-            self.bounds_included,
-            proximal_weight=attempt.proximal_weight,
-        )
-
     def _keep(self, estimate: Estimate) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
         bound = self._bound(estimate, exhaustive=PROVEN < self.gap < _NEARLY)
@@ -265,20 +250,15 @@ class _Search:
         if self.proven:
             return
         # From now on count the cost in units of itself.
-        self._count_in(max(self.scaling.cost, self.best.cost))
-        self.reference = np.array(self.best.theta)
-        self.around = self.scaling.around(self.reference)
+        scaling, center = self.starts[0]
+        scaling = replace(scaling, cost=max(scaling.cost, self.best.cost))
+        found = np.array(self.best.theta)
+        self.starts = (scaling, center), (scaling.around(found), found)
 
-    def _bound(self, estimate: Estimate, *, exhaustive: bool = False) -> Bound:
+    def _bound(self, estimate: Estimate, *, exhaustive: bool) -> Bound:
         """Return the bound that an estimate's multipliers prove."""
-        theta = np.array(estimate.theta)
-        return lower_bound(
-            self.problem, theta, estimate.proof, estimate.cost, exhaustive=exhaustive
-        )
-
-    def _count_in(self, cost: float) -> None:
-        self.scaling = replace(self.scaling, cost=cost)
-        self.around = replace(self.around, cost=cost)
+        theta, cost = np.array(estimate.theta), estimate.cost
+        return lower_bound(self.problem, theta, estimate.proof, cost, exhaustive=exhaustive)
 
     def result(self) -> tuple[Estimate, Bound]:
         """Return the optimum and its proof.
@@ -288,18 +268,18 @@ class _Search:
         SolverError
             When what was found is none; InfeasibleError when the constraints are to blame.
         """
-        if self.best is not None and self.bound is not None and self.gap > PROVEN:
-            refined = self._bound(self.best, exhaustive=True)
-            self.bound = max(self.bound, refined, key=lambda each: each.value)
         if self.best is not None and self.bound is not None:
+            if self.gap > PROVEN:
+                refined = self._bound(self.best, exhaustive=True)
+                self.bound = max(self.bound, refined, key=lambda each: each.value)
             self.best = replace(
                 self.best,
                 multipliers=self.bound.multipliers,
                 iterations=self.iterations,
                 solve_time=self.seconds,
             )
-        if self.proven and self.best is not None and self.bound is not None:
-            return self.best, self.bound
+            if self.proven:
+                return self.best, self.bound
         if self.problem.constraints.others:
             require_consistent(self.problem)
         found = "nothing"
@@ -324,7 +304,8 @@ def _better(first: Estimate, second: Estimate) -> bool:
 
 def _described(problem: Problem, scaling: Scaling) -> Array:
     """Return the links that the scaling is about, with the friction that fits best."""
-    fit = best_fit(problem, scaling)
+    basis, squared = scaling.basis(), problem.squared
+    fit = basis @ np.linalg.lstsq(squared.matrix @ basis, squared.rhs, rcond=None)[0]
     return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
 
 
