@@ -5,7 +5,6 @@ of your own is a `Condition` whose `compile` returns rows and cones.
 """
 
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
-from sdpid.estimation.constraints.equal_friction import EqualFriction, equal_friction
 from sdpid.estimation.constraints.equalities import (
     EqualLinks,
     Fixed,
@@ -20,7 +19,7 @@ from sdpid.estimation.constraints.mass import (
     MassInEllipsoid,
     TotalMass,
 )
-from sdpid.estimation.constraints.mirrored_links import mirror_pairs
+from sdpid.estimation.constraints.pairs import EqualFriction, equal_friction, mirror_pairs
 
 __all__ = [
     "CenterOfMassInBox",

@@ -448,7 +448,7 @@ class Estimation:
                 f"--mirror-within {self.mirror_within}: is a part of the prior, and beside {other} "
                 "it says nothing; leave one of them out."
             )
-        from sdpid.estimation.constraints.mirrored_links import mirror_pairs
+        from sdpid.estimation.constraints.pairs import mirror_pairs
         from sdpid.estimation.prior.prior import Prior
 
         within = share(self.mirror_within, "--mirror-within")
@@ -477,11 +477,11 @@ class Estimation:
                 )
             yield TotalMass(mass, tolerance=tolerance[0] if tolerance else 0.0)
         if self.mirror:
-            from sdpid.estimation.constraints.mirrored_links import mirror_pairs
+            from sdpid.estimation.constraints.pairs import mirror_pairs
 
             yield from mirror_pairs(robot)
         if self.mirror_friction is not None:
-            from sdpid.estimation.constraints.equal_friction import equal_friction
+            from sdpid.estimation.constraints.pairs import equal_friction
 
             yield from equal_friction(
                 robot, within=share(self.mirror_friction, "--mirror-friction")

@@ -123,7 +123,8 @@ class Scaling:
         bodies = np.abs(self.bodies[feasible.block_links[feasible.n_own :]])
         # The size of a cone is that of its axis; of the terms, should they cancel.
         scale = np.einsum("nk,nk->n", np.abs(cones), bodies)
-        rest = np.sqrt(np.maximum(scale, np.finfo(float).tiny))[:, None, None] * np.eye(size)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        rest = np.sqrt(scale)[:, None, None] * np.eye(size)
         return np.concatenate([own, rest])
 
     def inverses(self, feasible: FeasibleSet) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 
 from sdpid._common.tables import plain
 from sdpid.estimation.constraints.condition import Condition
-from sdpid.estimation.constraints.equal_friction import EqualFriction
 from sdpid.estimation.constraints.equalities import (
     EqualLinks,
     Fixed,
@@ -25,6 +24,7 @@ from sdpid.estimation.constraints.mass import (
     MassInEllipsoid,
     TotalMass,
 )
+from sdpid.estimation.constraints.pairs import EqualFriction
 from sdpid.robot.model.geometry import collision_points
 from sdpid.robot.model.model import RobotModel
 

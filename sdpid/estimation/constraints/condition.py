@@ -118,12 +118,8 @@ class Layout:
         ModelError
             When the robot has no such link.
         """
-        if name not in self.robot.link_names:
-            raise ModelError(
-                f"constraints: '{self.robot.name}' has no link '{name}'; its links are "
-                f"{', '.join(self.robot.link_names)}."
-            )
-        return self.robot.link_names.index(name)
+        names = self.robot.link_names
+        return _place(name, names, f"'{self.robot.name}' has no link '{name}'; its links are")
 
     def parameter(self, name: str) -> int:
         """Return the index of a standard parameter in theta.
@@ -133,18 +129,20 @@ class Layout:
         ModelError
             When there is no such parameter.
         """
-        if name not in self.names:
-            raise ModelError(
-                f"constraints: no standard parameter is called '{name}'; there are "
-                f"{', '.join(self.names)}."
-            )
-        return self.names.index(name)
+        return _place(name, self.names, f"no standard parameter is called '{name}'; there are")
 
     def body(self, link: int, coefficients: Array) -> Array:
         """Return coefficients (..., 10) of one link as coefficients (..., p) of theta."""
         out = np.zeros((*coefficients.shape[:-1], self.count))
         out[..., 10 * link : 10 * link + 10] = coefficients
         return out
+
+
+def _place(name: str, names: tuple[str, ...], otherwise: str) -> int:
+    """Return where a name is among others, or raise."""
+    if name not in names:
+        raise ModelError(f"constraints: {otherwise} {', '.join(names)}.")
+    return names.index(name)
 
 
 class Condition(ABC):

@@ -8,7 +8,7 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen, is_number, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
 from sdpid.estimation.constraints.mass import link_row, vector
@@ -44,15 +44,10 @@ class Fixed(Condition):
             raise DataError(
                 f"Fixed: values is {self.values!r}; give a mapping such as {{'m_3': 2.0}}."
             )
-        values = {}
         for name, value in self.values.items():
-            try:
-                values[name] = float(value)
-            except (TypeError, ValueError):
-                raise DataError(f"Fixed: {name} is {value!r}; give a number.") from None
-            if not np.isfinite(values[name]):
-                raise DataError(f"Fixed: {name} is {value}; give a finite number.")
-        object.__setattr__(self, "values", values)
+            if not (is_number(value) and np.isfinite(value)):
+                raise DataError(f"Fixed: {name} is {value!r}; give a finite number.")
+        object.__setattr__(self, "values", {name: float(x) for name, x in self.values.items()})
 
     def compile(self, layout: Layout) -> Iterator[Row]:
         """Return an equation a parameter, in its unit."""

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -94,8 +95,9 @@ class FeasibleSet(Shown):
             upper[: 10 * n_links : 10] = constraints.mass_max
         if constraints.friction_nonnegative and consistency != "none":
             lower[10 * n_links :][nonnegative] = 0.0
-        compiled = [part for other in constraints.others for part in other.compile(layout)]
-        compiled = _numbered(compiled)
+        compiled = _numbered(
+            [part for other in constraints.others for part in other.compile(layout)]
+        )
         rows = [part for part in compiled if isinstance(part, Row)]
         cones = [part for part in compiled if isinstance(part, Cone)]
         size = 6 if consistency == "spatial_inertia" else 4
@@ -131,9 +133,9 @@ class FeasibleSet(Shown):
     def without(self, constraint: Constraint) -> FeasibleSet:
         """Return the set that leaves out one constraint.
 
-        A parameter without its own bound still has the widest. The sizes of matrices and rows stay;
-        only cones are taken out. Local solvers and `repair` keep every link consistent all the
-        same: solve such a set as a program.
+        A parameter without its own bound still has the widest. Sizes of matrices and rows stay.
+        Local solvers and `repair` keep every link consistent all the same: solve such a set as a
+        program.
 
         Parameters
         ----------
@@ -141,38 +143,26 @@ class FeasibleSet(Shown):
             One of `named`.
         """
         k = constraint.index
-        if constraint.kind == "cone":
-            rest = np.arange(len(self.block_names)) != k
-            links = self.block_links[rest]
-            links.setflags(write=False)
-            return replace(
-                self,
-                block_names=tuple(np.array(self.block_names)[rest].tolist()),
-                block_links=links,
-                block_basis=frozen(self.block_basis[rest]),
-                block_constants=frozen(self.block_constants[rest]),
-            )
-        if constraint.kind == "consistency":
+        if constraint.kind in ("consistency", "cone"):
             # The unit matrix, whatever theta is.
             basis, constants = self.block_basis.copy(), self.block_constants.copy()
             basis[k], constants[k] = 0.0, np.eye(self.size)
             return replace(self, block_basis=frozen(basis), block_constants=frozen(constants))
         row = constraint.kind == "row"
-        lower, upper = (self.row_lower, self.row_upper) if row else (self.lower, self.upper)
-        lower, upper = lower.copy(), upper.copy()
+        names = ("row_lower", "row_upper") if row else ("lower", "upper")
         wide = float(self.widest[k]) if constraint.kind in ("mass", "sign") else np.inf
-        if constraint.side != "most":
-            lower[k] = -wide
-        if constraint.side != "least":
-            upper[k] = wide
-        if row:
-            return replace(self, row_lower=frozen(lower), row_upper=frozen(upper))
-        return replace(self, lower=frozen(lower), upper=frozen(upper))
+        changes: dict[str, Any] = {}
+        for name, end, other in zip(names, (-wide, wide), ("most", "least"), strict=True):
+            if constraint.side != other:
+                limits = getattr(self, name).copy()
+                limits[k] = end
+                changes[name] = frozen(limits)
+        return replace(self, **changes)
 
     @cached_property
     def required(self) -> Mask:
-        """Which links must be consistent: all, unless one was left out."""
-        return np.asarray(np.any(self.block_basis[: self.n_own] != 0.0, axis=(1, 2, 3)))
+        """Which matrix inequalities (N,) hold anything: all, unless one was left out."""
+        return np.asarray(np.any(self.block_basis != 0.0, axis=(1, 2, 3)))
 
     @cached_property
     def widest(self) -> Array:
@@ -187,31 +177,27 @@ class FeasibleSet(Shown):
     @cached_property
     def named(self) -> tuple[Constraint, ...]:
         """Every constraint: consistency, masses, signs, theta_max, rows by limit, cones."""
-        matrices = [
-            Constraint(
-                kind="consistency" if i < self.n_own else "cone",
-                name=name,
-                index=i,
-                link=self.link_names[link],
-                limit=self.constraints.margin if i < self.n_own else None,
-                unit="kg.m2" if i < self.n_own else None,
-            )
-            for i, (name, link) in enumerate(
-                zip(self.block_names, self.block_links.tolist(), strict=True)
-            )
-            if i >= self.n_own or self.required[i]
-        ]
+        matrices = [self._matrix(i) for i in np.flatnonzero(self.required).tolist()]
+        links = sum(matrix.kind == "consistency" for matrix in matrices)
         bounds = [
             self._bound(k, side, limit)
             for k, limits in enumerate(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
             for side, limit in zip(_SIDES, limits, strict=True)
             if np.isfinite(limit)
         ]
-        own = [bound for bound in bounds if bound.kind != "theta_max"]
-        wide = [bound for bound in bounds if bound.kind == "theta_max"]
+        bounds.sort(key=lambda bound: bound.kind == "theta_max")
         rows = [row for j in range(len(self.rows)) for row in self._row(j)]
-        links = [matrix for matrix in matrices if matrix.kind == "consistency"]
-        return (*links, *own, *wide, *rows, *matrices[len(links) :])
+        return (*matrices[:links], *bounds, *rows, *matrices[links:])
+
+    def _matrix(self, i: int) -> Constraint:
+        """Return a link's consistency, or a cone."""
+        name, link = self.block_names[i], self.link_names[self.block_links[i]]
+        if i >= self.n_own:
+            return Constraint(kind="cone", name=name, index=i, link=link)
+        margin, unit = self.constraints.margin, "kg.m2"
+        return Constraint(
+            kind="consistency", name=name, index=i, link=link, limit=margin, unit=unit
+        )
 
     def _bound(self, k: int, side: Side, limit: float) -> Constraint:
         """Return one side of the bounds of a parameter."""
@@ -330,7 +316,7 @@ class FeasibleSet(Shown):
         """
         worst = float(np.max(np.maximum(self.lower - theta, theta - self.upper), initial=0.0))
         if self.consistency != "none":
-            margins = self.margins(theta)[self.required]
+            margins = self.margins(theta)[self.required[: self.n_own]]
             short = self.constraints.margin - margins[np.isfinite(margins)]
             worst = max(worst, float(np.max(short, initial=0.0)))
         values = self.rows @ theta
@@ -348,14 +334,11 @@ def _widest(constraints: Constraints, count: int, n_links: int) -> Array:
 
 def _numbered(parts: list[Row | Cone]) -> list[Row | Cone]:
     """Return rows and cones with a number behind names that occur more than once."""
-    counts = Counter(part.name for part in parts)
-    used: Counter[str] = Counter()
-    out = []
+    counts, used, out = Counter(part.name for part in parts), Counter[str](), []
     for part in parts:
         used[part.name] += 1
-        several = counts[part.name] > 1
-        name = f"{part.name} ({used[part.name]})" if several else part.name
-        out.append(replace(part, name=name))
+        number = f" ({used[part.name]})" if counts[part.name] > 1 else ""
+        out.append(replace(part, name=part.name + number))
     return out
 
 

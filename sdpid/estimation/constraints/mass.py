@@ -164,19 +164,15 @@ class CenterOfMassInBox(Condition):
         link = layout.link(self.link)
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         for k, axis in enumerate(AXES):
-            name = f"center of mass of {self.link}, {axis}"
-            row = np.zeros(10)
-            row[1 + k] = 1.0
+            ends = [(lower[k], "at least", 0.0, np.inf), (upper[k], "at most", -np.inf, 0.0)]
             if lower[k] == upper[k]:
-                row[0] = -lower[k]
-                yield link_row(layout, link, f"{name} known", row, 0.0, 0.0)
-                continue
-            if np.isfinite(lower[k]):
-                row[0] = -lower[k]
-                yield link_row(layout, link, f"{name} at least", row, 0.0, np.inf)
-            if np.isfinite(upper[k]):
-                row[0] = -upper[k]
-                yield link_row(layout, link, f"{name} at most", row, -np.inf, 0.0)
+                ends = [(lower[k], "known", 0.0, 0.0)]
+            for bound, says, least, most in ends:
+                if np.isfinite(bound):
+                    row = np.eye(10)[1 + k]
+                    row[0] = -bound
+                    name = f"center of mass of {self.link}, {axis} {says}"
+                    yield link_row(layout, link, name, row, least, most)
 
 
 @dataclass(frozen=True, eq=False)

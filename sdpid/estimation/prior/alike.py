@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,15 +50,12 @@ def _same(one: MirrorPair, other: MirrorPair) -> bool:
     return key_of_pairs([one]) in (key_of_pairs([other]), key_of_pairs([turned]))
 
 
-def key_of_pairs(pairs: Sequence[MirrorPair]) -> Hashable:
+def key_of_pairs(pairs: Sequence[MirrorPair]) -> str:
     """Return what is equal for pairs that say the same in the same words."""
-    return tuple(
-        tuple(
-            None if value is None else value if isinstance(value, str) else _numbers(value)
-            for value in (getattr(pair, field.name) for field in fields(pair) if field.name != "_")
-        )
-        for pair in pairs
-    )
+    every = [
+        [None if x is None else np.asarray(x).tolist() for x in vars(p).values()] for p in pairs
+    ]
+    return repr(every)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +114,3 @@ def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:
     rest = len(pairs) - len(named)
     listed = ", ".join(named) + (f" and {rest} more pairs" if rest else "")
     return f"mirror images of each other within {100.0 * within:g} %: {listed}"
-
-
-def _numbers(value: object) -> tuple[object, ...]:
-    array = np.asarray(value, dtype=np.float64)
-    return array.shape, array.tobytes()

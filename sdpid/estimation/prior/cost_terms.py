@@ -1,4 +1,4 @@
-"""Terms of a cost: convex functions of theta that solvers add up, wherever they are from.
+"""Terms of a cost: convex functions of theta that solvers add up; and the squared one.
 
 The cost of a problem is ``squared.value(theta) + log_det.value(theta)``: one `SquaredTerm` with the
 rows of the data and of a quadratic prior, and one `LogDetTerm` (`sdpid.estimation.prior.log_det`),
@@ -9,7 +9,6 @@ which lower bounds on the optimal cost are made.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,50 +18,8 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen
 
 
-class CostTerm(ABC):
-    """A convex function of theta (p,)."""
-
-    @abstractmethod
-    def value(self, theta: ArrayLike) -> float:
-        """Return the term's cost; infinite outside its domain."""
-
-    @abstractmethod
-    def gradient(self, theta: ArrayLike) -> Array:
-        """Return the derivative of `value`, shape (p,).
-
-        Raises
-        ------
-        DataError
-            Outside the term's domain.
-        """
-
-    @abstractmethod
-    def curvature_rows(self, theta: ArrayLike) -> Array:
-        """Return R, shape (k, p), with R^T·R half the second derivative of `value` at theta.
-
-        Raises
-        ------
-        DataError
-            Outside the term's domain.
-        """
-
-    @abstractmethod
-    def multiplier(self, theta: ArrayLike) -> Array:
-        """Return the multiplier at which `support` touches `value` at theta.
-
-        Raises
-        ------
-        DataError
-            Outside the term's domain.
-        """
-
-    @abstractmethod
-    def support(self, multiplier: ArrayLike) -> tuple[float, Array]:
-        """Return constant and slope (p,) of an affine function that `value` is nowhere below."""
-
-
 @dataclass(frozen=True, eq=False)
-class SquaredTerm(CostTerm):
+class SquaredTerm:
     """``‖matrix @ theta − rhs‖² + constant``.
 
     Attributes

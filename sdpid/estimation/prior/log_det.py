@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.conic.standard_form import symmetric_basis
-from sdpid.estimation.prior.cost_terms import CostTerm
 from sdpid.robot.inertia import from_pseudo_inertia, matrix_basis, pseudo_inertia
 
 # The pseudo-inertia's coordinates: E_k with P(theta) = Σ theta_k·E_k.
@@ -25,7 +24,7 @@ _UNITS = matrix_basis("pseudo_inertia")
 
 
 @dataclass(frozen=True, eq=False)
-class LogDetTerm(CostTerm):
+class LogDetTerm:
     """``2·strength·Σ D(P_i‖P0_i)`` over some links, as a function of theta; zero over no links.
 
     Attributes

@@ -15,7 +15,7 @@ from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
 from sdpid.estimation.prior.alike import Alike, described_pairs, key_of_pairs, pairs_of
-from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
+from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.friction import friction_rows
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -156,7 +156,7 @@ class PriorTerms:
 
     Attributes
     ----------
-    terms : tuple of CostTerm
+    terms : tuple of SquaredTerm and LogDetTerm
         One `SquaredTerm`, and with kind ``"entropic"`` a `LogDetTerm` of the described links.
     notes : tuple of str
         What was repaired, left out or chosen.
@@ -169,7 +169,7 @@ class PriorTerms:
         `SquaredTerm`.
     """
 
-    terms: tuple[CostTerm, ...]
+    terms: tuple[SquaredTerm | LogDetTerm, ...]
     notes: tuple[str, ...]
     strength: float
     source: Prior | None = None
@@ -244,7 +244,7 @@ def prior_terms(
         notes.append(f"prior: strength {strength:.2g} nats by evidence{_at_end(strength)}")
     else:
         strength = float(prior.strength)
-    terms: list[CostTerm] = []
+    terms: list[LogDetTerm] = []
     if prior.kind == "entropic":
         terms.append(LogDetTerm.around(known, bodies[known], strength, theta_size))
         vague = np.repeat(~np.isin(np.arange(len(bodies)), known), 10)

@@ -1,4 +1,4 @@
-"""Friction of left and right joints that were built alike: equal, or so within a share."""
+"""Links and drives of a robot's left and right that were built alike."""
 
 from __future__ import annotations
 
@@ -12,10 +12,17 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, is_number
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
-from sdpid.estimation.constraints.equalities import unit_normal
-from sdpid.estimation.constraints.mirrored_links import check_places, pairs_of_names
+from sdpid.estimation.constraints.equalities import MirrorPair, unit_normal
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
+
+# Descriptions are written with four digits or more; another joint's zero is off by much more.
+_OFF_PLACE = 2e-3
+
+# Words for the left, and for the right: sides, and legs by two letters (front, fore, hind, rear,
+# back, middle, and a side).
+_SIDES = {"left": "right", "l": "r"}
+_SIDES |= {f"{leg}l": f"{leg}r" for leg in "fhrbm"} | {f"l{leg}": f"r{leg}" for leg in "fhrbm"}
 
 # What friction forward of one joint is of its mirror image where that turns the other way.
 _TURNED = {"Fsp": "Fsn", "Fsn": "Fsp"}
@@ -23,6 +30,57 @@ _TURNED = {"Fsp": "Fsn", "Fsn": "Fsp"}
 # A joint is turned by this, rad or m, to see its axis: far above rounding, and its square below
 # what descriptions are rounded to.
 _STEP = 1e-4
+
+
+def mirror_pairs(
+    robot: RobotModel,
+    pairs: Iterable[Sequence[str]] | None = None,
+    *,
+    normal: ArrayLike = (0.0, 1.0, 0.0),
+    position: ArrayLike | None = None,
+) -> tuple[MirrorPair, ...]:
+    """Return the conditions that a robot's right links are mirror images of its left ones.
+
+    A gait on level ground shows little of each leg; legs that were built alike say more together.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    pairs : iterable of (str, str), optional
+        Names of links, left and right. By default those whose names differ in one word that names
+        a side: ``left`` and ``right``, ``l`` and ``r``, ``FL`` and ``FR``, ``LF`` and ``RF``, and
+        so with H, R, B and M for F.
+    normal : (3,) array_like, optional
+        Normal of the plane in the base link's frame.
+    position : (n,) or (nq,) array_like, optional
+        Joint positions at which left and right are mirror images; by default all zero.
+
+    Returns
+    -------
+    tuple of MirrorPair
+        For ``sdpid.Constraints(others=...)``.
+
+    Raises
+    ------
+    DataError
+        When no names differ by a side, pairs are none or given twice, or the normal is no
+        direction.
+    ModelError
+        When joints of a pair do not lie as mirror images of each other.
+
+    Examples
+    --------
+    >>> floating = sdpid.load_robot("solo12", root="free_flyer")
+    >>> legs = sdpid.constraints.mirror_pairs(floating)
+    >>> len(legs), (legs[0].first, legs[0].second)
+    (6, ('FL_SHOULDER', 'FR_SHOULDER'))
+    >>> limits = sdpid.Constraints.of_size(floating, others=legs)
+    """
+    return tuple(
+        MirrorPair(first, second, normal=normal, position=position)
+        for first, second in _placed_pairs("mirror_pairs", robot, pairs, normal, position)
+    )
 
 
 @dataclass(frozen=True)
@@ -137,22 +195,97 @@ def equal_friction(
     >>> limits = sdpid.Constraints.of_size(floating, others=drives)
     """
     joints = robot.joint_names[robot.n_base :]
-    found = pairs_of_names("equal_friction", robot.name, "joint", joints, pairs)
-    # Joint j moves link j, behind a floating base link j + 1.
-    first = int(robot.free_flyer)
-    links = {joint: robot.link_names[first + j] for j, joint in enumerate(joints)}
-    placements = link_placements(robot, position)
-    plane = unit_normal(normal, "equal_friction")
+    found = _placed_pairs("equal_friction", robot, pairs, normal, position, joints)
+    plane, placements = unit_normal(normal, "equal_friction"), link_placements(robot, position)
     mirror = np.eye(3) - 2.0 * np.outer(plane, plane)
     out = []
-    for one, two in found:
-        check_places("equal_friction", robot, placements, plane, links[one], links[two])
-        turn, slide = _rates(robot, placements, position, joints.index(one))
-        own_turn, own_slide = _rates(robot, placements, position, joints.index(two))
+    for pair in found:
+        (turn, slide), (own_turn, own_slide) = (
+            _rates(robot, placements, position, joints.index(joint)) for joint in pair
+        )
         # A mirror turns the sense of rotations about what it keeps, not of translations.
         way = float(own_slide @ mirror @ slide) - float(own_turn @ mirror @ turn)
-        out.append(EqualFriction(one, two, within=within, opposite=way < 0.0))
+        out.append(EqualFriction(*pair, within=within, opposite=way < 0.0))
     return tuple(out)
+
+
+def _placed_pairs(
+    asked: str,
+    robot: RobotModel,
+    pairs: Iterable[Sequence[str]] | None,
+    normal: ArrayLike,
+    position: ArrayLike | None,
+    joints: Sequence[str] | None = None,
+) -> tuple[tuple[str, str], ...]:
+    """Return pairs of links, or of joints where these are given, whose places are mirror images.
+
+    Left first: those that are given, or by their names.
+    """
+    kind, names = ("link", robot.link_names) if joints is None else ("joint", joints)
+    found = tuple(_by_names(names) if pairs is None else _pairs(asked, kind, pairs))
+    if not found:
+        raise DataError(
+            f"{asked}: no two {kind}s of '{robot.name}' ({', '.join(names)}) differ in a word for "
+            "a side, such as left and right or FL and FR; give pairs=[(left, right)]."
+        )
+    unknown = [name for pair in found for name in pair if name not in names]
+    if unknown:
+        raise ModelError(
+            f"{asked}: '{robot.name}' has no {kind} {', '.join(unknown)}; it has "
+            f"{', '.join(names)}."
+        )
+    plane = unit_normal(normal, asked)
+    # Joint j moves link j, behind a floating base link j + 1.
+    ahead = 0 if joints is None else int(robot.free_flyer)
+    places = link_placements(robot, position)[ahead:, :3, 3]
+    for pair in found:
+        links = [names.index(name) for name in pair]
+        first, second = (robot.link_names[ahead + link] for link in links)
+        one, two = places[links]
+        off = float(np.linalg.norm(one - 2.0 * (plane @ one) * plane - two))
+        if off > _OFF_PLACE:
+            raise ModelError(
+                f"{asked}: the mirror image of the joint of '{first}' is {off:.3g} m away from "
+                f"that of '{second}', limit {_OFF_PLACE:g} m; give the joint positions at which "
+                "the two sides are mirror images (position=), other pairs, or another normal."
+            )
+    return found
+
+
+def _pairs(asked: str, kind: str, pairs: object) -> Iterator[tuple[str, str]]:
+    """Yield pairs of different names, each once, whichever comes first in it."""
+    remedy = f"give pairs=[(left, right), ...] with names of {kind}s, or leave it out"
+    if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+        raise DataError(f"{asked}: pairs is {pairs!r:.80}; {remedy}.")
+    seen: set[frozenset[str]] = set()
+    for pair in pairs:
+        names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+        if len(names) != 2 or not all(isinstance(name, str) for name in names):
+            raise DataError(f"{asked}: pairs holds {pair!r:.80}; {remedy}.")
+        if names[0] == names[1]:
+            raise DataError(f"{asked}: pairs holds '{names[0]}' twice in a pair; {remedy}.")
+        if frozenset(names) in seen:
+            raise DataError(
+                f"{asked}: the pair of '{names[0]}' and '{names[1]}' is given twice; give each "
+                "pair once."
+            )
+        seen.add(frozenset(names))
+        yield names[0], names[1]
+    if not seen:
+        raise DataError(f"{asked}: pairs is empty; {remedy}.")
+
+
+def _by_names(names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of names that differ in one word for a side, left first."""
+    for name in names:
+        words = re.split(r"([_\-./ ]|(?<=[a-z])(?=[A-Z]))", name)
+        for i, word in enumerate(words):
+            other = _SIDES.get(word.lower(), "")
+            other = other.upper() if word.isupper() else other
+            other = other.capitalize() if word[:1].isupper() and not word.isupper() else other
+            image = "".join([*words[:i], other, *words[i + 1 :]])
+            if other and image in names:
+                yield name, image
 
 
 def _of_joint(layout: Layout, joint: str) -> dict[str, int]:
