@@ -23,7 +23,7 @@ from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import Profiled, close_terms
-from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.effects.kinds import Tried
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import SquaredTerm

@@ -15,7 +15,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.delta_method import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.estimation.closed_loop.bias import BiasTest
-from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.effects.kinds import Tried
 from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.judged import Judged, grades_of

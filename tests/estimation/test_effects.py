@@ -23,9 +23,12 @@ from sdpid.estimation.effects.variable_projection import OpenTerm, VariableProje
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, describe
-from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
-from sdpid.estimation.selection.trials import Trials
-from sdpid.robot.friction.model import FrictionModel
+from sdpid.estimation.selection.choose import (
+    with_chosen_effects,
+    with_effects,
+    with_every_term,
+    with_terms,
+)
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
@@ -567,24 +570,23 @@ def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
     problem = build_problem(ARM4, samples, friction=TERMS, weighting="residual", prior=prior)
     terms = problem.friction.terms
     every = (*terms, Tilt(BODIES), RotorInertia())
-    trials = Trials.of(problem, every, prior)
-    sigma = residual_covariance(trials.rows)
+    largest, independent = with_every_term(problem, every, prior)
+    sigma = residual_covariance(largest.rows)
     known = replace(samples, covariance=sigma)
-    rng = np.random.default_rng(0)
     for some in (terms, (*terms, RotorInertia()), every):
-        trial = trials.with_terms(some)
+        trial = with_terms(largest, some)
         whole = build_problem(ARM4, known, friction=some, weighting="gls", prior=prior)
-        theta = rng.uniform(0.0, 1.0, whole.n_theta)
+        theta = np.random.default_rng(0).uniform(0.0, 1.0, whole.n_theta)
         assert trial.base.theta_names == whole.base.theta_names
         assert trial.cost_of(theta) == pytest.approx(whole.cost_of(theta), rel=COST)
-        friction = FrictionModel.from_terms(some, ARM4.joint_names)
-        assert trial.friction.parameters == friction.parameters
-    assert trials.independent < samples.effort.size
+        assert trial.friction.parameters == whole.friction.parameters
+    assert independent < samples.effort.size
 
 
 def test_rows_elsewhere_are_refused() -> None:
     problem = build_problem(ARM4, logged(), friction=TERMS, weighting="residual")
-    refuses(DataError, "rows", Trials.of, problem.without_rows(), problem.friction.terms, None)
+    terms = problem.friction.terms
+    refuses(DataError, "rows", with_every_term, problem.without_rows(), terms, None)
 
 
 @pytest.mark.parametrize("found", [False, True])

@@ -297,10 +297,9 @@ class Refit:
         for program in self.programs:
             found = _solved(program, A, rhs)
             seconds += found.seconds
-            if found.accepted and found.value is not None:
-                theta = program.program.coordinates.theta(found.value)
-                if np.all(program.inside(theta)):
-                    return self.problem.base_of(theta), seconds
+            theta = found.value if found.accepted else None
+            if theta is not None and np.all(program.inside(theta)):
+                return self.problem.base_of(theta), seconds
         try:
             again = solve_sdp(replace(self.problem, A=frozen(A), rhs=frozen(rhs)))
         except SolverError:
@@ -309,10 +308,10 @@ class Refit:
 
 
 def _solved(program: ReusableProgram, A: Array, rhs: Array) -> Retried[Array]:
-    """Return the most accurate point of a program with other data."""
+    """Return the most accurate parameters of a program with other data."""
     return solve_with_retries(
         lambda regularization: program.solve(A, rhs, regularization=regularization),
         _REGULARIZATIONS,
-        lambda x, solution: (x, solution.error),
+        lambda x, solution: (program.program.coordinates.theta(x), solution.error),
         enough=_ACCURATE,
     )

@@ -83,12 +83,6 @@ class ConicSolution:
         return self.status.startswith(("Solved", "AlmostSolved", "solved"))
 
 
-# Status, variables, multipliers, iterations, seconds and error.
-_Found = tuple[str, Array, Array, int, float, float]
-
-_NOTHING = np.array([np.nan])
-
-
 class ConicFamily:
     """Programs of one shape, put into form once: cost, squares and radius may differ.
 
@@ -164,7 +158,7 @@ class ConicFamily:
         if radius is not None or squares is not None:
             b = b.copy()
         if radius is not None:
-            b[standard.zero + standard.positive] = radius
+            b[standard.zero + len(standard.below) + len(standard.above)] = radius
         if squares is not None:
             A = A.copy()
             A.data[self._squares] = -squares[0][self._entries]
@@ -185,10 +179,10 @@ class ConicFamily:
             # Lists are taken over faster than arrays.
             values = {"A": A.data.tolist()} if squares is not None else {}
             solver.update(q=q.tolist(), b=b.tolist(), **values)
-        found = _clarabel_found(solver, again=again)
-        if found[0].startswith("panic"):
+        found = _solved(solver, self.program, changed, again=again)
+        if found.status.startswith("panic"):
             solvers.pop(key, None)
-        return _read(self.program, changed, found)
+        return found
 
 
 def solve_conic(
@@ -218,34 +212,7 @@ def solve_conic(
     """
     standard = standard_form(program)
     made = _clarabel_solver(standard, regularization, tolerance=tolerance, verbose=verbose)
-    return _read(program, standard, _clarabel_found(made))
-
-
-def _read(program: ConicProgram, standard: Standard, found: _Found) -> ConicSolution:
-    """Sort what a solver found: its point, and the multipliers."""
-    status, v, dual, iterations, seconds, error = found
-    if not (np.all(np.isfinite(v)) and np.all(np.isfinite(dual))):
-        return ConicSolution(status, None, iterations=iterations, seconds=seconds)
-    at = standard.zero
-    rows = np.zeros(len(program.lower))
-    rows[standard.below] += dual[at : at + len(standard.below)]
-    at += len(standard.below)
-    rows[standard.above] -= dual[at : at + len(standard.above)]
-    at += len(standard.above)
-    ball = dual[at : at + standard.ball]
-    at += standard.ball
-    blocks: list[Array] = []
-    # Blocks of one size in turn, of which there is seldom more than one.
-    for size, run in groupby(block.constant.shape[0] for block in program.blocks):
-        count = len(list(run))
-        basis = symmetric_basis(size)
-        found_there = dual[at : at + count * len(basis)].reshape(count, len(basis))
-        blocks += list((found_there @ basis.reshape(len(basis), -1)).reshape(count, size, size))
-        at += count * len(basis)
-    # Stationary in the residual r itself: 2·r = −(multiplier of M·x + m = r).
-    residual = -0.5 * dual[: standard.zero]
-    x = v[: program.n]
-    return ConicSolution(status, x, rows, tuple(blocks), iterations, seconds, ball, error, residual)
+    return _solved(made, program, standard)
 
 
 def _clarabel_solver(
@@ -267,8 +234,8 @@ def _clarabel_solver(
         settings.presolve_enable = settings.chordal_decomposition_enable = False
         settings.equilibrate_enable = False
     cones: list[Any] = [clarabel.ZeroConeT(standard.zero)] if standard.zero else []
-    if standard.positive:
-        cones.append(clarabel.NonnegativeConeT(standard.positive))
+    if positive := len(standard.below) + len(standard.above):
+        cones.append(clarabel.NonnegativeConeT(positive))
     if standard.ball:
         cones.append(clarabel.SecondOrderConeT(standard.ball))
     cones += [clarabel.PSDTriangleConeT(size) for size in standard.sizes]
@@ -276,8 +243,13 @@ def _clarabel_solver(
     return clarabel.DefaultSolver(standard.P, standard.q, standard.A, standard.b, cones, settings)
 
 
-def _clarabel_found(solver: Any, *, again: bool = False) -> _Found:
-    """Let Clarabel solve; its own clock counts the setup, but only where that is new."""
+def _solved(
+    solver: Any, program: ConicProgram, standard: Standard, *, again: bool = False
+) -> ConicSolution:
+    """Let Clarabel solve, and sort what it found: its point, and the multipliers.
+
+    Its own clock counts the setup, but only where that is new.
+    """
     begin = time.perf_counter()
     try:
         found = solver.solve()
@@ -285,14 +257,38 @@ def _clarabel_found(solver: Any, *, again: bool = False) -> _Found:
         # Where numbers overflow, the solver panics, which is no `Exception`: no point was found.
         if type(cause).__name__ != "PanicException":
             raise
-        return f"panic: {cause}", _NOTHING, _NOTHING, 0, 0.0, np.inf
-    seconds = float(found.solve_time)
+        return ConicSolution(f"panic: {cause}", None)
+    status, iterations, seconds = str(found.status), int(found.iterations), float(found.solve_time)
     if again:
         # The one setup is in every solve's time: what the call took is less.
         seconds = min(seconds, time.perf_counter() - begin)
     value, bound = float(found.obj_val), float(found.obj_val_dual)
     gap = abs(value - bound) / max(1.0, abs(value))
     error = max(gap, float(found.r_prim), float(found.r_dual))
-    error = error if np.isfinite(error) else np.inf
-    iterations = int(found.iterations)
-    return str(found.status), np.array(found.x), np.array(found.z), iterations, seconds, error
+    v, dual = np.array(found.x), np.array(found.z)
+    if not (np.all(np.isfinite(v)) and np.all(np.isfinite(dual))):
+        return ConicSolution(status, None, iterations=iterations, seconds=seconds)
+    sizes = standard.zero, len(standard.below), len(standard.above), standard.ball
+    squares, below, above, ball, rest = np.split(dual, np.cumsum(sizes))
+    rows = np.zeros(len(program.lower))
+    rows[standard.below] += below
+    rows[standard.above] -= above
+    blocks: list[Array] = []
+    # Blocks of one size in turn, of which there is seldom more than one.
+    for size, run in groupby(block.constant.shape[0] for block in program.blocks):
+        count, basis = len(list(run)), symmetric_basis(size)
+        own, rest = np.split(rest, [count * len(basis)])
+        flat = own.reshape(count, len(basis)) @ basis.reshape(len(basis), -1)
+        blocks += list(flat.reshape(count, size, size))
+    return ConicSolution(
+        status,
+        v[: program.n],
+        rows,
+        tuple(blocks),
+        iterations,
+        seconds,
+        ball,
+        error if np.isfinite(error) else np.inf,
+        # Stationary in the residual r itself: 2·r = −(multiplier of M·x + m = r).
+        -0.5 * squares,
+    )

@@ -82,44 +82,35 @@ class _Rows:
 
     def __init__(self) -> None:
         self.count = 0
-        self.values: list[Array] = []
-        self.rows: list[Indices] = []
-        self.columns: list[Indices] = []
+        self.entries: list[tuple[Array, Indices, Indices]] = []
         self.b: list[Array] = []
 
     def add(self, dense: Array, columns: Indices, b: Array) -> None:
         """Add rows that are dense in some columns; zeros are left out."""
         i, j = np.nonzero(dense)
-        self.values.append(dense[i, j])
-        self.rows.append(i + self.count)
-        self.columns.append(columns[j])
+        self.entries.append((dense[i, j], i + self.count, columns[j]))
         self.b.append(b)
         self.count += len(b)
 
     def matrix(self, width: int) -> Any:
         from scipy.sparse import csc_matrix
 
-        entries = np.concatenate(self.values)
-        where = np.concatenate(self.rows), np.concatenate(self.columns)
-        return csc_matrix((entries, where), shape=(self.count, width))
-
-    def shift(self, columns: Indices, offset: int) -> None:
-        """Add the identity in some columns to rows that were added last."""
-        self.values.append(np.ones(len(columns)))
-        self.rows.append(np.arange(len(columns)) + offset)
-        self.columns.append(columns)
+        values, *where = (np.concatenate(each) for each in zip(*self.entries, strict=True))
+        return csc_matrix((values, where), shape=(self.count, width))
 
 
 @dataclass(frozen=True, eq=False)
 class Standard:
-    """``minimize ½·v·P·v + q·v, A·v + s = b``; the sizes of the cones in turn."""
+    """``minimize ½·v·P·v + q·v, A·v + s = b``; the sizes of the cones in turn.
+
+    First equations, then limits below and above, by their places in the program.
+    """
 
     P: Any
     q: Array
     A: Any
     b: Array
     zero: int
-    positive: int
     below: Indices
     above: Indices
     sizes: tuple[int, ...]
@@ -158,8 +149,8 @@ def standard_form(program: ConicProgram) -> Standard:
         extra.append((triangle, logs))
         width = int(logs[-1]) + 1
     rows = _Rows()
-    rows.add(-program.M[:count], own, program.m[:count])
-    rows.shift(n + np.arange(count), 0)
+    residual = np.hstack([-program.M[:count], np.eye(count)])
+    rows.add(residual, np.arange(n + count), program.m[:count])
     below = np.flatnonzero(np.isfinite(program.lower))
     above = np.flatnonzero(np.isfinite(program.upper))
     rows.add(-program.C[below], own, -program.lower[below])
@@ -182,18 +173,14 @@ def standard_form(program: ConicProgram) -> Standard:
         sizes.append(size)
     for matrix, (triangle, _) in zip(program.log_dets, extra, strict=True):
         sizes.append(_add_log_det(rows, matrix, triangle))
-    exponential = 0
-    for matrix, (triangle, logs) in zip(program.log_dets, extra, strict=True):
-        size = matrix.constant.shape[0]
-        # (t_j, 1, z_jj) in the exponential cone: t_j ≤ log z_jj.
-        diagonal = [i * (i + 3) // 2 for i in range(size)]
-        for j in range(size):
+    # (t_j, 1, z_jj) in the exponential cone: t_j ≤ log z_jj.
+    for triangle, logs in extra:
+        for j in range(len(logs)):
             rows.add(
                 np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]),
-                np.array([logs[j], triangle[diagonal[j]]]),
+                np.array([logs[j], triangle[j * (j + 3) // 2]]),
                 np.array([0.0, 1.0, 0.0]),
             )
-            exponential += 1
     q = np.zeros(width)
     if program.cost is not None:
         q[:n] = program.cost
@@ -207,11 +194,10 @@ def standard_form(program: ConicProgram) -> Standard:
         A=rows.matrix(width),
         b=np.concatenate(rows.b),
         zero=count,
-        positive=len(below) + len(above),
         below=below,
         above=above,
         sizes=tuple(sizes),
-        exponential=exponential,
+        exponential=sum(len(logs) for _, logs in extra),
         ball=ball,
     )
 

@@ -99,7 +99,7 @@ def close_terms(
     middle = _closed(friction, opened)
     rows = RowSource(robot, middle, structural_base(robot, middle), thin)
     VariableProjection(rows, covariance(rows), opened).run()
-    return _closed(friction, opened), _profiled(opened, [each.flat for each in opened])
+    return _closed(friction, opened), _profiled(opened)
 
 
 def closed_in_the_middle(
@@ -117,8 +117,7 @@ def closed_in_the_middle(
         Sizes of the velocities, rad/s or m/s.
     """
     opened = _opened(friction, list(speed[:, friction.first :].T))
-    flats = [[(p.lower, p.upper) for p in each.parameters] for each in opened]
-    return _closed(friction, opened), _profiled(opened, flats)
+    return _closed(friction, opened), _profiled(opened)
 
 
 def _opened(friction: FrictionModel, speeds: Sequence[Array]) -> list[OpenTerm]:
@@ -130,9 +129,7 @@ def _opened(friction: FrictionModel, speeds: Sequence[Array]) -> list[OpenTerm]:
     ]
 
 
-def _profiled(
-    opened: Sequence[OpenTerm], flats: Sequence[Sequence[tuple[float, float]]]
-) -> tuple[Profiled, ...]:
+def _profiled(opened: Sequence[OpenTerm]) -> tuple[Profiled, ...]:
     """Return the values of open parameters, and the ranges in which others are as good."""
     return tuple(
         Profiled(
@@ -145,8 +142,8 @@ def _profiled(
             flat_from=flat[0],
             flat_to=flat[1],
         )
-        for each, own in zip(opened, flats, strict=True)
-        for parameter, value, flat in zip(each.parameters, each.values, own, strict=True)
+        for each in opened
+        for parameter, value, flat in zip(each.parameters, each.values, each.flat, strict=True)
     )
 
 

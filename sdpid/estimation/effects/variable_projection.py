@@ -172,10 +172,6 @@ class VariableProjection:
         self._moved: dict[tuple[int, int], Indices] = {}
         self.cost = float(self._least(self._products[None], self._squares[None])[0])
 
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return self._friction.joint_names
-
     def run(self) -> None:
         """Search every open parameter in turn until the cost has settled."""
         for _ in range(_ROUNDS):
@@ -268,11 +264,13 @@ class VariableProjection:
     def _speeds(self, term: FrictionTerm) -> Array:
         """Return the speeds (fields, joints) of a term with one shape for all joints."""
         assert isinstance(term, JointwiseTerm)
-        return np.array([term.speed(name, len(self._names)) for name in term.speed_fields])
+        return np.array(
+            [term.speed(name, len(self._friction.joint_names)) for name in term.speed_fields]
+        )
 
     def _columns(self, term: FrictionTerm) -> Array:
         """Return a term's columns (K, joints, m)."""
-        return term.columns_in(self._motion, self._names)
+        return term.columns_in(self._motion, self._friction.joint_names)
 
     def _shown(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
         """Return at which joints some columns of g terms are not zero, and these (w, K, g, m)."""
@@ -348,16 +346,13 @@ def _flat_range(tried: dict[float, float], parameter: OpenParameter) -> tuple[fl
     limit = (1.0 + FLAT) * costs.min()
     best = int(np.argmin(costs))
 
-    def crossing(steps: range, end: float) -> float:
-        inner = best
-        for k in steps:
-            if costs[k] > limit:
-                share = (limit - costs[inner]) / (costs[k] - costs[inner])
-                return float(np.exp(logs[inner] + share * (logs[k] - logs[inner])))
-            inner = k
-        return end
+    def crossing(outward: slice, end: float) -> float:
+        x, y = logs[outward], costs[outward]
+        k = int(np.argmax(y > limit))
+        # The best one itself is the first: none is above the limit.
+        return float(np.exp(np.interp(limit, y[k - 1 : k + 1], x[k - 1 : k + 1]))) if k else end
 
     return (
-        crossing(range(best - 1, -1, -1), parameter.lower),
-        crossing(range(best + 1, len(logs)), parameter.upper),
+        crossing(slice(best, None, -1), parameter.lower),
+        crossing(slice(best, None), parameter.upper),
     )

@@ -9,9 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
+from sdpid.estimation.prior.cost_terms import pullback_rows
 from sdpid.robot.inertia import pseudo_inertia
 
 # More pairs are not listed by name.
@@ -102,10 +102,8 @@ class Alike:
         theta[: bodies.size] = bodies.ravel()
         # The image of the first is the second less the difference: their mean is a body, too.
         mean = pseudo_inertia(bodies[two] - 0.5 * (difference @ theta))
-        inverse = np.linalg.inv(np.linalg.cholesky(mean))
-        units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
-        block = np.einsum("aij,kij->ak", symmetric_basis(4), units) / within
-        return cls(first=layout.link(pair.first), second=two, rows=frozen(block @ difference))
+        rows = frozen(pullback_rows(mean) / within @ difference)
+        return cls(first=layout.link(pair.first), second=two, rows=rows)
 
 
 def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:

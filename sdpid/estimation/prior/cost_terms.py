@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.robot.inertia import matrix_basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,3 +99,10 @@ class SquaredTerm:
         y = np.asarray(multiplier, dtype=np.float64)
         constant = self.constant - float(y @ y) - 2.0 * float(y @ self.rhs)
         return constant, 2.0 * self.transposed(y)
+
+
+def pullback_rows(P: Array) -> Array:
+    """Return the rows (10, 10) whose squares are ``‖L^(-1)·X·L^(-T)‖²`` of a body X, P = L·L^T."""
+    inverse = np.linalg.inv(np.linalg.cholesky(P))
+    units = inverse @ matrix_basis("pseudo_inertia") @ inverse.T
+    return np.asarray(np.einsum("aij,kij->ak", symmetric_basis(4), units))

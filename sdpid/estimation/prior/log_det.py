@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.prior.cost_terms import pullback_rows
 from sdpid.robot.inertia import from_pseudo_inertia, matrix_basis, pseudo_inertia
 
 # The pseudo-inertia's coordinates: E_k with P(theta) = Σ theta_k·E_k.
@@ -151,12 +151,11 @@ class LogDetTerm:
         DataError
             When one of the bodies cannot exist.
         """
-        inverses = np.linalg.inv(_cholesky(self.matrices(theta), "the pseudo-inertia of a body"))
+        matrices = self.matrices(theta)
+        _cholesky(matrices, "the pseudo-inertia of a body")
         out = np.zeros((10 * len(self.links), self.n_theta))
-        symmetric = symmetric_basis(4)
-        for k, (link, inverse) in enumerate(zip(self.links, inverses, strict=True)):
-            block = np.einsum("aij,kij->ak", symmetric, inverse @ _UNITS @ inverse.T)
-            out[10 * k : 10 * k + 10, 10 * link : 10 * link + 10] = block
+        for k, (link, P) in enumerate(zip(self.links, matrices, strict=True)):
+            out[10 * k : 10 * k + 10, 10 * link : 10 * link + 10] = pullback_rows(P)
         return np.asarray(np.sqrt(self.strength) * out)
 
     def support(self, multiplier: ArrayLike) -> tuple[float, Array]:

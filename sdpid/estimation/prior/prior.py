@@ -11,11 +11,10 @@ from sdpid._common.arrays import Array, Indices, frozen, is_number, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
 from sdpid.estimation.prior.alike import Alike, described_pairs, key_of_pairs, pairs_of
-from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.cost_terms import SquaredTerm, pullback_rows
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.friction import friction_rows
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -315,9 +314,7 @@ def _block(kind: PriorKind, body: Array) -> Array:
     if kind == "scaled_euclidean":
         length = float(np.sqrt(np.trace(P[:3, :3]) / body[0]))
         return np.diag(1.0 / (body[0] * np.array([1.0, *(length,) * 3, *(length**2,) * 6])))
-    inverse = np.linalg.inv(np.linalg.cholesky(P))
-    units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
-    return np.asarray(np.einsum("aij,kij->ak", symmetric_basis(4), units))
+    return pullback_rows(P)
 
 
 def _at_end(strength: float) -> str:

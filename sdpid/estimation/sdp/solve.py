@@ -20,6 +20,7 @@ from sdpid.estimation.sdp.infeasibility import explained, require_consistent
 from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.repair import repair
+from sdpid.estimation.wls import solve_wls
 
 # Choosing among the optimal points may cost this share of the cost.
 _FACE = 1e-7
@@ -304,8 +305,10 @@ def _better(first: Estimate, second: Estimate) -> bool:
 
 def _described(problem: Problem, scaling: Scaling) -> Array:
     """Return the links that the scaling is about, with the friction that fits best."""
-    basis, squared = scaling.basis(), problem.squared
-    fit = basis @ np.linalg.lstsq(squared.matrix @ basis, squared.rhs, rcond=None)[0]
+    basis, matrix, target = scaling.basis(), problem.squared.matrix, problem.squared.rhs
+    if problem.prior is None:
+        matrix, target = problem.base.matrix, solve_wls(problem).base
+    fit = basis @ np.linalg.lstsq(matrix @ basis, target, rcond=None)[0]
     return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
 
 

@@ -8,18 +8,25 @@ effect is not taken for what an impossible body would explain.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from sdpid._common.arrays import frozen
 from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import pooled
+from sdpid.estimation.compression.factor import Factor
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import close_terms
-from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_estimate
-from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.effects.kinds import EFFECTS, Effect, Tried, at_estimate
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.estimation.selection.trials import Trials
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
@@ -29,7 +36,7 @@ from sdpid.robot.friction.term import FrictionTerm
 # recordings, what is there has 1e-5 or less.
 BY_CHANCE = 0.01
 
-# Samples that the numbers of effects are fitted to, evenly spread.
+# Samples looked at, evenly spread: filtered signals need no more.
 _MOST_SAMPLES = 2048
 
 # Builds the problem with other terms, some of them with open parameters.
@@ -38,38 +45,13 @@ Rebuild = Callable[[tuple[str | FrictionTerm, ...]], Problem]
 
 @dataclass(frozen=True)
 class _Trial:
-    """An effect beside the present terms."""
+    """An effect beside the present terms, what became of it, and whether the data show it."""
 
     effect: Effect
     term: FrictionTerm
     estimate: Estimate
-    fall: float
-    probability: float
-
-    @property
-    def parameters(self) -> int:
-        return len(self.term.parameters(self.estimate.problem.friction.joint_names))
-
-    @property
-    def shown(self) -> bool:
-        """Whether the data show the effect, and its size is believed."""
-        enough = self.fall >= self.effect.least_fall and self.probability <= BY_CHANCE
-        return enough and not self.doubt
-
-    @property
-    def doubt(self) -> str:
-        return self.effect.doubt(_named(self.estimate))
-
-    def told(self, chosen: bool, words: str) -> Tried:
-        return Tried(
-            name=self.effect.name,
-            chosen=chosen,
-            words=words,
-            fall=self.fall,
-            least_fall=self.effect.least_fall,
-            probability=self.probability,
-            parameters=self.parameters,
-        )
+    told: Tried
+    shown: bool
 
 
 def with_chosen_effects(
@@ -111,15 +93,16 @@ def with_chosen_effects(
             left_out.append(taken.pop())
             continue
         told = [
-            trial.told(
-                True,
-                f"{trial.effect.title} lowers the cost by {100.0 * trial.fall:.0f} %: "
+            replace(
+                trial.told,
+                chosen=True,
+                words=f"{trial.effect.title} lowers the cost by {_percent(trial.told.fall, 0)}: "
                 f"{trial.effect.meaning}{_in_brackets(trial.effect.size(found))}",
             )
             for trial in taken
         ]
-        return final.with_origin(effects=(*told, *map(_left_out, left_out)))
-    return problem.with_origin(effects=tuple(map(_left_out, left_out)))
+        return final.with_origin(effects=(*told, *(trial.told for trial in left_out)))
+    return problem.with_origin(effects=tuple(trial.told for trial in left_out))
 
 
 def with_effects(
@@ -183,18 +166,93 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
         candidates = _candidates(problem, terms, closed, estimate)
         if not candidates:
             return taken, []
-        trials = Trials.of(problem, (*terms, *candidates.values()), prior)
-        before = _solved(trials.with_terms(terms))
+        largest, independent = with_every_term(problem, (*terms, *candidates.values()), prior)
+        before = _solved(with_terms(largest, terms))
         tried = [
-            _tried(effect, term, before, trials.with_terms((*terms, term)), trials.independent)
+            _tried(effect, term, before, with_terms(largest, (*terms, term)), independent)
             for effect, term in candidates.items()
         ]
         shown = [trial for trial in tried if trial.shown]
         if not shown:
             return taken, tried
-        best = max(shown, key=lambda trial: trial.fall / trial.effect.least_fall)
+        best = max(shown, key=lambda trial: (trial.told.fall or 0.0) / trial.effect.least_fall)
         taken.append(best)
         terms, estimate = (*terms, best.term), best.estimate
+
+
+def with_every_term(
+    problem: Problem, terms: Sequence[FrictionTerm], prior: Prior | None
+) -> tuple[Problem, float]:
+    """Return a problem with other terms, and how many more independent rows than parameters it has.
+
+    Its weights are one variance a joint, from the residuals of these terms; each of their
+    parameters has its own column, which may depend on others.
+    """
+    robot = problem.robot
+    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
+    samples = problem.require_rows_here("choice of effects").samples.judged
+    samples = samples.thinned(_MOST_SAMPLES)
+    rows = RowSource(robot, friction, problem.base, samples).with_every_column()
+    found = Factor.of(rows, "residual")
+    rows = rows.with_force_scale(found.force_scale)
+    belief = None
+    if prior is not None:
+        assert problem.prior is not None
+        prior = replace(prior, kind="pullback", strength=problem.prior.strength)
+        belief = replace(problem.prior, terms=prior_terms(prior, rows).terms)
+    largest = replace(
+        problem,
+        friction=friction,
+        base=rows.base,
+        A=frozen(found.A),
+        rhs=frozen(found.rhs),
+        floor=found.floor,
+        feasible=FeasibleSet.build(
+            problem.constraints, problem.consistency, Layout(robot, friction)
+        ),
+        prior=belief,
+        rows=rows,
+    ).with_origin(weighting="residual")
+    return largest, float(found.used / found.time - np.linalg.matrix_rank(found.A))
+
+
+def with_terms(problem: Problem, terms: Sequence[FrictionTerm]) -> Problem:
+    """Return a problem of `with_every_term` with some of its terms: the columns of these alone."""
+    robot, full, prior = problem.robot, problem.base, problem.prior
+    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
+    layout = Layout(robot, friction)
+    places = [full.theta_names.index(name) for name in layout.names]
+    theta = np.array(places, dtype=np.intp)
+    kept = np.flatnonzero(np.isin(full.kept, theta))
+    base = replace(
+        full,
+        names=tuple(full.names[i] for i in kept),
+        units=tuple(full.units[i] for i in kept),
+        matrix=frozen(full.matrix[np.ix_(kept, theta)]),
+        kept=np.argmax(full.kept[kept][:, None] == theta, axis=1),
+        theta_names=layout.names,
+        theta_units=layout.units,
+    )
+    triangle = Triangle(len(kept) + 1)
+    triangle.add(np.column_stack([problem.A[:, kept], problem.rhs]))
+    triangle.add(np.append(np.zeros(len(kept)), np.sqrt(problem.floor))[None])
+    A, rhs, floor = triangle.split()
+    if prior is not None:
+        (term,) = prior.terms
+        assert isinstance(term, SquaredTerm)
+        term = SquaredTerm(frozen(term.matrix[:, theta]), term.rhs)
+        prior = replace(prior, terms=(term,))
+    return replace(
+        problem,
+        friction=friction,
+        base=base,
+        A=frozen(A),
+        rhs=frozen(rhs),
+        floor=floor,
+        feasible=FeasibleSet.build(problem.constraints, problem.consistency, layout),
+        prior=prior,
+        rows=None,
+    )
 
 
 def _tried(
@@ -210,7 +268,22 @@ def _tried(
     if independent >= 1.0:
         noise = problem.cost(after.base) / independent
         probability = float(fdtrc(count, independent, saved / count / noise))
-    return _Trial(effect, term, after, saved / before.cost, probability)
+    fall, doubt = saved / before.cost, effect.doubt(_named(after))
+    reason = doubt or (
+        f"{_percent(effect.least_fall, 0)} and a probability of {BY_CHANCE:g} at most are asked"
+    )
+    told = Tried(
+        name=effect.name,
+        chosen=False,
+        words=f"{effect.title} would lower the cost by {_percent(fall, 1)} (probability by chance "
+        f"{probability:.1g}): {reason}",
+        fall=fall,
+        least_fall=effect.least_fall,
+        probability=probability,
+        parameters=count,
+    )
+    shown = fall >= effect.least_fall and probability <= BY_CHANCE and not doubt
+    return _Trial(effect, term, after, told, shown)
 
 
 def _candidates(
@@ -266,18 +339,6 @@ def _built(
     return rebuild(closed).with_origin(profiled=built.origin.profiled)
 
 
-def _left_out(trial: _Trial) -> Tried:
-    reason = trial.doubt or (
-        f"{100.0 * trial.effect.least_fall:.0f} % and a probability of {BY_CHANCE:g} at most are "
-        "asked"
-    )
-    return trial.told(
-        False,
-        f"{trial.effect.title} would lower the cost by {100.0 * trial.fall:.1f} % (probability by "
-        f"chance {trial.probability:.1g}): {reason}",
-    )
-
-
 def _solved(problem: Problem) -> Estimate:
     """Return the optimum, or what a solver found that could not prove it: enough to compare."""
     try:
@@ -303,3 +364,7 @@ def _named(estimate: Estimate) -> Mapping[str, float]:
 
 def _in_brackets(words: str) -> str:
     return f" ({words})" if words else ""
+
+
+def _percent(share: float | None, digits: int) -> str:
+    return f"{100.0 * (share or 0.0):.{digits}f} %"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sdpid.assurance.diagnostics.causes import Cause
 from sdpid.assurance.diagnostics.validation import Validation
-from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.effects.kinds import Tried
 from sdpid.output.report.finding import Finding, listed, percent
 
 # Below this share of its effort an error does not matter, whatever its shape: torque sensors and

@@ -16,7 +16,7 @@ from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed, MirrorPair
 from sdpid.errors import DataError, SdpidError
-from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.effects.kinds import Tried
 from sdpid.experiment.inspection.accept import REFUSED
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.output.report import verdict
