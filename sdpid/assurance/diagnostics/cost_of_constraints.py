@@ -10,7 +10,7 @@ optimum is no constraint's cost and is reported apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,14 +18,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Shown, Table, plain_dict
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
-from sdpid.estimation.conic.retry import solve_with_retries
-from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
-from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.conic.solve import solve_conic
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -34,9 +32,9 @@ from sdpid.estimation.wls import solve_wls
 # Clarabel's regularizations; the cheapest of what they find counts.
 _REGULARIZATIONS = (1e-10, 1e-8)
 
-# Multipliers count from this share of the cost over their constraint's size on: below, leaving the
-# constraint out would save less than the solver's accuracy.
-_PRESSES = 1e-7
+# A constraint costs something if leaving it out saves this share of the cost: less is within the
+# accuracy of the solver.
+_SAVES = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -182,9 +180,11 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
     constrained = rmse(best.base)
     names, saved, increase = [], [], []
     for name, theta in _without(best):
-        names.append(name)
-        saved.append(best.cost - problem.cost_of(theta))
-        increase.append(constrained - rmse(problem.base_of(theta)))
+        less = best.cost - problem.cost_of(theta)
+        if less > _SAVES * best.cost:
+            names.append(name)
+            saved.append(less)
+            increase.append(constrained - rmse(problem.base_of(theta)))
     return CostOfConstraints(
         joint_names=problem.robot.joint_names,
         rmse=frozen(constrained),
@@ -199,65 +199,25 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
 
 
 def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
-    """Yield each constraint with a multiplier, and the optimum without it."""
+    """Yield each active constraint, and the optimum without it."""
     problem, theta = estimate.problem, np.array(estimate.theta)
     scaling = Scaling.of(problem)
     scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
-    program = _program(problem, scaling, theta)
-    found = None if program is None else _cheapest(program.conic, lambda _: 0.0)
-    if program is None or found is None:
-        return
-    for constraint in _pressing(program, found):
-        relaxed = replace(problem, feasible=problem.feasible.without(constraint))
-        program = _program(relaxed, scaling, theta)
-        found = None if program is None else _cheapest(program.conic, _cost(program))
-        if program is not None and found is not None:
-            yield constraint.name, program.theta(found)
-
-
-def _program(problem: Problem, scaling: Scaling, theta: Array) -> SdpProgram | None:
-    """Return a problem about theta with all bounds; None where its equations contradict."""
-    coordinates = Coordinates.of(problem, scaling.basis(), theta)
-    if coordinates is None:
-        return None
-    return SdpProgram.build(problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool))
-
-
-def _pressing(program: SdpProgram, found: ConicSolution) -> Iterator[Constraint]:
-    """Yield the constraints with a multiplier in scaled units, and all equations."""
-    feasible = program.problem.feasible
-    matrices = np.zeros(len(feasible.block_names))
-    matrices[list(program.moving)] = [np.trace(dual) for dual in found.blocks]
-    bounds, rows = program.limits.split(found.rows)
-    for constraint in feasible.named:
-        # A multiplier belongs to the side that it presses to.
-        if constraint.kind in ("consistency", "cone"):
-            size = matrices[constraint.index]
-        elif constraint.kind == "row":
-            size = np.inf if constraint.side is None else constraint.sign * rows[constraint.index]
-        else:
-            size = constraint.sign * bounds[constraint.index]
-        if size > _PRESSES:
-            yield constraint
-
-
-def _cost(program: SdpProgram) -> Callable[[Array], float]:
-    """Return the cost of a point of a program."""
-    return lambda x: program.problem.cost_of(program.coordinates.theta(x))
-
-
-def _cheapest(conic: ConicProgram, cost: Callable[[Array], float]) -> ConicSolution | None:
-    """Return the solution of the least cost, a function of its point; None without one."""
-
-    def judge(x: Array, solution: ConicSolution) -> tuple[ConicSolution, float] | None:
-        value = cost(x)
-        if "Infeasible" in solution.status or not np.isfinite(value):
-            return None
-        return solution, value
-
-    return solve_with_retries(
-        lambda regularization: solve_conic(conic, regularization=regularization),
-        _REGULARIZATIONS,
-        judge,
-        enough=-np.inf,
-    ).value
+    every = np.ones(problem.n_theta, dtype=bool)
+    for state in constraint_states(estimate):
+        if not state.active:
+            continue
+        # Solved as a program: solvers of estimates keep every link consistent.
+        relaxed = replace(problem, feasible=problem.feasible.without(state.constraint))
+        coordinates = Coordinates.of(relaxed, scaling.basis(), theta)
+        if coordinates is None:
+            continue
+        program = SdpProgram.build(relaxed, scaling, coordinates, every)
+        solutions = [solve_conic(program.conic, regularization=each) for each in _REGULARIZATIONS]
+        found = [
+            program.theta(each)
+            for each in solutions
+            if each.x is not None and "Infeasible" not in each.status
+        ]
+        if found:
+            yield state.name, min(found, key=problem.cost_of)
