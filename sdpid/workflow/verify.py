@@ -30,8 +30,8 @@ _OF_ROWS = {"log", "robot", "base parameters", "rows"}
 
 # What of files is of other recordings or in words.
 _OF_WORDS = {
-    "result.json": "what was held out or validated, tests of bias, status, constraints, findings "
-    "and words",
+    "result.json": "errors on other recordings and of the description, tests of bias, status, "
+    "active constraints, grades, headline, findings and other words",
     "parameters.json": "what effects explain, and their words",
 }
 

@@ -32,6 +32,7 @@ from sdpid.output.tables.parameter_tables import base_table, theta_table
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.workflow.certify_parameters import certify_parameters
 from sdpid.workflow.given_parameters import GivenParameters, read_given
+from sdpid.workflow.replay.compare import text_differences
 from sdpid.workflow.verify import Verification
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.data import make_samples, random_theta
@@ -462,6 +463,74 @@ def test_masses_that_the_log_does_not_show(run: Path, tmp_path: Path) -> None:
     forged = replace(result, estimate=moved, certificate=sdpid.certify(moved))
     forged.save(tmp_path / "forged", figures=False)
     refused(run, tmp_path / "forged", "nearest to the description")
+
+
+def test_masses_within_the_gap(run: Path, tmp_path: Path) -> None:
+    """With a prior, too: a gap of 1e-6 leaves single masses some room, which nobody needs."""
+    result = sdpid.identify(run / "arm.urdf", run / "run.csv", intervals=False)
+    estimate, step = result.estimate, 0.02
+    while True:
+        theta = np.array(estimate.theta)
+        theta[0] += step
+        certificate = sdpid.certify(moved := replace(estimate, theta=theta))
+        if certificate.gap <= 1e-6:
+            break
+        step *= 0.7
+    assert step > 1e-3
+    forged = replace(result, estimate=moved, certificate=certificate)
+    forged.save(tmp_path / "forged", figures=False)
+    refused(run, tmp_path / "forged", "not those of least cost")
+
+
+def test_a_profile_interval_is_compared_with_its_width(run: Path, tmp_path: Path) -> None:
+    results = identified(run, str(tmp_path / "profile"), intervals="profile", effects="none")
+    assert verified(run, results).passed
+
+    def narrower(data: Any) -> None:
+        ends = data["standard"]["m_2"]["interval"]
+        ends[0] += 0.03 * (ends[1] - ends[0])
+
+    edit_json(results / "parameters.json", narrower)
+    refused(run, results, "parameters.json: .*interval.* made again")
+
+
+def test_errors_on_blocks_held_out(run: Path, results: Path) -> None:
+    def better(data: Any) -> None:
+        assert data["held_out"]["by"] == "blocks"
+        data["held_out"]["this estimate"]["moving"]["relative_residual"] *= 0.9
+
+    edit_json(results / "result.json", better)
+    refused(run, results, "result.json: 'held_out this estimate'")
+
+
+def test_how_a_log_is_read_is_told_in_full(run: Path, tmp_path: Path) -> None:
+    """What stands behind the first 200 characters could scale the rows."""
+    header, rest = (run / "run.csv").read_text().split("\n", 1)
+    names = [f"{name}_{'x' * 120}" for name in header.split(",")]
+    (tmp_path / "long.csv").write_text(f"{','.join(names)}\n{rest}")
+    columns = {"time": names[0], "position": names[1:3], "effort": names[3:5]}
+    log = sdpid.read_recording(tmp_path / "long.csv", columns=columns)
+    sdpid.identify(run / "arm.urdf", log, intervals=False).save(tmp_path / "r", figures=False)
+    found = sdpid.verify(tmp_path / "r", data=tmp_path / "long.csv", robot=run / "arm.urdf")
+    assert any(names[4] in each for each in found.made_again)
+
+
+@pytest.mark.parametrize(
+    ("written", "other"),
+    [
+        ('<mass value="2.5e-06"/>', '<mass value="2.5001e-06"/>'),
+        ('<inertia ixx="2.5e-10" ixy="1e-25"/>', '<inertia ixx="2.5001e-10" ixy="1e-25"/>'),
+        ('<dynamics damping="2.5e-07"/>', '<dynamics damping="2.6e-07"/>'),
+    ],
+)
+def test_small_bodies_are_compared_in_their_own_size(written: str, other: str) -> None:
+    assert list(text_differences(other, written))
+    # Rounding of what is nothing beside the rest of a tensor is no difference.
+    assert not list(text_differences(written.replace("1e-25", "-2e-25"), written))
+
+
+def test_two_results_must_be_results() -> None:
+    refuses(DataError, "3: is no folder", sdpid.compare, 3, 4)
 
 
 def test_bounds_of_ones_own(run: Path, tmp_path: Path) -> None:

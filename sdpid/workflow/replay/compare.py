@@ -23,11 +23,21 @@ MOST = 5
 # Bodies follow from the parameters without a sum over rows.
 _DIGITS = 1e-12
 
+# Ends of an interval.
+_ENDS = ("interval", "lower", "upper")
+
 # Numbers as all readers of robots and tables understand them.
 _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?)", re.ASCII)
 
-# Attributes of joints that are fitted to the rows where not all terms have a place.
-_FITTED = re.compile(r'(damping|friction|frictionloss|armature|coef)="[^"]*$')
+# Attributes that are small where a robot is, no lengths and no angles: those of joints, which are
+# fitted to the rows where not all terms have a place, masses, and tensors.
+_SIZED = re.compile(
+    r"(?:(?P<fitted>damping|\w*friction\w*|armature|coef)|(?P<mass><mass value|\bmass)"
+    r'|(?P<tensor>\bi[xyz]{2}|tensor))="[^"]*$'
+)
+
+# What is smaller, in SI units, is rounding of something larger.
+_LEAST = 1e-9
 
 # The last name before a difference, and the attribute that it is in.
 _NAMED, _OPEN = re.compile(r'name="([^"]*)"'), re.compile(r'([\w:]+)="[^"]*$')
@@ -37,7 +47,14 @@ _ATTRIBUTE = re.compile(r'([a-z]+)="([^"]*)"')
 
 
 def differences(
-    found: Any, wanted: Any, *, within: float = LIMIT, where: str = "", size: float = 0.0
+    found: Any,
+    wanted: Any,
+    *,
+    within: float = LIMIT,
+    of_width: float = 0.0,
+    where: str = "",
+    size: float = 0.0,
+    room: float = 0.0,
 ) -> Iterator[str]:
     """Yield where a plain value is not the one that was made again.
 
@@ -48,8 +65,10 @@ def differences(
     within : float, optional
         Share by which numbers may differ: of the largest of their object, or of their list and the
         object that it is in.
-    where, size : str and float, optional
-        Where the values stand, and the largest number beside them.
+    of_width : float, optional
+        Share of an interval's width by which its ends may differ, if that is more.
+    where, size, room : str and floats, optional
+        Where the values stand, the largest number beside them, and by how much they may differ.
     """
     if isinstance(wanted, (Mapping, list, tuple)):
         named = isinstance(wanted, Mapping)
@@ -63,18 +82,33 @@ def differences(
             return
         own = max((abs(each) for each in two.values() if _is_number(each)), default=0.0)
         beside = own if named else max(own, size)
+        wide = of_width * _width(two) if named else room
         for key, value in two.items():
-            place = f"{where} {shown(str(key)) if named else key + 1}".lstrip()
-            yield from differences(one[key], value, within=within, where=place, size=beside)
+            yield from differences(
+                one[key],
+                value,
+                within=within,
+                of_width=of_width,
+                where=f"{where} {shown(str(key)) if named else key + 1}".lstrip(),
+                size=beside,
+                room=wide if not named or key in _ENDS else 0.0,
+            )
     elif _is_number(wanted) and _is_number(found):
-        if not abs(found - wanted) <= within * max(abs(wanted), size):
+        if not abs(found - wanted) <= max(within * max(abs(wanted), size), room):
             yield f"{where} is {_short(found)}, made again it is {_short(wanted)}"
     elif type(found) is not type(wanted) or found != wanted:
         yield f"{where} is {_short(found)}, made again it is {_short(wanted)}"
 
 
+def _width(entries: dict[Any, Any]) -> float:
+    """Return the width of the interval among some entries; of a half-line, from what is in it."""
+    near = [entries.get(key) for key in ("value", "estimate", "lower", "upper")]
+    numbers = [each for each in (*near, *(entries.get("interval") or ())) if _is_number(each)]
+    return max(numbers, default=0.0) - min(numbers, default=0.0)
+
+
 def table_differences(
-    content: bytes, wanted: Table, *, within: float = LIMIT, without: Container[str] = ()
+    content: bytes, wanted: Table, *, of_width: float = 0.0, without: Container[str] = ()
 ) -> Iterator[str]:
     """Yield where a CSV table is not the one that was made again, some columns aside.
 
@@ -87,7 +121,7 @@ def table_differences(
     found, again = (
         _by_name(each, without) for each in (read_table(content), [list(wanted.header), *made])
     )
-    yield from differences(found, again, within=within)
+    yield from differences(found, again, of_width=of_width)
 
 
 def read_table(content: bytes) -> list[list[str]]:
@@ -128,15 +162,14 @@ def text_differences(found: str, wanted: str) -> Iterator[str]:
     """Yield where a robot's file is not the one that was written again: one place a line.
 
     Everything between numbers is the same, and so are numbers: those that are fitted to rows to
-    `LIMIT`, others to 1e-12 of their size, at least one.
+    `LIMIT`, others to 1e-12, of the largest in their element; lengths and angles of at least one.
     """
     if found == wanted:
         return
     (own, lines), (parts, _) = (_parts(each) for each in (found, wanted))
-    last = 0
+    last, rooms = 0, _rooms(parts)
     for k, (one, two) in enumerate(zip(own, parts, strict=False)):
-        within = LIMIT if k % 2 and _FITTED.search(parts[k - 1]) else _DIGITS
-        if one == two or (k % 2 and _near(one, two, within)) or lines[k] == last:
+        if one == two or (k % 2 and _near(one, two, rooms[k])) or lines[k] == last:
             continue
         last, before = lines[k], "".join(parts[:k])
         named = _NAMED.findall(before)[-1:] + _OPEN.findall(before)
@@ -157,6 +190,26 @@ def _parts(text: str) -> tuple[list[str], list[int]]:
         lines.append(line)
         line += part.count("\n")
     return parts, lines
+
+
+def _rooms(parts: list[str]) -> list[float]:
+    """Return by how much the number in each place of a text may be another."""
+    largest: dict[tuple[int, str], float] = {}
+    element, kind, places = 0, "", []
+    for k, part in enumerate(parts):
+        if not k % 2:
+            element += part.count("<")
+            if '="' in part:
+                found = _SIZED.search(part)
+                kind = "" if found is None else str(found.lastgroup)
+        places.append((element, kind))
+        if k % 2:
+            least = largest.get((element, kind), _LEAST if kind else 1.0)
+            largest[element, kind] = max(least, abs(float(part)))
+    return [
+        (LIMIT if kind == "fitted" else _DIGITS) * largest.get((element, kind), 1.0)
+        for element, kind in places
+    ]
 
 
 def _as_tensor(match: re.Match[str]) -> str:
@@ -181,11 +234,11 @@ def _as_tensor(match: re.Match[str]) -> str:
     return " ".join((*rest, *others, f'tensor="{body}"'))
 
 
-def _near(found: str, wanted: str, within: float) -> bool:
+def _near(found: str, wanted: str, room: float) -> bool:
     """Return whether two numbers are the same; whole ones may be parts of names."""
     if wanted.isdigit() or found.isdigit():
         return False
-    return abs(float(found) - float(wanted)) <= within * max(abs(float(wanted)), 1.0)
+    return abs(float(found) - float(wanted)) <= room
 
 
 def _is_number(value: Any) -> bool:

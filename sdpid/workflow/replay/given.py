@@ -98,11 +98,9 @@ def _options(how: dict[str, Any]) -> str:
     for name, value in how.items():
         if name == "gains" and isinstance(value, dict):
             # Their errors stand in the recipe, and change no row.
-            file = value.get("file")
-            called = file.get("name") if isinstance(file, dict) else "in memory"
-            pairs = zip(value.get("joint_names", ()), value.get("gains", ()), strict=False)
-            value = f"{called}: {', '.join(f'{joint} {gain}' for joint, gain in pairs)} N.m/A"
-        said.append(f"{name}={shown(json.dumps(value))}")
+            value = {key: value.get(key) for key in ("file", "joint_names", "gains")}
+        # In full: what is cut off could take other columns, or scale them.
+        said.append(f"{name}={json.dumps(value)}")
     return ", ".join(said)
 
 

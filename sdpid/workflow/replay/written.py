@@ -13,6 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Table, plain_dict
+from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS, hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.errors import MissingExtraError, SdpidError
@@ -128,9 +129,9 @@ class Files:
         return f"{self._method} at {level!r}; of friction terms the data chose {chosen}"
 
     @property
-    def _within(self) -> float:
-        """How near intervals are to those that were made again."""
-        return LIMIT if self._method in (None, "gauss_markov") else _SOLVED
+    def _of_width(self) -> float:
+        """How near ends of intervals are to those that were made again, in widths."""
+        return 0.0 if self._method in (None, "gauss_markov") else _SOLVED
 
     def check(self) -> list[Link]:
         """Return whether each file is as written again."""
@@ -146,17 +147,20 @@ class Files:
             URDF: lambda name: self._of_robot(name, write_urdf),
             MJCF: lambda name: self._of_robot(name, self._write_mjcf),
         }
+        near = f"{LIMIT:g} of the numbers of a row"
+        if self._of_width:
+            near += f", ends of intervals to {self._of_width:g} of their width"
         texts = {
             URDF: "written again from the description and the parameters, it is the same: numbers "
             f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter",
-            RESULT: "errors in training, of the unconstrained fit too, and intervals are those of "
-            f"these rows, to {self._within:g} of their size",
+            RESULT: "errors in training and on blocks held out, of the unconstrained fit too, and "
+            f"intervals are those of these rows, to {near}",
         }
         texts[MJCF] = texts[URDF]
         other = (
             f"written again from parameters and rows, with intervals ({self._told}), "
             "standard errors and shares, it is the same, "
-            f"to {self._within:g} of the numbers of a row"
+            f"to {near}"
         )
         # Certificates of this version come with recipes that say it.
         old = self.sealed.data["version"] < certificate.VERSION
@@ -178,7 +182,7 @@ class Files:
 
     def _of_table(self, name: str, table: Table) -> Iterator[str]:
         return table_differences(
-            self._read(name), table, within=self._within, without=self._without
+            self._read(name), table, of_width=self._of_width, without=self._without
         )
 
     @property
@@ -196,7 +200,7 @@ class Files:
         for entry in (*found["standard"].values(), *wanted["standard"].values()):
             for key in {*entry} & {*self._without}:
                 del entry[key]
-        return differences(found, wanted, within=self._within)
+        return differences(found, wanted, of_width=self._of_width)
 
     def _of_result(self, name: str) -> Iterator[str]:
         data, intervals = parse(self._read(name)), self.intervals
@@ -210,10 +214,17 @@ class Files:
             }
         )
         found = {key: data[key] for key in made}
+        if data["held_out"] is not None and data["held_out"]["by"] == "blocks":
+            blocks = hold_out(self.estimate, self.wls, None)
+            again = {} if blocks is None else plain_dict(blocks.to_dict())
+            # Links of the description may be others where it is not the run's.
+            for key in ("blocks", OURS, LEAST_SQUARES):
+                found[f"held_out {key}"] = data["held_out"][key]
+                made[f"held_out {key}"] = again.get(key)
         for each in (found["intervals"], made["intervals"]):
             for key in _OF_INTERVALS if each is not None else ():
                 del each[key]
-        return differences(found, made, within=self._within)
+        return differences(found, made, of_width=self._of_width)
 
     def _write_mjcf(self, estimate: Estimate, *, target: Path) -> ExportReport:
         """Write an MJCF again, with offsets where that of the folder was asked to have them."""

@@ -129,9 +129,9 @@ class SavedRun(Shown):
             recipe = None if given.recipe is None else given.recipe.to_dict()
             sealed = {"inputs": given.inputs, "recipe": recipe}
             return cls._from(None, given.to_dict(), parameters, sealed, None)
-        path = Path(given)
-        if not path.is_dir():
-            raise DataError(f"{path}: is no folder; give one that sdpid identify --out wrote.")
+        path = Path(given) if isinstance(given, (str, os.PathLike)) else None
+        if path is None or not path.is_dir():
+            raise DataError(f"{given}: is no folder; give one that sdpid identify --out wrote.")
         missing = [n for n in ("result.json", "parameters.json") if not (path / n).exists()]
         if missing:
             raise DataError(
