@@ -7,6 +7,8 @@ import os
 # Workers fight for the cores where each starts threads of its own: said before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Nor does joblib start processes of its own, each of which would import everything, unless asked.
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")
 
 import signal
 from collections.abc import Iterator
@@ -115,9 +117,12 @@ def interruptible() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def dask_client() -> Iterator[Any]:
-    """Return a client of two worker processes; tests that use it share the group ``dask``."""
+    """Return a client of two worker processes; tests that use it share the group ``dask``.
+
+    A cluster that waits takes a tenth of a core, so none outlives its module.
+    """
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
     with (
         distributed.LocalCluster(

@@ -83,7 +83,7 @@ def test_a_task_a_robot_and_joblib(
         np.testing.assert_array_equal(each["theta"], alone["theta"])
         np.testing.assert_array_equal(each["factor"][0], alone["factor"][0])
         assert each["certificate"]["sha256"] == alone["certificate"]["sha256"]
-    again = sdpid.compare(problem, starts=2, seed=0)
+    again = sdpid.compare(problem, starts=2, seed=0, n_jobs=2)
     assert [row.cost for row in compared.rows] == [row.cost for row in again.rows]
     expected = sdpid.confidence_intervals(sdpid.solve_sdp(problem), method="bootstrap")
     np.testing.assert_array_equal(bands.lower, expected.lower)
