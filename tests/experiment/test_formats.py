@@ -322,8 +322,8 @@ def test_the_sandbox_limits_the_memory_of_a_log(
 
 # Damaged files of each kind.
 COUNT = int(os.environ.get("SDPID_FUZZ", "40"))
-# Of formats that are read in a child process, which takes a moment to start.
-COUNT_IN_SANDBOX = 1 + COUNT // 6
+# Of formats that are read in a child process, which takes half a second to start.
+COUNT_IN_SANDBOX = 1 + COUNT // 10
 TOML = b"""joint_names = ["a", "b"]
 period = 2.5
 start = 0.0
