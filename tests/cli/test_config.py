@@ -180,7 +180,7 @@ def completed(words: str) -> list[str]:
         "COMP_WORDS": words,
         "COMP_CWORD": str(len(words.split(" ")) - 1),
     }
-    command, options = [sys.executable, "-m", "sdpid"], {"text": True, "timeout": 60}
+    command, options = [sys.executable, "-m", "sdpid"], {"text": True, "timeout": 300}
     return subprocess.run(command, env=environment, capture_output=True, **options).stdout.split()
 
 

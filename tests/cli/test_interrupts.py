@@ -38,25 +38,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("interrupted")
     write_arm(folder)
     run = identify(folder)
-    _, stderr = run.communicate(timeout=120)
+    _, stderr = run.communicate(timeout=300)
     assert run.returncode == 0, stderr
     return folder
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.1])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "delay"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.1), (signal.SIGHUP, 0.0)]
+)
 def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float) -> None:
     before = contents(folder / "out")
     # Another margin, so that files of this run would differ.
     run = identify(folder, "--margin", "1e-4")
-    ends = time.monotonic() + 60.0
+    ends = time.monotonic() + 300.0
     while not any(path.name.startswith(".sdpid-") for path in (folder / "out").iterdir()):
         assert run.poll() is None, run.communicate()
         assert time.monotonic() < ends
         time.sleep(0.002)
     time.sleep(delay)
     run.send_signal(number)
-    _, stderr = run.communicate(timeout=60)
+    _, stderr = run.communicate(timeout=300)
     assert run.returncode == 128 + number
     assert "Traceback" not in stderr
     assert contents(folder / "out") == before
@@ -65,13 +66,13 @@ def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float
 def test_a_first_run_leaves_nothing(folder: Path) -> None:
     fresh = folder / "fresh"
     run = identify(folder, "--out", "fresh")
-    ends = time.monotonic() + 60.0
+    ends = time.monotonic() + 300.0
     while not fresh.exists():
         assert run.poll() is None
         assert time.monotonic() < ends
         time.sleep(0.002)
     run.terminate()
-    _, stderr = run.communicate(timeout=60)
+    _, stderr = run.communicate(timeout=300)
     assert run.returncode == 128 + signal.SIGTERM
     assert stderr == ""
     assert not fresh.exists()
@@ -88,7 +89,7 @@ except SystemExit:
     import mujoco
     sys.exit("glfw" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -105,6 +106,6 @@ gone = weakref.ref(thing, lambda _: {amid})
 del thing
 end_if_signaled()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.returncode == (0 if mistake else 128 + signal.SIGTERM)
     assert ("ZeroDivisionError" in done.stderr) if mistake else (done.stderr == "")

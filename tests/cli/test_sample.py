@@ -40,15 +40,12 @@ def test_robots_of_a_results_folder(folder: Path, tmp_path: Path) -> None:
     assert (done.exit_code, done.output) == (0, "")
     for path in out.glob("robot_*.urdf"):
         assert (again / path.name).read_bytes() == path.read_bytes()
-    other = run("sample", results, "-n", 3, "--out", again, "--seed", 1)
-    assert "3 robots drawn with seed 1" in other.stdout
+    # A single robot has no ranges to speak of.
+    other = ran("sample", results, "-n", 1, "--out", again, "--seed", 1)
+    assert "1 robots drawn with seed 1" in other.stdout
+    assert "ranges of one robot have no width" in other.stdout
+    assert "draw 40 or more" in " ".join(other.stdout.split())
     assert (again / "robot_0001.urdf").read_bytes() != (out / "robot_0001.urdf").read_bytes()
-
-
-def test_a_single_robot_has_no_ranges_to_speak_of(folder: Path, tmp_path: Path) -> None:
-    done = ran("sample", folder / "results", "-n", 1, "--out", tmp_path / "robots")
-    assert "ranges of one robot have no width" in done.stdout
-    assert "draw 40 or more" in " ".join(done.stdout.split())
 
 
 def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> None:
