@@ -38,7 +38,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--starts", type=int, help="starts of the local solvers (default 20)")
     parser.add_argument("--quick", action="store_true", help="a small experiment, few starts")
     options = parser.parse_args()
-    small = {"periods": 8, "period": 38.0, "starts": 2, "iterations": 50}
+    small = {"periods": 8, "period": 38.0, "starts": 1, "iterations": 30}
     full = {"periods": 12, "period": 380.0, "starts": 20, "iterations": None}
     for name, value in (small if options.quick else full).items():
         if getattr(options, name, None) is None:

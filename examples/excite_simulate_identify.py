@@ -18,7 +18,7 @@ def main() -> None:
 
     robot = sdpid.load_robot("ur10_robot")
     limits = sdpid.Limits(acceleration=3.0, jerk=60.0, clearance=0.03)
-    duration, starts, seconds = (10.0, 1, 5.0) if options.quick else (20.0, 4, None)
+    duration, starts, seconds = (10.0, 1, 2.0) if options.quick else (20.0, 4, None)
     plan = sdpid.design_excitation(
         robot, duration=duration, limits=limits, starts=starts, time_limit=seconds
     )

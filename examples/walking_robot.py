@@ -19,7 +19,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     described = sdpid.load_robot("solo12", root="free_flyer")
-    seconds = 2.0 if options.quick else 10.0
+    seconds, moving = (2.0, 1.0) if options.quick else (10.0, 3.0)
     motions = ("stand", "trot", "hang")
     runs = [sdpid.simulate_legged(described, m, duration=seconds) for m in motions]
     logs, truth = [run.recording for run in runs], runs[0].theta
@@ -32,14 +32,17 @@ def main() -> None:
     for name, model in {"described": described, "identified": found}.items():
         print(f"{name}: {model.prior[:, 0].sum():.4f} kg (true {truth[:130:10].sum():.4f})")
         for motion in ("stand", "trot", "walk"):
-            log = sdpid.simulate_legged(model, motion, theta=truth, seed=1, duration=3.0).recording
+            run = sdpid.simulate_legged(model, motion, theta=truth, seed=1, duration=moving)
+            log = run.recording
             off = 1e3 * np.sqrt(np.mean((log.position - log.reference) ** 2))
             print(f"  {motion}: joints off by {off:.1f} mrad")
     # The links of the URDF in MuJoCo, beside the true ones.
     friction_found = result.estimate.theta[found.prior.size :]
     as_found = np.concatenate([found.prior.ravel(), friction_found])
     for name, theta in {"true": truth, "identified": as_found}.items():
-        walk = sdpid.simulate_legged(found, "walk", theta=theta, seed=1, duration=5.0).motion
+        walk = sdpid.simulate_legged(
+            found, "walk", theta=theta, seed=1, duration=seconds / 2
+        ).motion
         print(f"{name} robot walks to {walk.position[-1, :3].round(4)} m")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import Parallel, cpu_count, delayed
 
 import sdpid
 from sdpid import plots
@@ -98,7 +98,7 @@ def run_experiments(
     """
     kinds = ("first", "fresh", "noiseless")
     tasks = [(plant, kind) for plant in plants for kind in kinds]
-    work = Parallel(n_jobs=JOBS, return_as="generator")
+    work = Parallel(n_jobs=min(JOBS, cpu_count()), return_as="generator")
     found = {}
     results = work(delayed(_measured)(*task, size, out) for task in tasks)
     for count, (task, samples) in enumerate(zip(tasks, results, strict=True), 1):

@@ -143,7 +143,7 @@ def design_standing(
 
     Examples
     --------
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=2)
     >>> standing.limits.ok, standing.motion
     (True, WholeBodyMotion(12 joints, 4 feet, 2 s))
     """

@@ -69,7 +69,7 @@ class StandingPlan(Shown):
 
     Examples
     --------
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=2)
     >>> standing.limits.ok, standing.motion.duration
     (True, 2.0)
     >>> standing.table().header[:3]

@@ -58,7 +58,7 @@ def write_standing(
     Examples
     --------
     >>> from sdpid.excitation.standing.write import write_standing
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=2)
     >>> [path.name for path in write_standing(standing, "standing", figures=False)]
     ['trajectory.csv', 'plan.json']
     """
