@@ -427,3 +427,7 @@ def test_every_public_name_is_there() -> None:
 
 def test_the_package_says_that_it_is_typed() -> None:
     assert (PACKAGE / "py.typed").is_file()
+
+
+def test_every_slow_test_is_there(unknown_slow_tests: list[str]) -> None:
+    assert unknown_slow_tests == [], "tests/slow.txt names what is no test"

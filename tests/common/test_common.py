@@ -123,7 +123,7 @@ def test_modules_of_the_current_folder_are_not_run(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
     )
     assert done.stdout.strip() == "[2.0, 3.0]", done.stderr
     assert not (tmp_path / "ran").exists()

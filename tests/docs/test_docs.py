@@ -1,14 +1,22 @@
 """The code in the documentation runs."""
 
+import ast
 import re
+import runpy
+import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+import typer
 
 import sdpid
+from sdpid import cli
+from sdpid.experiment.inspection.kinds import KINDS
 from sdpid.robot.friction.model import BY_NAME, FrictionModel
 from tests.helpers.arm import arm_problem
 
@@ -72,3 +80,201 @@ def test_citations_resolve() -> None:
     for source in package.rglob("*.py"):
         for key in re.findall(r"\[(\w+)\]_", source.read_text(encoding="utf-8")):
             assert key in known, f"{source.relative_to(package)} cites [{key}]"
+
+
+# Measured numbers stand in tables that a command makes, and pages take them from there.
+
+
+ROOT = Path(__file__).resolve().parents[2]
+EVIDENCE = ROOT / "docs" / "evidence"
+
+
+@pytest.fixture(autouse=True)
+def evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EVIDENCE))
+
+
+def test_pages_have_no_measured_number_of_their_own() -> None:
+    from prose import unregistered
+
+    found = unregistered(ROOT)
+    listed = "\n".join(map(str, found))
+    assert not found, (
+        f"{listed}\nTake a measured number from a table of docs/evidence ({{measured}} or a link), "
+        "or list a definition (default, limit, option) in docs/evidence/definitions.toml."
+    )
+
+
+def test_the_readme_says_what_the_tables_say() -> None:
+    from prose import filled, readme_numbers
+    from studies import load_studies
+
+    studies = load_studies()
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").replace("*", "").split())
+    for entry in readme_numbers():
+        assert filled(entry, studies) in readme, "readme.toml and README.md say different things"
+        assert entry["page"] in readme, f"README.md has no link to {entry['page']}"
+        page = (ROOT / entry["page"]).read_text(encoding="utf-8")
+        for value in entry["values"]:
+            assert f"```{{evidence}} {value.split()[0]}\n" in page
+
+
+def test_what_counts_as_a_measured_number() -> None:
+    from prose import numbers
+
+    text = "\n".join(
+        (
+            "---\ntitle: 5 %\n---\n# It takes 3 s\n",
+            "from 0.04 to 0.26 s, `7 %`, $9 %$, 2.4e-8, 12\n%, 1.5 rad/s.",
+            "| 4 % |\n\n```text\n8 %\n```\n:::{note}\nsome 6.5 times\n:::",
+            "[1 %](x_2%.md) {measured}`a/b c .1%`",
+        )
+    )
+    assert [number for _, number in numbers(text)] == [
+        "3 s", "0.04 to 0.26 s", "2.4e-8", "12 %", "6.5 times", "1 %"
+    ]  # fmt: skip
+    assert [line for line, _ in numbers(text)] == [4, 6, 6, 6, 14, 16]
+
+
+def test_every_page_of_evidence_shows_its_tables() -> None:
+    from studies import load_studies
+
+    shown = {
+        reference
+        for page in EVIDENCE.glob("*.md")
+        for reference in re.findall(r"^```\{evidence\} (\S+)", page.read_text("utf-8"), flags=re.M)
+    }
+    studies = load_studies()
+    assert shown == {f"{s}/{t}" for s, study in studies.items() for t in study.tables}
+    for study in studies.values():
+        page = (EVIDENCE / study.page).read_text(encoding="utf-8")
+        assert f"{{evidence}} {study.name}/" in page
+
+
+# Options that pages name exist, and those of a command that is written out are its own.
+
+
+# Within a code block or between backticks; to the end of the line, lines that go on included.
+_COMMAND = re.compile(r"(?:^|`|[$!] ?)sdpid ([a-z][a-z-]*)\b((?:\\\n|[^\n`#|&;])*)", flags=re.M)
+_OWN = re.compile(r"(?<=\s)(--[a-z][a-z-]*|-[a-z])(?=[\s=`]|$)")
+# Code within a line, and an option in it.
+_CODE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
+# Of scripts, studies and other tools.
+_OTHERS = re.compile(r"python|pip|git|pytest|make|sphinx|ruff")
+
+
+def commands(text: str) -> Iterator[tuple[str, set[str]]]:
+    """Yield each command of a page, with its options."""
+    for found in _COMMAND.finditer(text):
+        yield found[1], set(_OWN.findall(found[2]))
+
+
+def known() -> dict[str, set[str]]:
+    """Return the options of each command; those of none under an empty name."""
+    group = typer.main.get_command(cli.app)
+    every = {"": group, **group.commands}  # type: ignore[attr-defined]
+    return {
+        name: {"--help"}.union(*((*each.opts, *each.secondary_opts) for each in command.params))
+        for name, command in every.items()
+    }
+
+
+def test_commands_are_found() -> None:
+    text = "`sdpid audit a.urdf --repair b`\n$ sdpid identify --config \\\n  run.toml -v # --no\n"
+    assert list(commands(text)) == [("audit", {"--repair"}), ("identify", {"--config", "-v"})]
+
+
+def test_commands_have_their_options() -> None:
+    options, count = known(), 0
+    for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))):
+        for name, own in commands(page.read_text(encoding="utf-8")):
+            assert name in options, f"{page.name} names sdpid {name}"
+            assert own <= options[name], f"{page.name}: sdpid {name} {own - options[name]}"
+            count += 1
+    assert count > 50
+
+
+@pytest.mark.parametrize("folder", ["guides", "tutorials", "."])
+def test_options_of_the_pages(folder: str) -> None:
+    options = set().union(*known().values())
+    for page in sorted((ROOT / "docs" / folder).glob("*.md")):
+        if page.name == "contributing.md":
+            continue
+        for found in _CODE.finditer(page.read_text(encoding="utf-8")):
+            if _OTHERS.search(found[1]):
+                continue
+            for option in _OPTION.findall(found[1]):
+                assert option in options, f"{page.name} names {option}: {found[1]}"
+
+
+# The notebooks are the tutorials.
+
+
+SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "notebooks.py"
+
+
+def test_notebooks_are_those_of_the_pages() -> None:
+    pytest.importorskip("jupytext")
+    command = [sys.executable, str(SCRIPT), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_page_that_was_not_run_says_so_below_its_title() -> None:
+    marked = runpy.run_path(str(SCRIPT.parent / "_ext" / "tutorials.py"))["marked"]
+    lines = marked("---\na: b\n---\n\n# Title\n\ntext\n\n# not a title\n", "why.").splitlines()
+    assert lines[4:7] == ["# Title", "", ":::{note}"]
+    assert sum("why." in line for line in lines) == 1
+
+
+# Messages and kinds of findings on the page of troubleshooting are those of the package.
+
+
+PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
+_WORDS = re.compile(r"`([^`]+)`")
+
+
+@cache
+def texts() -> tuple[str, ...]:
+    """Return every text in the package, a placeholder for what is filled in."""
+    trees = (ast.parse(path.read_text("utf-8")) for path in (ROOT / "sdpid").rglob("*.py"))
+    return tuple(filter(None, (text(node) for tree in trees for node in ast.walk(tree))))
+
+
+def text(node: ast.AST) -> str:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text(part) or "\0" for part in node.values)
+    return ""
+
+
+def first_cells(header: str) -> Iterator[str]:
+    """Yield the code in the first column of each table that begins with this heading."""
+    inside = False
+    for line in PAGE.splitlines():
+        cell = line.strip().strip("|").split("|")[0].strip() if line.startswith("|") else ""
+        inside = bool(cell) and (inside or cell == header)
+        if inside:
+            yield from _WORDS.findall(cell)
+
+
+def test_every_message_is_one_of_the_package() -> None:
+    messages = list(first_cells("message"))
+    assert len(messages) > 50
+    wanted = [[part for part in message.split("…") if len(part) > 2] for message in messages]
+    said = texts()
+    gone = [
+        message
+        for message, parts in zip(messages, wanted, strict=True)
+        if not any(all(part in words for part in parts) for words in said)
+    ]
+    assert not gone
+
+
+def test_every_kind_of_finding_is_named() -> None:
+    kinds = set(KINDS)
+    named = set(first_cells("kind"))
+    assert kinds - named == set()
+    assert named - kinds == set()

@@ -1,0 +1,425 @@
+import itertools
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, InfeasibleError, MissingExtraError, ModelError
+from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.objectives import Objective, ObjectiveKind
+from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.design import design
+from sdpid.excitation.design.repair import checked, mend
+from sdpid.excitation.geometry.obstacles import table
+from sdpid.excitation.limits.check import LimitCheck, check_trajectory
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.plan.plan import Plan
+from sdpid.excitation.search.search import Candidate, Search
+from sdpid.excitation.search.space import SplineSpace
+from sdpid.excitation.search.starts import random_start
+from sdpid.experiment.trajectory.spline import Spline
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.dense_check import dense_check
+from tests.helpers.plans import small_plan
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import planar_arm, small_arm
+
+# Plans: within every limit at every instant, the same for a seed, and stoppable.
+
+
+QUICK: dict[str, Any] = {"duration": 6.0, "starts": 1, "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    limits = sdpid.Limits(acceleration=4.0, jerk=60.0, clearance=0.02)
+    return sdpid.design_excitation("denso_vp6242", limits=limits, obstacles=[table()], **QUICK)
+
+
+def test_a_plan_holds_its_limits_at_every_instant(plan: Plan) -> None:
+    assert plan.limits.ok
+    assert all(row.slack >= 0.0 for row in plan.limits.rows)
+    kinds = {row.kind for row in plan.limits.rows}
+    assert kinds >= {"position", "velocity", "acceleration", "jerk", "distance"}
+
+
+def test_a_plan_holds_its_limits_on_a_dense_grid(plan: Plan) -> None:
+    states = dense_check().states_of(plan.trajectory)
+    limits = plan.joint_limits
+    for reached, most in (
+        (states.velocity, limits.velocity),
+        (states.acceleration, limits.acceleration),
+        (states.jerk, limits.jerk),
+    ):
+        assert np.all(np.abs(reached).max(axis=0) <= most)
+    assert np.all(states.position >= limits.lower)
+    assert np.all(states.position <= limits.upper)
+
+
+def test_a_plan_is_at_rest_where_it_begins_and_ends(plan: Plan) -> None:
+    position, velocity, acceleration = plan.trajectory.sample()
+    np.testing.assert_allclose(velocity[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(acceleration[0], 0.0, atol=1e-9)
+    ends = plan.trajectory.series.evaluate(np.array([0.0, plan.trajectory.period]))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    assert np.ptp(position, axis=0).min() > 0.1
+
+
+def test_a_plan_shows_every_parameter(plan: Plan) -> None:
+    assert plan.condition_number < 1e3
+    assert plan.standard_errors.shape == (len(plan.names),)
+    assert np.all(plan.standard_errors > 0.0)
+    assert plan.expected.sentences()
+
+
+def test_the_same_seed_makes_the_same_plan() -> None:
+    plans = small_plan(), small_plan.__wrapped__()
+    one, other = (plan.trajectory.series.control_points for plan in plans)
+    np.testing.assert_array_equal(one, other)
+
+
+def test_a_plan_begins_where_it_is_asked_to() -> None:
+    start = np.array([0.3, 0.2, -1.2, 0.1, -0.3, 0.2])
+    found = sdpid.design_excitation(
+        "denso_vp6242", start=start, objective="D", friction=("viscous",), **QUICK
+    )
+    np.testing.assert_allclose(found.trajectory.sample()[0][0], start, atol=1e-6)
+    assert found.limits.ok
+
+
+@pytest.mark.parametrize("motion", ["fourier", "postures", "one_by_one"])
+def test_every_kind_of_motion_holds_its_limits(motion: Any) -> None:
+    found = sdpid.design_excitation(
+        "denso_vp6242", motion=motion, duration=20.0, starts=1, time_limit=1.5, objective="D"
+    )
+    assert found.limits.ok
+    assert found.motion == motion
+    assert any(note.startswith(f"motion '{motion}'") for note in found.notes)
+
+
+def test_an_interrupted_search_returns_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = 0
+    whole = Criterion.gradient
+
+    def interrupted(*arguments: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 20:
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(Criterion, "gradient", interrupted)
+    found = sdpid.design_excitation("denso_vp6242", **QUICK)
+    assert found.limits.ok
+    assert any("interrupted" in note for note in found.notes)
+
+
+def test_what_is_delivered_is_hardly_worse_than_what_was_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken, worse = [], []
+
+    def mended(task: Any, search: Any, found: Any, inequalities: Any) -> Any:
+        broken.append(not checked(task, found[0])[1].ok)
+        best, check = mend(task, search, found, inequalities)
+        worse.append(best.value - found[0].value)
+        return best, check
+
+    monkeypatch.setattr(design, "mend", mended)
+    # The tool is too fast between the instants of the grid.
+    plan = sdpid.design_excitation(
+        "denso_vp6242", limits=sdpid.Limits(tool_speed=0.5), collisions=False, **QUICK
+    )
+    assert plan.limits.ok
+    assert broken == [True]
+    assert worse[0] <= 0.1
+
+
+def test_the_search_begins_with_the_best_of_its_random_motions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class SeenError(Exception):
+        pass
+
+    def seen(search: Search, starts: Any, *_: Any, **__: Any) -> Any:
+        values = [search.value_and_gradient(x)[0] for x in itertools.islice(starts, 4)]
+        assert values[0] == min(values)
+        # A finger that slides by centimeters is moved as much of its range as the arm.
+        np.testing.assert_allclose(search.space.sizes[:7], 1.0)
+        assert search.space.sizes[7] == pytest.approx(0.019)
+        # Its mass, which no motion shows beside the arm's, does not rule the condition number.
+        shown, names = search.criterion.objective.shown, search.criterion.rows.base.names
+        hidden = np.linalg.svd(shown.T)[2][-1]
+        assert shown.shape == (len(names), len(names) - 1)
+        assert {names[k] for k in np.argsort(-np.abs(hidden))[:3]} == {"m8", "m9", "myr4"}
+        raise SeenError
+
+    monkeypatch.setattr(Search, "run", seen)
+    with pytest.raises(SeenError):
+        sdpid.design_excitation("panda", collisions=False, seed=2)
+
+
+def test_a_payload_is_asked_for_by_name() -> None:
+    found = sdpid.design_excitation("denso_vp6242", purpose="payload", **QUICK)
+    assert found.purpose == "payload"
+    assert found.limits.ok
+
+
+def test_torque_limits_with_a_spread_are_held() -> None:
+    robot = sdpid.load_robot("panda")
+    found = sdpid.design_excitation(
+        robot, torque_spread=2.0, duration=6.0, starts=1, time_limit=2.0, collisions=False
+    )
+    rows = [row for row in found.limits.rows if row.kind == "torque"]
+    assert rows
+    assert found.limits.ok
+
+
+def test_settings_are_plain(plan: Plan) -> None:
+    import json
+
+    assert json.loads(json.dumps(plan.settings))["duration"] == 6.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"duration": 0.2}, "too short for the limits"),
+        ({"duration": -1.0}, "positive time"),
+        ({"duration": 1e9}, "repeat a shorter motion"),
+        ({"starts": 0}, "at least 1"),
+        ({"time_limit": 0.0}, "positive time"),
+        ({"motion": "chirp"}, "use one of spline"),
+        ({"purpose": "fun"}, "use one of all"),
+        ({"objective": "G"}, "use one of mixed"),
+        ({"harmonics": 5}, "Fourier"),
+        ({"motion": "fourier", "closed": False}, "closed"),
+        ({"periods": 0}, "from 1"),
+        ({"periods": 2, "closed": False}, "ends elsewhere"),
+        ({"purpose": "torque"}, "give the motion"),
+    ],
+)
+def test_bad_arguments_are_told_before_the_search(arguments: Any, words: str) -> None:
+    refuses(DataError, words, sdpid.design_excitation, "denso_vp6242", **{**QUICK, **arguments})
+
+
+def test_a_motion_that_tells_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: Any, **__: Any) -> Any:
+        raise DataError("mask: leaves none of 10 rows.")
+
+    monkeypatch.setattr("sdpid.excitation.design.design.expect", nothing)
+    with pytest.raises(InfeasibleError, match=r"tells nothing.*none of 10 rows"):
+        sdpid.design_excitation("denso_vp6242", collisions=False, time_limit=2.0, duration=6.0)
+
+
+def test_a_floating_base_is_refused() -> None:
+    with pytest.raises(ModelError, match="floating base"):
+        sdpid.design_excitation(sdpid.load_robot("solo12", root="free_flyer"))
+
+
+def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    # None stands for a module that cannot be found.
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(MissingExtraError, match=r"pip install .casadi"):
+        sdpid.design_excitation("denso_vp6242", **QUICK)
+
+
+# Laws of designs: tighter limits never gain, and scaled or mirrored tasks are the same task.
+
+
+pytest.importorskip("casadi", reason="needs the extra excite")
+
+# Powers of 1/s in the units of each kind.
+ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
+KINDS = tuple(ORDERS)[1:]
+
+
+def kinematic(plan: Plan, curve: Any, limits: JointLimits) -> LimitCheck:
+    """Return the check of a curve against limits of its derivatives alone."""
+    none = np.full(curve.n, np.inf)
+    bare = replace(limits, torque=none, tool_speed=None, clearance=None)
+    return check_trajectory(plan.robot, curve, bare, collision=False)
+
+
+def slacks(check: LimitCheck) -> dict[tuple[str, str, str], float]:
+    return {(row.kind, row.subject, row.side): row.slack for row in check.rows}
+
+
+def scaled(limits: JointLimits, time: float) -> JointLimits:
+    """Return the limits of a motion that takes `time` as long."""
+    return replace(limits, **{kind: getattr(limits, kind) / time ** ORDERS[kind] for kind in KINDS})
+
+
+def spline_of(plan: Plan) -> Spline:
+    series = plan.trajectory.series
+    assert isinstance(series, Spline)
+    return series
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.sampled_from(KINDS), st.floats(1.0, 10.0))
+def test_wider_limits_hold_too(kind: str, factor: float) -> None:
+    plan = small_plan()
+    wider = replace(plan.joint_limits, **{kind: factor * getattr(plan.joint_limits, kind)})
+    assert kinematic(plan, spline_of(plan), wider).ok
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.sampled_from(KINDS), st.floats(0.1, 0.999))
+def test_limits_below_what_is_reached_are_broken(kind: str, factor: float) -> None:
+    plan = small_plan()
+    curve = spline_of(plan)
+    time = np.linspace(0.0, curve.duration, 2001)
+    reached = np.abs(curve.evaluate(time, derivative=ORDERS[kind])).max(axis=0)
+    tighter = replace(plan.joint_limits, **{kind: factor * reached})
+    check = kinematic(plan, curve, tighter)
+    assert {row.kind for row in check.broken} == {kind}
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.2, 5.0))
+def test_slow_motions_have_the_same_slack_of_slow_limits(time: float) -> None:
+    plan = small_plan()
+    curve = spline_of(plan)
+    slow = Spline(duration=time * curve.duration, control_points=curve.control_points)
+    usual = kinematic(plan, curve, plan.joint_limits)
+    found = slacks(kinematic(plan, slow, scaled(plan.joint_limits, time)))
+    assert found.keys() == slacks(usual).keys()
+    for row in usual.rows:
+        slack = found[row.kind, row.subject, row.side]
+        # Bounds are refined to 0.2 % of a limit, or of a range.
+        near = pytest.approx(row.slack, rel=1e-2, abs=3e-3 * max(abs(row.limit), 1.0))
+        assert slack * time ** ORDERS[row.kind] == near
+        assert slack >= 0.0
+
+
+def test_mirrored_motions_have_the_slack_of_mirrored_limits() -> None:
+    plan = small_plan()
+    curve = spline_of(plan)
+    mirrored = Spline(duration=curve.duration, control_points=-curve.control_points)
+    limits = plan.joint_limits
+    swapped = replace(limits, lower=-limits.upper, upper=-limits.lower, rest=-limits.rest)
+    usual = sorted(slacks(kinematic(plan, curve, limits)).values())
+    found = sorted(slacks(kinematic(plan, mirrored, swapped)).values())
+    np.testing.assert_allclose(found, usual, rtol=1e-9, atol=1e-9)
+
+
+def test_no_grid_finds_less_slack_than_is_stated() -> None:
+    plan = small_plan()
+    dense = dense_check()
+    states, limits = dense.states_of(plan.trajectory), plan.joint_limits
+    kinds = ("lower", "upper", *KINDS)
+    found = list(
+        dense.joints_reached(
+            plan.robot.joint_names, states, **{kind: getattr(limits, kind) for kind in kinds}
+        )
+    )
+    effort = dense.efforts(plan.robot, states)
+    found += dense.efforts_reached(plan.robot.joint_names, states.time, effort, limits.torque)
+    stated: dict[tuple[str, str], float] = {}
+    for row in plan.limits.rows:
+        key = row.kind, row.subject
+        stated[key] = min(row.slack, stated.get(key, np.inf))
+    assert found
+    assert all(reached.held for reached in found)
+    for reached in found:
+        assert reached.slack >= stated[reached.kind, reached.subject] - 1e-9
+
+
+def criterion_of(robot: RobotModel, kind: ObjectiveKind, friction: tuple[str, ...]) -> Criterion:
+    rows = BaseRows.of(robot, friction)
+    known = np.zeros((rows.count, rows.count))
+    return Criterion(rows=rows, objective=Objective(kind=kind), rates=np.ones(robot.n), known=known)
+
+
+def states_of(curve: Spline, time: float = 1.0) -> tuple[Array, Array, Array]:
+    """Return the states of a curve that takes `time` as long."""
+    grid = (np.arange(80) + 0.5) / 80.0 * curve.duration
+    q, v, a = (curve.evaluate(grid, derivative=order) / time**order for order in range(3))
+    return q, v, a
+
+
+def drawn(n: int, seed: int) -> Spline:
+    points = np.random.default_rng(seed).uniform(-1.5, 1.5, (20, n))
+    return Spline(duration=8.0, control_points=points)
+
+
+@given(st.integers(0, 1000), st.floats(0.2, 5.0))
+def test_without_gravity_time_changes_no_condition_number(seed: int, time: float) -> None:
+    robot = small_arm(3).with_gravity((0.0, 0.0, 0.0))
+    criterion = criterion_of(robot, "condition", ())
+    curve = drawn(3, seed)
+    usual, slow = (criterion.value(*states_of(curve, t), 8.0) for t in (1.0, time))
+    assert slow == pytest.approx(usual, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["condition", "D", "mixed"])
+@given(seed=st.integers(0, 1000))
+def test_mirrored_motions_of_a_planar_arm_show_as_much(kind: ObjectiveKind, seed: int) -> None:
+    criterion = criterion_of(planar_arm(), kind, ("coulomb", "viscous"))
+    q, v, a = states_of(drawn(2, seed))
+    # Joint angle zero is horizontal: the mirror turns the first joint by half a turn.
+    mirror = np.array([np.pi, 0.0])
+    usual, mirrored = criterion.value(q, v, a, 8.0), criterion.value(mirror - q, -v, -a, 8.0)
+    assert mirrored == pytest.approx(usual, abs=1e-6)
+
+
+@given(st.integers(0, 1000), st.floats(-3.0, 3.0))
+def test_turning_a_vertical_first_joint_shows_as_much(seed: int, angle: float) -> None:
+    criterion = criterion_of(small_arm(3), "mixed", ("viscous", "offset"))
+    q, v, a = states_of(drawn(3, seed))
+    usual = criterion.value(q, v, a, 8.0)
+    turned = criterion.value(q + np.array([angle, 0.0, 0.0]), v, a, 8.0)
+    assert turned == pytest.approx(usual, abs=1e-6)
+
+
+LIMITS = sdpid.Limits(lower=-1.5, upper=1.0, velocity=2.0, acceleration=4.0, jerk=40.0, share=1.0)
+
+
+def search_of(limits: sdpid.Limits) -> Search:
+    robot = planar_arm()
+    criterion = criterion_of(robot, "mixed", ("viscous",))
+    space = SplineSpace.of(robot.n, 4.0, intervals=8)
+    return Search(space=space, criterion=criterion, limits=limits.of(robot))
+
+
+def found_from(search: Search, start: Array) -> Candidate:
+    candidate, _ = search.improve(start, None, most_steps=40)
+    return candidate
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.sampled_from(KINDS), st.floats(0.3, 0.9), st.integers(0, 100))
+def test_a_tighter_limit_never_gains(kind: str, factor: float, seed: int) -> None:
+    # What is best within the tighter limits is within the wider ones, and may get better there.
+    wide = search_of(LIMITS)
+    tight = search_of(replace(LIMITS, **{kind: factor * getattr(LIMITS, kind)}))
+    rng = np.random.default_rng(seed)
+    start = random_start(tight.space, tight.linear, rng.uniform(-1, 0.5, 2), rng, lambda x: True)
+    within = found_from(tight, start)
+    matrix, lower, upper = wide.linear
+    assert np.all((matrix @ within.x >= lower) & (matrix @ within.x <= upper))
+    assert found_from(wide, within.x).value <= within.value
+
+
+# A plan draws its motion against its limits.
+
+
+def test_a_plan_is_drawn_against_its_limits() -> None:
+    pytest.importorskip("matplotlib")
+    plan = small_plan()
+    axes = plan.plot()
+    assert axes.shape == (5, plan.robot.n)
+    assert [axis.get_title(loc="left") for axis in axes[0]] == list(plan.robot.joint_names)
+    assert [axis.get_ylabel() for axis in axes[:, 0]] == ["rad", "rad/s", "rad/s²", "rad/s³", "N·m"]
+    for j in range(plan.robot.n):
+        motion, *limits = axes[2, j].get_lines()
+        most = plan.joint_limits.acceleration[j]
+        assert np.abs(motion.get_ydata()).max() <= most * (1.0 + 1e-9)
+        assert sorted(line.get_ydata()[0] for line in limits) == pytest.approx([-most, most])

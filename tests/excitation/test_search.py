@@ -1,0 +1,386 @@
+import itertools
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.objectives import Objective
+from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.search import search as module
+from sdpid.excitation.search import steps
+from sdpid.excitation.search.ipopt import INTERRUPTED, minimize
+from sdpid.excitation.search.linear import largest_step, linear_limits
+from sdpid.excitation.search.search import Candidate, Search, most_steps
+from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
+from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.steps import counted_steps
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import planar_arm
+
+# The search: several starts, then the best of them refined; better, and within the limits.
+
+
+pytest.importorskip("casadi", reason="needs the extra excite")
+
+LIMITS = sdpid.Limits(lower=-1.5, upper=1.0, velocity=2.0, acceleration=4.0, jerk=40.0, share=1.0)
+
+
+def search_of(limits: sdpid.Limits = LIMITS, **settings: Any) -> Search:
+    robot = planar_arm()
+    rows = BaseRows.of(robot, ("viscous",))
+    criterion = Criterion(
+        rows=rows,
+        objective=Objective(kind="mixed"),
+        rates=np.ones(robot.n),
+        known=np.zeros((rows.count, rows.count)),
+    )
+    space = SplineSpace.of(robot.n, 4.0, intervals=8)
+    return Search(space=space, criterion=criterion, limits=limits.of(robot), **settings)
+
+
+def starts_of(search: Search, count: int) -> Iterator[Array]:
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        home = rng.uniform(-1.0, 0.5, search.space.n)
+        yield random_start(search.space, search.linear, home, rng, lambda x: True)
+
+
+def holds(candidate: Candidate, search: Search) -> bool:
+    A, lower, upper = search.on(candidate.space).linear
+    at = A @ candidate.x
+    return bool(np.all((at >= lower) & (at <= upper)))
+
+
+def test_the_best_are_refined_within_the_limits() -> None:
+    search = search_of()
+    steps = 0
+
+    def step() -> None:
+        nonlocal steps
+        steps += 1
+
+    found, stopped = search.run(starts_of(search, 3), step=step)
+    assert not stopped
+    assert all(holds(candidate, search) for candidate in found)
+    assert [c.value for c in found] == sorted(c.value for c in found)
+    sizes = {c.space.size for c in found}
+    assert len(sizes) == 3
+    assert found[0].space.size > search.space.size
+    coarse = min(c.value for c in found if c.space is search.space)
+    assert found[0].value < coarse
+    assert sum(c.steps for c in found) == steps <= most_steps(3)
+
+
+def test_the_best_goes_on_after_starts_that_are_no_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "_REFINING_STEPS", 5)
+    search = search_of()
+    start = next(starts_of(search, 1))
+    values = [search.run([start] * count)[0][0].value for count in (1, 2, 3)]
+    assert values[0] > values[1] > values[2]
+
+
+def test_more_time_never_finds_a_worse_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = []
+    for deadline in (2.0, 30.0, 90.0, 200.0):
+        # A clock that counts how often it is asked.
+        clock = SimpleNamespace(monotonic=itertools.count().__next__)
+        monkeypatch.setattr(module, "time", clock)
+        search = search_of(deadline=deadline)
+        found, _ = search.run(starts_of(search, 3))
+        values.append(found[0].value)
+    assert values == sorted(values, reverse=True)
+    assert values[-1] < values[0]
+
+
+def test_after_the_deadline_there_is_still_a_motion() -> None:
+    search = search_of(deadline=0.0)
+    found, stopped = search.run(starts_of(search, 3))
+    assert stopped
+    assert len(found) == 1
+    assert holds(found[0], search)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("sent", [False, True])
+def test_an_interrupted_search_is_not_refined(sent: bool) -> None:
+    """Raised in a step, or by a signal, it leaves the best so far."""
+    search = search_of()
+    calls = 0
+
+    def interrupt() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 5:
+            if not sent:
+                raise KeyboardInterrupt
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found, stopped = search.run(starts_of(search, 3), step=interrupt)
+    assert stopped
+    assert [c.status for c in found] == [INTERRUPTED]
+    assert not sent or found[0].steps in (5, 6)
+    assert holds(found[0], search)
+
+
+# The call of IPOPT: limits hold at every step, and the best point is kept.
+
+
+def bowl(x: np.ndarray) -> tuple[float, np.ndarray]:
+    target = np.array([2.0, 0.5, -3.0])
+    return float(np.sum((x - target) ** 2)), 2.0 * (x - target)
+
+
+BOX = (csr_array(np.eye(3)), np.full(3, -1.0), np.full(3, 1.0))
+
+
+class Ball:
+    """1 - x² is at least zero."""
+
+    pattern = np.ones((1, 3), dtype=bool)
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        return np.array([1.0 - x @ x])
+
+    def derivative(self, x: np.ndarray) -> np.ndarray:
+        return -2.0 * x[None, :]
+
+
+def test_the_best_point_within_linear_limits_is_found() -> None:
+    found = minimize(bowl, np.zeros(3), BOX, None, most_steps=100, stop=lambda *_: False)
+    np.testing.assert_allclose(found.x, [1.0, 0.5, -1.0], atol=1e-3)
+    assert np.all(np.abs(found.x) <= 1.0)
+    assert found.value == bowl(found.x)[0]
+    assert not found.stopped
+
+
+def test_the_best_point_within_nonlinear_limits_is_found() -> None:
+    found = minimize(bowl, np.zeros(3), BOX, Ball(), most_steps=100, stop=lambda *_: False)
+    target = np.array([2.0, 0.5, -3.0])
+    np.testing.assert_allclose(found.x, target / np.linalg.norm(target), atol=1e-2)
+    assert found.x @ found.x <= 1.0 + 1e-5
+
+
+@pytest.mark.parametrize("most", [1, 2, 4])
+def test_a_search_stopped_at_any_step_is_within_the_linear_limits(most: int) -> None:
+    found = minimize(bowl, np.zeros(3), BOX, None, most_steps=100, stop=lambda k, _: k >= most)
+    assert found.stopped
+    assert np.all(np.abs(found.x) <= 1.0)
+    assert found.value <= bowl(np.zeros(3))[0]
+
+
+def test_an_interruption_returns_the_best_so_far() -> None:
+    calls = 0
+
+    def interrupted(x: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal calls
+        calls += 1
+        if calls > 4:
+            raise KeyboardInterrupt
+        return bowl(x)
+
+    found = minimize(interrupted, np.zeros(3), BOX, None, most_steps=100, stop=lambda *_: False)
+    assert found.stopped
+    assert found.status == "Interrupted"
+    assert np.all(np.abs(found.x) <= 1.0)
+
+
+def test_exceptions_of_the_function_come_through() -> None:
+    def broken(x: np.ndarray) -> tuple[float, np.ndarray]:
+        if x.any():
+            raise ZeroDivisionError("here")
+        return bowl(x)
+
+    with pytest.raises(ZeroDivisionError, match="here"):
+        minimize(broken, np.zeros(3), BOX, None, most_steps=100, stop=lambda *_: False)
+
+
+# Motions of the search: linear in free numbers, at rest at the ends, bounded by their rows.
+
+
+# Of joints that turn, and of a finger that slides by centimeters.
+SIZES = np.array([1.0, 0.01, 0.3])
+
+SPACES = {
+    "spline": lambda: SplineSpace.of(3, 8.0),
+    "open": lambda: SplineSpace.of(3, 8.0, closed=False),
+    "postures": lambda: SplineSpace.postures(3, 20.0),
+    "one_by_one": lambda: SplineSpace.one_by_one(3, 20.0),
+    "fourier": lambda: FourierSpace.of(3, 8.0, 5),
+    "sized": lambda: SplineSpace.of(3, 8.0).sized(SIZES),
+}
+NAMES = tuple(SPACES)
+
+
+def drawn(space: Space, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(space.size)
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 1000))
+def test_the_curve_is_what_the_basis_says(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    x = drawn(space, seed)
+    time = space.grid()
+    for order in range(4):
+        expected = space.basis(time, order) @ space.coefficients(x)
+        found = space.curve(x).evaluate(time, derivative=order)
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 1000))
+def test_every_motion_is_at_rest_at_its_ends(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    curve = space.curve(drawn(space, seed))
+    ends = np.array([0.0, curve.duration])
+    for order in (1, 2):
+        inside = np.abs(curve.evaluate(space.grid(), derivative=order)).max()
+        assert np.abs(curve.evaluate(ends, derivative=order)).max() <= 1e-9 * inside
+    if name != "open":
+        np.testing.assert_allclose(*curve.evaluate(ends), atol=1e-9)
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 1000))
+def test_rows_bound_a_derivative_between_the_samples_too(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    x = drawn(space, seed)
+    dense = np.linspace(0.0, space.duration, 3001)
+    for order in range(4):
+        rows, share = space.bounds(order)
+        reached = np.abs(space.basis(dense, order) @ space.coefficients(x))
+        bound = np.abs(rows @ space.coefficients(x)).max(axis=0) / share
+        assert np.all(reached.max(axis=0) <= bound * (1.0 + 1e-12))
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 1000))
+def test_the_pull_is_the_transpose(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    x = drawn(space, seed)
+    c = np.random.default_rng(seed + 1).standard_normal(space.coefficients(x).shape)
+    assert np.sum(space.coefficients(x) * c) == pytest.approx(float(x @ space.pulled(c)))
+
+
+@given(st.sampled_from(NAMES), st.integers(0, 1000))
+def test_standing_still_is_standing_still(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    position = np.random.default_rng(seed).standard_normal(3)
+    curve = space.curve(space.standing(position))
+    np.testing.assert_allclose(
+        curve.evaluate(space.grid()), np.tile(position, (len(space.grid()), 1)), atol=1e-9
+    )
+
+
+def test_one_joint_moves_at_a_time() -> None:
+    space = SPACES["one_by_one"]()
+    speed = space.curve(drawn(space, 0)).evaluate(space.grid(20.0), derivative=1)
+    moving = np.abs(speed) > 1e-9
+    assert moving.any(axis=0).all()
+    assert moving.sum(axis=1).max() == 1
+
+
+def test_postures_are_held() -> None:
+    space = SPACES["postures"]()
+    speed = np.abs(space.curve(drawn(space, 0)).evaluate(space.grid(50.0), derivative=1)).max(
+        axis=1
+    )
+    assert np.count_nonzero(speed < 1e-9) > 0.05 * len(speed)
+
+
+@given(st.sampled_from(("spline", "fourier")), st.integers(0, 200))
+def test_random_starts_hold_the_limits_at_every_instant(name: str, seed: int) -> None:
+    robot = sdpid.load_robot("denso_vp6242")
+    limits = sdpid.Limits(acceleration=4.0, jerk=40.0).of(robot)
+    made = {"spline": SplineSpace.of(6, 8.0), "fourier": FourierSpace.of(6, 8.0, 5)}[name]
+    begin = limits.rest if seed % 2 else None
+    linear = linear_limits(made, limits, begin)
+    rng = np.random.default_rng(seed)
+    x = random_start(made, linear, limits.rest, rng, lambda x: True)
+    A, lower, upper = linear
+    assert np.all(A @ x >= lower - 1e-9)
+    assert np.all(A @ x <= upper + 1e-9)
+    dense = np.linspace(0.0, 8.0, 2001)
+    ranges = [limits.upper, limits.velocity, limits.acceleration, limits.jerk]
+    for order, most in enumerate(ranges):
+        reached = made.curve(x).evaluate(dense, derivative=order)
+        assert np.all(reached <= most)
+        assert np.all(reached >= (limits.lower if order == 0 else -most))
+    assert np.abs(made.curve(x).evaluate(dense, derivative=1)).max() > 0.05
+    if begin is not None:
+        np.testing.assert_allclose(made.curve(x).evaluate(np.zeros(1))[0], begin, atol=1e-9)
+
+
+def test_the_largest_step_ends_at_the_first_limit() -> None:
+    from scipy.sparse import csr_array
+
+    linear = (csr_array(np.eye(2)), np.array([-1.0, -1.0]), np.array([1.0, 3.0]))
+    assert largest_step(linear, np.zeros(2), np.array([1.0, 1.0])) == pytest.approx(1.0)
+    assert largest_step(linear, np.zeros(2), np.array([0.0, 1.0])) == pytest.approx(3.0)
+    assert largest_step(linear, np.zeros(2), np.array([0.0, -2.0])) == pytest.approx(0.5)
+
+
+def test_a_single_harmonic_is_refused() -> None:
+    refuses(DataError, "at least 2", FourierSpace.of, 3, 8.0, 1)
+
+
+@given(st.sampled_from(["spline", "open", "sized"]), st.integers(0, 1000))
+def test_refined_splines_hold_the_motion_and_its_limits(name: str, seed: int) -> None:
+    space = SPACES[name]()
+    x = drawn(space, seed)
+    refined = space.refined(x)
+    assert refined is not None
+    finer, numbers = refined
+    assert finer.size > 1.5 * space.size
+    np.testing.assert_array_equal(finer.sizes, space.sizes)
+    time = np.linspace(0.0, 8.0, 301)
+    for order in range(4):
+        expected = space.curve(x).evaluate(time, derivative=order)
+        found = finer.curve(numbers).evaluate(time, derivative=order)
+        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+        # Finer control points lie between those that they come from.
+        bounds = [s.bounds(order)[0] @ s.coefficients(y) for s, y in ((space, x), refined)]
+        size = np.abs(bounds[0]).max()
+        assert np.all(bounds[1].max(axis=0) <= bounds[0].max(axis=0) + 1e-8 * size)
+        assert np.all(bounds[1].min(axis=0) >= bounds[0].min(axis=0) - 1e-8 * size)
+
+
+@pytest.mark.parametrize("name", ["postures", "one_by_one", "fourier"])
+def test_other_motions_are_not_refined(name: str) -> None:
+    space = SPACES[name]()
+    assert space.refined(drawn(space, 0)) is None
+
+
+# The progress bar of a search.
+
+
+@pytest.mark.parametrize(("deadline", "length"), [(np.inf, 7.0), (102.0, 2.0)])
+def test_a_bar_counts_steps_or_seconds(
+    deadline: float, length: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lengths, moves = [], []
+
+    @contextmanager
+    def bar(total: float, *_: Any, **__: Any) -> Iterator[Callable[[float], None]]:
+        lengths.append(total)
+        yield moves.append
+
+    clock = iter([100.5, 101.5])
+    monkeypatch.setattr(steps, "progress", bar)
+    monkeypatch.setattr(steps.time, "monotonic", lambda: next(clock))
+    with counted_steps(7, 100.0, deadline, None) as step:
+        step()
+        step()
+    assert lengths == [length]
+    assert moves == ([1.0, 1.0] if np.isinf(deadline) else [0.5, 1.0])
