@@ -42,12 +42,12 @@ ROOMS = {
         "plant",
     ],
     "estimation": [
+        "information",
         "constraints",
         "conic",
         "compression",
         "prior",
         "effects",
-        "information",
         "error_source",
         "problem",
         "scaling",

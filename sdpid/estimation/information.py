@@ -13,6 +13,9 @@ from sdpid.errors import IdentifiabilityError
 # Below this (columns scaled to unit length) a direction is lost in rounding: not determined.
 UNDETERMINED = 1e-10
 
+# Below this share of the largest singular value, columns scaled likewise, there is but rounding.
+ROUNDING = 1e-12
+
 # Below this a direction is reported as weak: errors there are a thousand times those of the best.
 WEAK = 1e-3
 
@@ -98,10 +101,16 @@ def information_root(X: Array) -> Array:
 
 def least_squares(X: Array, y: Array) -> Array:
     """Return the shortest x that minimizes ``‖X·x − y‖``, its entries in units of the columns."""
+    return fitted(X, y)[0]
+
+
+def fitted(X: Array, y: Array) -> tuple[Array, int]:
+    """Return `least_squares`, and the rank of X."""
     # Columns scaled to unit length: their units differ, and so do their sizes by orders.
     scale = np.linalg.norm(X, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(X / scale, y, rcond=None)[0] / scale)
+    found, _, rank, _ = np.linalg.lstsq(X / scale, y, rcond=ROUNDING)
+    return np.asarray(found / scale), int(rank)
 
 
 def information_rows(H: Array) -> Array:

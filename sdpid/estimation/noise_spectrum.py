@@ -303,15 +303,11 @@ def _transformed(signals: Array) -> list[tuple[int, Array]]:
 
     size = _padded(len(signals))
     found = rfft(signals, size, axis=0, norm="ortho")
-    single = [0, *([size // 2] if size % 2 == 0 else [])]
-    found *= np.sqrt(2.0)
-    found[single] /= np.sqrt(2.0)
+    # The constant, and half the rate where it is there, have no imaginary part.
+    double = slice(1, (size + 1) // 2)
+    found[double] *= np.sqrt(2.0)
     octaves = np.log2(np.maximum(2.0 * np.arange(len(found)) / size, 2.0**-_OCTAVES)) + _OCTAVES
     band = np.ceil(octaves * _BANDS_PER_OCTAVE - 1e-9).astype(int)
-    edges = np.flatnonzero(np.diff(band, prepend=-1, append=band[-1] + 1))
-    out = []
-    for start, stop in pairwise(edges):
-        own = found[start:stop]
-        imaginary = own.imag[[i not in single for i in range(start, stop)]]
-        out.append((int(band[start]), np.vstack([own.real, imaginary])))
-    return out
+    coefficients = np.vstack([found.real, found.imag[double]])
+    place = np.append(band, band[double])
+    return [(m, coefficients[place == m]) for m in np.unique(band).tolist()]

@@ -20,15 +20,12 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whitened_chunks
-from sdpid.estimation.conic.solve import ConicSolution
-from sdpid.estimation.duality.bound import PROVEN, TINY_COST, relative_gap
-from sdpid.estimation.duality.refine_multipliers import lower_bound
+from sdpid.estimation.duality.bound import TINY_COST
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem, check_samples
 from sdpid.estimation.sdp.program import ReusableProgram, SdpProgram
-from sdpid.estimation.sdp.repair import repair
-from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.sdp.solve import Search, solve_sdp
 from sdpid.experiment.processing.samples import Samples
 
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
@@ -212,52 +209,27 @@ class RecursiveEstimator(Shown):
         program = SdpProgram.about(problem, theta, estimate.cost, self._bounds_included)
         self._about, self._program = estimate, ReusableProgram.of(program)
 
-    def _solved(
-        self, problem: Problem, unit: float
-    ) -> tuple[SdpProgram, ConicSolution, Array] | None:
-        """Return the solution of the program of before with the data of now, and its theta."""
-        while self._program is not None and self._about is not None:
-            program = self._program.program
-            solution = self._program.solve(
-                problem.A, problem.rhs, cost=unit, regularization=_REGULARIZATION
-            )
-            if solution.x is None:
-                break
-            theta = program.theta(solution)
-            outside = ~self._program.inside(theta)
-            if not outside.any():
-                scaling = replace(program.scaling, cost=unit)
-                return replace(program, problem=problem, scaling=scaling), solution, theta
-            # theta_max matters after all: from now on with the bounds that were overstepped.
-            self._bounds_included = self._bounds_included | outside
-            self._prepare(self._about)
-        return None
-
     def _quick(self, problem: Problem) -> Estimate | None:
         """Return what is found without starting from scratch; None where nothing is proven so."""
-        if self._last is None:
-            return None
-        efforts = float(problem.rhs @ problem.rhs) + problem.floor
-        # What is found cannot cost more than what was found before.
-        unit = max(problem.cost_of(self._last), TINY_COST * efforts, float(np.finfo(float).tiny))
-        solved = self._solved(problem, unit)
-        if solved is None:
-            return None
-        program, solution, found = solved
-        theta = repair(problem, found)
-        multipliers = program.multipliers(solution, theta)
-        estimate = Estimate.of_theta(
-            problem,
-            theta,
-            method="sdp",
-            status="optimal",
-            message=f"clarabel: {solution.status}; any point of the optimal face",
-            iterations=solution.iterations,
-            solve_time=solution.seconds,
-            multipliers=multipliers,
-        )
-        bound = lower_bound(problem, theta, multipliers, estimate.cost)
-        proven = relative_gap(problem, estimate.cost, bound.value) <= PROVEN
-        if not proven or not estimate.feasible:
-            return None
-        return replace(estimate, multipliers=bound.multipliers)
+        while self._program is not None and self._about is not None and self._last is not None:
+            efforts = float(problem.rhs @ problem.rhs) + problem.floor
+            # What is found cannot cost more than what was found before.
+            cost = max(problem.cost_of(self._last), TINY_COST * efforts, np.finfo(float).tiny)
+            solution = self._program.solve(
+                problem.A, problem.rhs, cost=cost, regularization=_REGULARIZATION
+            )
+            program = self._program.program
+            scaling = replace(program.scaling, cost=cost)
+            start = scaling, program.coordinates.origin
+            search = Search(problem, False, (start, start), self._bounds_included)
+            search.take(replace(program, problem=problem, scaling=scaling), solution)
+            if search.bounds_included is self._bounds_included:
+                if not search.proven:
+                    return None
+                estimate, _ = search.result()
+                message = f"{estimate.message}; any point of the optimal face"
+                return replace(estimate, message=message)
+            # theta_max matters after all: from now on with the bounds that were overstepped.
+            self._bounds_included = search.bounds_included
+            self._prepare(self._about)
+        return None

@@ -171,7 +171,7 @@ def test_every_solve_is_proven_and_quick_ones_are_not_full(
 def test_what_is_not_proven_is_solved_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = RecursiveEstimator(arm_problem(LIGHT))
     stream.solve()
-    monkeypatch.setattr(streaming, "PROVEN", -1.0)
+    monkeypatch.setattr(streaming, "Search", type("Lost", (streaming.Search,), {"proven": False}))
     found = stream.solve()
     assert "any point" not in found.message
     assert sdpid.certify(found).passed

@@ -31,6 +31,7 @@ from sdpid.estimation.compression.covariance import (
 from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights_and_shares
+from sdpid.estimation.information import fitted
 
 # Samples that the variances come from, evenly spread: of 4096 with six independent rows each a
 # joint's variance is known to some 2 %, and another pass over all samples costs as much as a fit.
@@ -226,10 +227,9 @@ class _Left:
             for start in range(0, len(X), size):
                 own = slice(start, start + size)
                 triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
-        R = triangle.R
-        base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
+        base, rank = fitted(triangle.R[:, :-1], triangle.R[:, -1])
         residual = [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
-        return np.asarray(base), residual, count / max(count - int(rank), 1.0)
+        return base, residual, count / max(count - rank, 1.0)
 
     def settled(
         self,

@@ -17,6 +17,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.information import fitted
 
 Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
 WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "residual")
@@ -24,8 +25,7 @@ WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "re
 # Those whose cost is the norm of the normal equations' residual: no sum over rows, no likelihood.
 PRINTED: tuple[Weighting, ...] = ("eq9", "eq18")
 
-# A covariance or a triangle whose reciprocal condition is below this is singular to working
-# accuracy.
+# A covariance whose reciprocal condition is below this is singular to working accuracy.
 SINGULAR = 1e-12
 
 
@@ -171,8 +171,7 @@ class JointRows:
     def fit(self, variance: Array) -> tuple[Array, int]:
         """Return the base parameters that fit best under given variances, and the rank."""
         A, rhs, _ = self.joined(variance).split()
-        base, _, rank, _ = np.linalg.lstsq(A, rhs, rcond=SINGULAR)
-        return np.asarray(base), int(rank)
+        return fitted(A, rhs)
 
     def squared_residuals(self, base: Array) -> Array:
         """Return the sum of every joint's squared residuals at some base parameters, (n,)."""

@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.conic.solve import solve_conic
+from sdpid.estimation.conic.solve import ConicSolution, solve_conic
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import PROVEN, Bound, cost_scale, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
@@ -137,7 +137,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         raise
     scaling = Scaling.of(problem)
     start = scaling, _described(problem, scaling)
-    search = _Search(problem, verbose, (start, start), problem.feasible.bounded)
+    search = Search(problem, verbose, (start, start), problem.feasible.bounded)
     for attempt in (*_ATTEMPTS, *_AGAIN):
         search.try_once(attempt)
         if search.proven:
@@ -147,7 +147,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
 
 
 @dataclass(eq=False)
-class _Search:
+class Search:
     """What the attempts have found so far, and where the next one begins.
 
     Attributes
@@ -195,13 +195,12 @@ class _Search:
 
     def try_once(self, attempt: _Attempt) -> None:
         """Solve once, and keep what is better than before."""
-        problem = self.problem
         scaling, center = self.starts[attempt.warm_started]
-        coordinates = Coordinates.of(problem, scaling.basis(), center)
+        coordinates = Coordinates.of(self.problem, scaling.basis(), center)
         if coordinates is None:
-            raise explained(problem)
+            raise explained(self.problem)
         program = SdpProgram.build(
-            problem,
+            self.problem,
             scaling,
             coordinates,
             self.bounds_included,
@@ -210,6 +209,11 @@ class _Search:
         solution = solve_conic(
             program.conic, regularization=attempt.regularization, verbose=self.verbose
         )
+        self.take(program, solution)
+
+    def take(self, program: SdpProgram, solution: ConicSolution) -> None:
+        """Keep what is better than before in a solution of a program of the problem."""
+        problem = self.problem
         self.status = f"clarabel: {solution.status}"
         self.seconds += solution.seconds
         self.iterations += solution.iterations
@@ -298,9 +302,7 @@ class _Search:
 
 def _better(first: Estimate, second: Estimate) -> bool:
     """Whether the first is feasible and the second not, or cheaper where both or none are."""
-    if first.feasible != second.feasible:
-        return first.feasible
-    return first.cost < second.cost
+    return (not first.feasible, first.cost) < (not second.feasible, second.cost)
 
 
 def _described(problem: Problem, scaling: Scaling) -> Array:
