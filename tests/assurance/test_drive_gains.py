@@ -16,7 +16,6 @@ from sdpid.assurance.drive_gains.checks import require_shown
 from sdpid.assurance.drive_gains.consistent import ConsistentFit
 from sdpid.assurance.drive_gains.errors import gain_errors, score_blocks
 from sdpid.assurance.drive_gains.fit import GainFit
-from sdpid.assurance.drive_gains.load import Mounted
 from sdpid.assurance.drive_gains.result import IdentifiedGains
 from sdpid.assurance.drive_gains.rows import GainModel, RunRows
 from sdpid.errors import DataError, IdentifiabilityError, ModelError
@@ -263,8 +262,8 @@ def fit(com: tuple[float, ...] | None = LOAD_COM) -> GainFit:
     for k in (0, 1):
         own = samples(k, loaded=bool(k))
         runs.append(RunRows.of(model, own, model.links(own), robot.prior, 0 if k else None))
-    load = Mounted(Load(mass=LOAD, com=com), model.base.matrix[:, 10:20], 1, np.eye(10))
-    return GainFit(model, runs, [load], np.full(2, FIT_NOISE))
+    load, weights = Load(mass=LOAD, com=com), np.full(2, FIT_NOISE**2)
+    return GainFit(model, runs, [load], model.base.matrix[:, 10:20], errors=weights)
 
 
 @pytest.mark.parametrize("start", [np.zeros(2), np.array([-2.0, 1.0])])

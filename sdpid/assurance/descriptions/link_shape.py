@@ -8,6 +8,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 
+# Weight of the sum of shares beside distances: it misses 1 by the square of its inverse.
+_HEAVY = 1e6
+
 
 @dataclass(frozen=True, eq=False)
 class Shape:
@@ -17,8 +20,6 @@ class Shape:
     ----------
     corners : ndarray, shape (V, 3)
         m, in the link's frame.
-    triangles : ndarray, shape (F, 3, 3)
-        Its surface.
     normals, offsets : ndarray, shapes (F, 3) and (F,)
         ``normals @ x ≤ offsets`` inside.
     volume : float
@@ -26,7 +27,6 @@ class Shape:
     """
 
     corners: Array
-    triangles: Array
     normals: Array
     offsets: Array
     volume: float
@@ -51,7 +51,6 @@ class Shape:
         normals = hull.equations[:, :3]
         return cls(
             corners=points[hull.vertices],
-            triangles=points[hull.simplices],
             normals=normals,
             offsets=-size * hull.equations[:, 3] + normals @ middle,
             volume=float(hull.volume) * size**3,
@@ -59,8 +58,16 @@ class Shape:
 
     def distance(self, point: Array) -> float:
         """Return how far a point is outside, m; minus its depth where it is inside."""
+        from scipy.optimize import nnls
+
         depth = float(np.max(self.normals @ point - self.offsets))
-        return depth if depth <= 0.0 else _distance_to_triangles(point, self.triangles)
+        if depth <= 0.0:
+            return depth
+        # The nearest convex combination of the corners; a heavy row makes their shares add up to 1.
+        away = self.corners - point
+        heavy = _HEAVY * float(np.linalg.norm(away, axis=1).max())
+        shares, _ = nnls(np.vstack([away.T, np.full(len(away), heavy)]), np.array([0, 0, 0, heavy]))
+        return float(np.linalg.norm(away.T @ shares / shares.sum()))
 
     def radius(self, point: Array) -> float:
         """Return the largest distance of the shape from a point, m."""
@@ -95,21 +102,3 @@ class Shape:
             return None
         limits = above * below
         return float(np.sqrt(np.max(np.maximum(values, 0.0) / limits)))
-
-
-def _distance_to_triangles(point: Array, triangles: Array) -> float:
-    """Return the distance of a point from the nearest of the triangles (F, 3, 3)."""
-    edges = np.roll(triangles, -1, axis=1) - triangles
-    away = point - triangles
-    length2 = np.einsum("fkd,fkd->fk", edges, edges)
-    share = np.einsum("fkd,fkd->fk", away, edges) / np.where(length2 > 0.0, length2, 1.0)
-    rest = away - np.clip(share, 0.0, 1.0)[..., None] * edges
-    nearest = np.min(np.linalg.norm(rest, axis=2), axis=1)
-    normal = np.cross(edges[:, 0], edges[:, 1])
-    norm = np.linalg.norm(normal, axis=1)
-    inside = norm > 0.0
-    for k in range(3):
-        side = np.einsum("fd,fd->f", np.cross(edges[:, k], away[:, k]), normal)
-        inside &= side >= 0.0
-    height = np.abs(np.einsum("fd,fd->f", away[:, 0], normal)) / np.where(norm > 0.0, norm, 1.0)
-    return float(np.min(np.where(inside, height, nearest)))

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.drive_gains.fit import GainFit
+from sdpid.assurance.drive_gains.fit import Found, GainFit
 from sdpid.assurance.drive_gains.load import Load
-from sdpid.assurance.drive_gains.rows import RunRows
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding
@@ -231,34 +230,17 @@ def require_bearable(robot: RobotModel, load: Load, samples: Samples, columns: A
         )
 
 
-def own_errors(runs: Sequence[RunRows]) -> Array:
-    """Return mean squared errors of each joint's current, each recording explained alone, A².
-
-    Such a fit knows no gains: the links at each joint are its own.
-    """
-    squares = sum(np.array([R[-1, -1] ** 2 for R in run.triangles]) for run in runs)
-    used = sum(run.used for run in runs)
-    return np.asarray(squares / np.maximum(used, 1.0))
-
-
-def require_one_arm(errors: Array, alone: Array, squares: Array, names: Sequence[str]) -> None:
+def require_one_arm(fit: GainFit, found: Found) -> None:
     """Refuse recordings that no one arm explains together.
-
-    Parameters
-    ----------
-    errors, alone, squares : ndarray, shape (n,)
-        Mean squares of what the fit to all recordings leaves, of what fits to each alone leave, and
-        of the currents about their means, A².
-    names : sequence of str
-        Of the joints.
 
     Raises
     ------
     DataError
         Naming the joints.
     """
-    ratio = np.sqrt(errors / np.maximum(alone, 1e-300))
-    left = np.sqrt(errors / np.maximum(squares, 1e-300))
+    errors, names = fit.errors(found), fit.model.robot.joint_names
+    ratio = np.sqrt(errors / np.maximum(fit.alone, 1e-300))
+    left = np.sqrt(errors) / np.maximum(fit.spread, 1e-150)
     joints = np.flatnonzero((ratio > _ONE_ARM) & (left > _LEFT)).tolist()
     if not joints:
         return
@@ -295,9 +277,8 @@ def require_shown(fit: GainFit, log_kappa: Array, free: Mask, *, anchored: bool)
         With the joints.
     """
     names = [name for name, each in zip(fit.model.robot.joint_names, free, strict=True) if each]
-    _, residual, slopes = fit.at(log_kappa)
+    z, residual, slopes = fit.at(log_kappa)
     own = slopes[:, free]
-    z = fit.at(log_kappa)[0]
     whole = np.linalg.norm(fit.slopes(log_kappa, z, len(residual))[:, free], axis=0)
     scale = np.where(whole > 0.0, whole, 1.0)
     _, singular, Vt = np.linalg.svd(own / scale, full_matrices=True)

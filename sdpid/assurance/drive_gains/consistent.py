@@ -54,10 +54,10 @@ class ConsistentFit:
             for k in range(robot.n_links)
         ]
         for each in fit.loads:
-            own, first = each.load.mass * body, each.load.first_unknown
+            own, first = each.mass * body, each.first_unknown
             places = np.arange(len(units), len(units) + 10 - first)
             if len(places):
-                constant = np.einsum("k,kij->ij", each.known / own, basis)
+                constant = np.einsum("k,kij->ij", each.theta / own, basis)
                 blocks.append(Matrix(places, basis[first:], constant))
             units += own[first:].tolist()
             self.reference += [0.0] * len(places)

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.drive_gains.load import Mounted
+from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.rows import GainModel, RunRows
 
 # Steps of Gauss and Newton; from good starts 5 to 15 are needed.
@@ -27,6 +27,8 @@ _SETTLED = 1e-9
 # A column of which friction leaves less than this share is explained by friction: a link's inertia
 # about the axis of a drive that has an inertia of its own.
 _EXPLAINED = 1e-9
+# A least standard deviation of a current's errors, as a share of the currents: rounding.
+_LEAST_SIGMA = 1e-6
 # Singular values below this share of the largest are rounding.
 _RANK = 1e-11
 
@@ -64,15 +66,25 @@ class GainFit:
         What currents are explained by.
     runs : sequence of RunRows
         Recordings.
-    loads : sequence of Mounted
-        Loads that recordings carry.
-    sigma : ndarray, shape (n,)
-        Standard deviation of the currents' errors at each joint, A.
+    loads : sequence of Load
+        What is known of the loads that recordings carry.
+    columns : ndarray, shape (b, 10)
+        What a load's ten parameters add to the base parameters.
     knowledge : tuple of ndarray, optional
         Rows and right-hand side of what is known of z, with errors of variance one.
+    errors : ndarray, shape (n,), optional
+        Mean squares of the currents' errors at each joint, A²: the weights. By default those of
+        each recording explained alone.
 
     Attributes
     ----------
+    sigma : ndarray, shape (n,)
+        Standard deviations of the currents' errors.
+    spread : ndarray, shape (n,)
+        Those of the currents about their means.
+    alone : ndarray, shape (n,)
+        Mean squared errors of the currents, each recording explained alone, A². Such a fit knows no
+        gains: the links at each joint are its own.
     loads_at : tuple of slice
         Where the unknowns of each load stand in z.
     """
@@ -81,13 +93,21 @@ class GainFit:
         self,
         model: GainModel,
         runs: Sequence[RunRows],
-        loads: Sequence[Mounted],
-        sigma: Array,
+        loads: Sequence[Load],
+        columns: Array,
         knowledge: tuple[Array, Array] | None = None,
+        errors: Array | None = None,
     ) -> None:
-        self.model, self.runs, self.loads, self.sigma = model, tuple(runs), tuple(loads), sigma
+        self.model, self.runs, self.loads, self.columns = model, tuple(runs), tuple(loads), columns
         self.knowledge, self.n = knowledge, model.robot.n
-        ends = np.cumsum([model.base.count, *(load.free.shape[1] for load in self.loads)])
+        self._used = np.maximum(np.sum([run.used for run in runs], axis=0), 1.0)
+        self.spread = np.sqrt(np.sum([run.squares for run in runs], axis=0) / self._used)
+        left = [[R[-1, -1] ** 2 for R in run.triangles] for run in runs]
+        self.alone = np.sum(left, axis=0) / self._used
+        least = np.maximum(_LEAST_SIGMA * self.spread, 1e-300)
+        self.sigma = np.maximum(np.sqrt(self.alone if errors is None else errors), least)
+        widths = [10 - load.first_unknown for load in self.loads]
+        ends = np.cumsum([model.base.count, *widths])
         self.loads_at = tuple(slice(*pair) for pair in itertools.pairwise(ends.tolist()))
         self.q = int(ends[-1])
 
@@ -109,8 +129,8 @@ class GainFit:
             z[:, :b] = np.diag(model.own_share)
             if run.load is not None:
                 load = self.loads[run.load]
-                z[:, self.loads_at[run.load]] = load.columns @ load.free
-                links[:, -2] = load.columns @ load.known
+                z[:, self.loads_at[run.load]] = self.columns[:, load.first_unknown :]
+                links[:, -2] = self.columns @ load.theta
             T[-1, -1] = 1.0
             found.append(T)
         return found, count
@@ -170,13 +190,20 @@ class GainFit:
             first = stop
         return found
 
-    def squares(self, log_kappa: Array, z: Array) -> Array:
-        """Return the sum of squared errors of each joint's current, (n,), A²."""
+    def errors(self, found: Found) -> Array:
+        """Return the mean squared errors of each joint's current, (n,), A²."""
         left = [
-            current - kappa * (matrix @ z + known)
-            for kappa, (matrix, known, current) in zip(np.exp(log_kappa), self.systems, strict=True)
+            current - kappa * (matrix @ found.z + known)
+            for kappa, (matrix, known, current) in zip(
+                np.exp(found.log_kappa), self.systems, strict=True
+            )
         ]
-        return np.array([float(each @ each) for each in left])
+        return np.asarray([float(each @ each) for each in left] / self._used)
+
+    def load_parameters(self, z: Array) -> list[Array]:
+        """Return the ten parameters of each load about its frame's origin."""
+        pairs = zip(self.loads, self.loads_at, strict=True)
+        return [load.theta + np.eye(10)[:, load.first_unknown :] @ z[own] for load, own in pairs]
 
     def search(self, start: Array, free: Mask) -> Found:
         """Return where Gauss-Newton steps with halving end, some gains held."""

@@ -42,7 +42,6 @@ from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
 # Starts of the search beside the rough gains.
 _STARTS = 12
-_SUMS = ("squares", "used")
 
 
 @one_thread
@@ -189,15 +188,11 @@ def identify_drive_gains(
     errors = gain_errors(search.fit, search.found.log_kappa, search.found.z, task.free)
     covariance = errors.covariance + task.from_masses(search)
     best = final or search.found
-    log_kappa, z = best.log_kappa, best.z
-    gains, unconstrained = np.exp(-log_kappa), np.exp(-search.found.log_kappa)
+    gains, unconstrained = np.exp(-best.log_kappa), np.exp(-search.found.log_kappa)
     status = "optimal" if best.settled else "the search among bodies that can exist did not settle"
     if not search.found.settled:
         status = "the search did not settle"
-    rmse = np.sqrt(task.errors(search.fit, log_kappa, z))
-    runs = search.fit.runs
-    squares, used = (np.sum([getattr(run, name) for run in runs], axis=0) for name in _SUMS)
-    spread = np.sqrt(squares / np.maximum(used, 1.0))
+    rmse, spread = np.sqrt(search.fit.errors(best)), search.fit.spread
     notes = notes_on(
         model.joint_names, gains, unconstrained, covariance, task.free, loads, errors.blocks
     )
@@ -222,7 +217,7 @@ def identify_drive_gains(
                 link=model.link_names[number],
                 frame=frame_name,
             )
-            for each, theta in zip(loads, task.load_parameters(search.fit, z), strict=True)
+            for each, theta in zip(loads, search.fit.load_parameters(best.z), strict=True)
         ),
         rmse=frozen(rmse),
         share=frozen(rmse / np.where(spread > 0.0, spread, 1.0)),

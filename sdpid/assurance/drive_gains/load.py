@@ -92,35 +92,3 @@ class Load(Settings):
     def first_unknown(self) -> int:
         """How many of the ten parameters are known: 1, 4 or 10."""
         return 1 if self.com is None else 4 if self.inertia is None else 10
-
-
-@dataclass(frozen=True, eq=False)
-class Mounted:
-    """A load on a link.
-
-    Attributes
-    ----------
-    load : Load
-        What is known of it.
-    columns : ndarray, shape (b, 10)
-        What its ten parameters about the frame's origin add to the base parameters.
-    link : int
-        The link.
-    placed : ndarray, shape (10, 10)
-        What takes its parameters about the frame's origin to those about the joint frame.
-    """
-
-    load: Load
-    columns: Array
-    link: int
-    placed: Array
-
-    @property
-    def free(self) -> Array:
-        """Matrix (10, k) of the parameters that are not known."""
-        return np.eye(10)[:, self.load.first_unknown :]
-
-    @property
-    def known(self) -> Array:
-        """The ten parameters, what is not known as at the frame's origin, without inertia."""
-        return self.load.theta

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.drive_gains.checks import own_errors, require_one_arm, require_shown
+from sdpid.assurance.drive_gains.checks import require_one_arm, require_shown
 from sdpid.assurance.drive_gains.consistent import ConsistentFit
 from sdpid.assurance.drive_gains.fit import Found, GainFit
-from sdpid.assurance.drive_gains.load import Load, Mounted
+from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.rows import GainModel, RunRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.prior.cost_terms import SquaredTerm
@@ -26,8 +26,6 @@ ROUNDS = 4
 _SPREAD = 0.7
 # Costs of one minimum, relative.
 _SAME = 1e-6
-# A least standard deviation of a current's errors, as a share of the currents: rounding.
-_LEAST_SIGMA = 1e-6
 # By how much a mass is moved to see how gains follow it, relative.
 _NUDGE = 1e-3
 
@@ -104,24 +102,16 @@ class Task:
         DataError
             When they are not of one arm.
         """
-        prior = self.model.robot.prior
-        rows = self._rows([prior] * len(self.samples))
-        alone = own_errors(rows)
-        scale = np.sqrt(self._per_row([run.squares for run in rows], rows))
-        fit = self._fit(rows, np.sqrt(alone), scale)
+        fit = self._fit(self._rows([self.model.robot.prior] * len(self.samples)))
         anchored = bool(self.loads) or not self.free.all() or self.description_error is not None
         require_shown(fit, start, self.free, anchored=anchored)
         found = fit.search(start, self.free)
         follows = any(isinstance(term, LoadFriction) for term in self.model.own.terms)
         for _ in range(rounds):
-            if follows:
-                rows = self._rows(self._bodies(fit, found))
-            errors = self.errors(fit, found.log_kappa, found.z)
-            fit = self._fit(rows, np.sqrt(errors), scale)
+            rows = self._rows(self._bodies(fit, found)) if follows else fit.runs
+            fit = self._fit(rows, fit.errors(found))
             found = fit.search(found.log_kappa, self.free)
-        names = self.model.robot.joint_names
-        left = self.errors(fit, found.log_kappa, found.z)
-        require_one_arm(left, own_errors(rows), scale**2, names)
+        require_one_arm(fit, found)
         rng = np.random.default_rng(0)
         others = []
         for _ in range(starts):
@@ -136,10 +126,6 @@ class Task:
         """Return the gains among links and loads that can exist."""
         return ConsistentFit(search.fit).solve(search.found.log_kappa, search.found.z, self.free)
 
-    def errors(self, fit: GainFit, log_kappa: Array, z: Array) -> Array:
-        """Return the mean squared errors of each joint's current, (n,), A²."""
-        return self._per_row([fit.squares(log_kappa, z)], fit.runs)
-
     def from_masses(self, search: Search) -> Array:
         """Return the covariance of log gains that errors of the loads' masses make, (n, n)."""
         n = len(self.free)
@@ -151,18 +137,11 @@ class Task:
             for sign in (-1.0, 1.0):
                 moved = replace(load, mass=load.mass * (1.0 + sign * _NUDGE), mass_error=0.0)
                 loads = tuple(moved if each is load else each for each in self.loads)
-                fit = replace(self, loads=loads)._fit(
-                    search.fit.runs, search.fit.sigma, np.zeros(n)
-                )
+                fit = replace(self, loads=loads)._fit(search.fit.runs, search.fit.sigma**2)
                 ends.append(fit.search(search.found.log_kappa, self.free).log_kappa)
             slope = (ends[0] - ends[1]) / (2.0 * _NUDGE)
             covariance += (load.mass_error / load.mass) ** 2 * np.outer(slope, slope)
         return covariance
-
-    def load_parameters(self, fit: GainFit, z: Array) -> list[Array]:
-        """Return the ten parameters of each load about its frame's origin."""
-        pairs = zip(fit.loads, fit.loads_at, strict=True)
-        return [load.known + load.free @ z[own] for load, own in pairs]
 
     @cached_property
     def _regressors(self) -> tuple[Array, ...]:
@@ -176,12 +155,9 @@ class Task:
             )
         )
 
-    def _fit(self, rows: tuple[RunRows, ...], sigma: Array, scale: Array) -> GainFit:
-        base, first = self.model.base, 10 * self.link
-        columns = base.matrix[:, first : first + 10] @ self.placed
-        loads = [Mounted(load, columns, self.link, self.placed) for load in self.loads]
-        sigma = np.maximum(sigma, np.maximum(_LEAST_SIGMA * scale, 1e-300))
-        return GainFit(self.model, rows, loads, sigma, self._knowledge)
+    def _fit(self, rows: tuple[RunRows, ...], errors: Array | None = None) -> GainFit:
+        columns = self.model.base.matrix[:, 10 * self.link :][:, :10] @ self.placed
+        return GainFit(self.model, rows, self.loads, columns, self._knowledge, errors)
 
     @property
     def _knowledge(self) -> tuple[Array, Array] | None:
@@ -209,14 +185,10 @@ class Task:
         near = ConsistentFit(fit).solve(found.log_kappa, found.z, held)
         assert near.theta is not None
         links = near.theta[: 10 * self.model.robot.n_links].reshape(-1, 10)
-        loads, bodies = self.load_parameters(fit, near.z), []
+        loads, bodies = fit.load_parameters(near.z), []
         for load in self.carries:
             own = links.copy()
             if load is not None:
                 own[self.link] += self.placed @ loads[load]
             bodies.append(own)
         return bodies
-
-    def _per_row(self, sums: list[Array], rows: tuple[RunRows, ...]) -> Array:
-        used = np.sum([run.used for run in rows], axis=0)
-        return np.asarray(np.sum(sums, axis=0) / np.maximum(used, 1.0))
