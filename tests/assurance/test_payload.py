@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import identify_payload
 from sdpid.assurance.payload.payload import Payload
 from sdpid.assurance.payload.program import PayloadProgram, least_second_moment, quantities
-from sdpid.assurance.payload.rows import Description, PayloadRows, RowErrors, rows_beside_recording
+from sdpid.assurance.payload.rows import Description, PayloadRows, RowErrors, rows_beside
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -402,7 +402,7 @@ def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
             for s in (loaded, bare)
         ]
         link = problems[0].base.matrix[:, columns]
-        return rows_beside_recording(problems[0], problems[1], link, np.zeros(0, dtype=np.intp))
+        return rows_beside(problems[0], problems[1], link, np.zeros(0, dtype=np.intp))
 
     here = rows(np.zeros(6))
     (errors,) = here.gains

@@ -18,9 +18,8 @@ from sdpid.assurance.payload.program import NOTHING, PayloadProgram, least_secon
 from sdpid.assurance.payload.rows import (
     Description,
     PayloadRows,
+    rows_beside,
     rows_beside_description,
-    rows_beside_prior,
-    rows_beside_recording,
 )
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.compression.covariance import PRINTED, Weighting
@@ -196,10 +195,8 @@ def identify_payload(
     columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
     notes: tuple[str, ...] = ()
     described: Description | None = None
-    if arm is not None:
-        rows = rows_beside_recording(loaded, arm, columns, _separate(arm, separate))
-    elif prior is not None:
-        rows = rows_beside_prior(loaded, columns)
+    if arm is not None or prior is not None:
+        rows = rows_beside(loaded, arm, columns, _separate(arm, separate))
     else:
         rows, described = rows_beside_description(loaded, columns, model.prior)
         notes = (described.note(),)
@@ -360,8 +357,10 @@ def _problems(
     return loaded, arm
 
 
-def _separate(problem: Problem, names: Iterable[str]) -> Indices:
+def _separate(problem: Problem | None, names: Iterable[str]) -> Indices:
     """Return the entries of theta of the friction terms that differ between the recordings."""
+    if problem is None:
+        return np.zeros(0, dtype=np.intp)
     names = tuple(names)
     if unknown := [name for name in names if name not in BY_NAME]:
         raise DataError(

@@ -120,51 +120,43 @@ class Description:
         )
 
 
-def rows_beside_recording(
-    loaded: Problem, arm: Problem, columns: Array, separate: Indices
+def rows_beside(
+    loaded: Problem, arm: Problem | None, columns: Array, separate: Indices
 ) -> PayloadRows:
-    """Return the rows of a payload when the arm is known from a problem without load.
+    """Return the rows of a payload when the arm is known from a problem without load, or a prior.
 
     Parameters
     ----------
     loaded : Problem
-        The recording with load; its prior is not looked at.
-    arm : Problem
+        The recording with load; its prior counts where there is no other problem.
+    arm : Problem or None
         The one without load, of the same base parameters.
     columns : ndarray, shape (b, 10)
         What the payload adds to the base parameters.
     separate : ndarray of int
         Entries of theta that differ between the two.
     """
-    if len(arm.log_det.links):
+    known, count = loaded if arm is None else arm, loaded.base.count
+    if len(known.log_det.links):
         raise DataError(
-            "payload: an arm with a log-det prior is no sum of squares; estimate it with "
+            "payload: an arm with a log-det prior is no sum of squares; give or estimate it with "
             "Prior(kind='pullback')."
         )
-    G, h = arm.squared.matrix, arm.squared.rhs
+    # Where there is one problem, its own rows come last.
+    first = count if arm is None else 0
+    G, h = known.squared.matrix[first:], known.squared.rhs[first:]
     own = loaded.A @ loaded.base.matrix
     nuisance = np.vstack(
-        [
-            np.hstack([G, np.zeros((len(G), len(separate)))]),
-            np.hstack([own, own[:, separate]]),
-        ]
+        [np.hstack([G, np.zeros((len(G), len(separate)))]), np.hstack([own, own[:, separate]])]
     )
     payload = np.vstack([np.zeros((len(G), 10)), loaded.A @ columns])
-    count = arm.base.count
     T, s, floor, W = _eliminated(nuisance, payload, np.concatenate([h, loaded.rhs]))
-    parts = [(arm, W[:, :count]), (loaded, W[:, len(G) :])]
-    return _with_errors(T, s, floor + arm.floor + loaded.floor, parts, W[:, count : len(G)])
-
-
-def rows_beside_prior(loaded: Problem, columns: Array) -> PayloadRows:
-    """Return the rows of a payload when the arm is regularized by the problem's prior."""
-    if len(loaded.log_det.links):
-        raise DataError("payload: the prior of the arm must be a sum of squares, as 'pullback'.")
-    squared, count = loaded.squared, loaded.base.count
-    payload = np.zeros((len(squared.rhs), 10))
-    payload[:count] = loaded.A @ columns
-    T, s, floor, W = _eliminated(squared.matrix, payload, squared.rhs)
-    return _with_errors(T, s, floor + loaded.floor, [(loaded, W[:, :count])], W[:, count:])
+    of_arm = 0 if arm is None else count
+    parts = [(loaded, W[:, len(G) :])]
+    if arm is not None:
+        parts.append((arm, W[:, :count]))
+        floor += arm.floor
+    return _with_errors(T, s, floor + loaded.floor, parts, W[:, of_arm : len(G)])
 
 
 def rows_beside_description(
