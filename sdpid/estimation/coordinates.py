@@ -37,28 +37,25 @@ def contradiction(problem: Problem, scaling: Scaling, chosen: Indices) -> float:
     """
     feasible = problem.feasible
     rows = feasible.rows[chosen] @ scaling.basis()
-    _, U, singular, _, target = _decomposed(rows, feasible.row_lower[chosen])
-    return _contradiction(U[:, len(singular) :], target)
+    return _solved(rows, feasible.row_lower[chosen])[-1]
 
 
-def _decomposed(rows: Array, target: Array) -> tuple[Indices, Array, Array, Array, Array]:
-    """Return the columns that scaled rows touch, their decomposition there, and the target.
+def _solved(rows: Array, target: Array) -> tuple[Indices, Array, Array, float]:
+    """Return the columns that scaled rows touch, there a solution and the null space; what is left.
 
-    Rows are taken to unit length; of the singular values those above rounding are returned.
+    Rows are taken to unit length. What is left of the target is what they contradict each other
+    by, along the left null directions.
     """
     sizes = np.linalg.norm(rows, axis=1)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
-    rows = rows / sizes[:, None]
+    rows, target = rows / sizes[:, None], target / sizes
     touched = np.flatnonzero(np.any(rows != 0.0, axis=0))
     U, singular, V = np.linalg.svd(rows[:, touched])
     rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max(initial=0.0)))
-    return touched, U, singular[:rank], V, target / sizes
-
-
-def _contradiction(left: Array, target: Array) -> float:
-    """Return the part of a target that rows cannot reach, along the left null directions."""
-    worst = float(np.abs(left.T @ target).max(initial=0.0))
-    return worst / max(1.0, float(np.abs(target).max(initial=0.0)))
+    solution = V[:rank].T @ ((U[:, :rank].T @ target) / singular[:rank])
+    worst = float(np.abs(U[:, rank:].T @ target).max(initial=0.0))
+    size = max(1.0, float(np.abs(target).max(initial=0.0)))
+    return touched, solution, V[rank:].T, worst / size
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +79,11 @@ class Coordinates:
         if not len(equations):
             return cls(reference, basis)
         target = feasible.row_lower[feasible.equations] - equations @ reference
-        touched, U, singular, V, target = _decomposed(equations @ basis, target)
-        rank = len(singular)
-        if _contradiction(U[:, rank:], target) > CONTRADICTION:
+        touched, step, null, left = _solved(equations @ basis, target)
+        if left > CONTRADICTION:
             return None
-        along = (U[:, :rank].T @ target) / singular
-        step = V[:rank].T @ along
         rest = np.setdiff1d(np.arange(basis.shape[1]), touched)
-        free = len(touched) - rank
-        directions = np.zeros((len(basis), free + len(rest)))
-        directions[:, :free] = basis[:, touched] @ V[rank:].T
-        directions[:, free:] = basis[:, rest]
+        directions = np.hstack([basis[:, touched] @ null, basis[:, rest]])
         size = np.linalg.norm(basis, axis=1, keepdims=True)
         directions[np.abs(directions) < FIXED * size] = 0.0
         return cls(reference + basis[:, touched] @ step, directions)

@@ -11,12 +11,9 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, is_number, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
-from sdpid.estimation.constraints.mass import link_row, vector
+from sdpid.estimation.constraints.mass import ORTHOGONAL, link_row, off_orthogonal, vector
 from sdpid.robot.inertia import PARAMETER_NAMES, matrix_basis, transform
 from sdpid.robot.model.geometry import link_placements
-
-# A matrix written with eight digits or more is taken for a reflection.
-_ORTHOGONAL = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,11 +294,11 @@ def _reflection(values: ArrayLike, what: str) -> Array:
             f"{what}: reflection has shape {matrix.shape}; give (4, 4) with last row 0 0 0 1."
         )
     R = matrix[:3, :3]
-    error = float(np.max(np.abs(R.T @ R - np.eye(3))))
-    if error > _ORTHOGONAL or np.linalg.det(R) > 0.0:
+    error = off_orthogonal(R)
+    if error > ORTHOGONAL or np.linalg.det(R) > 0.0:
         raise DataError(
             f"{what}: reflection is none: R^T R differs from the identity by {error:.2g} (at most "
-            f"{_ORTHOGONAL:g}), its determinant is {np.linalg.det(R):.3g} and must be -1."
+            f"{ORTHOGONAL:g}), its determinant is {np.linalg.det(R):.3g} and must be -1."
         )
     return frozen(matrix)
 

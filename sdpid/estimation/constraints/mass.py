@@ -21,8 +21,8 @@ AXES = ("x", "y", "z")
 # A mass that may differ by more than this share of it is not known: half the 4 % from which the
 # inspection tells torques that carry another mass.
 _ROUGHLY = 0.02
-# A matrix written with eight digits or more is taken for a rotation.
-_ORTHOGONAL = 1e-7
+# A matrix written with eight digits or more is taken for a rotation or a reflection.
+ORTHOGONAL = 1e-7
 
 
 def vector(values: ArrayLike, what: str, size: int = 3) -> Array:
@@ -37,6 +37,17 @@ def vector(values: ArrayLike, what: str, size: int = 3) -> Array:
     if array.shape != (size,):
         raise DataError(f"{what}: {array.size} numbers, give {size}.")
     return frozen(array)
+
+
+def _require_tolerance(tolerance: float, what: str, unit: str) -> None:
+    """Raise DataError when a tolerance is not a number of at least 0."""
+    if not (np.isfinite(tolerance) and tolerance >= 0.0):
+        raise DataError(f"{what}: tolerance is {tolerance} {unit}; give a number of at least 0.")
+
+
+def off_orthogonal(R: Array) -> float:
+    """Return by how much a matrix differs from an orthogonal one, infinite for another shape."""
+    return float(np.max(np.abs(R.T @ R - np.eye(3)))) if R.shape == (3, 3) else np.inf
 
 
 def link_row(
@@ -76,10 +87,7 @@ class TotalMass(Condition):
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0.0):
             raise DataError(f"TotalMass: mass is {self.mass} kg; give a positive number.")
-        if not (np.isfinite(self.tolerance) and self.tolerance >= 0.0):
-            raise DataError(
-                f"TotalMass: tolerance is {self.tolerance} kg; give a number of at least 0."
-            )
+        _require_tolerance(self.tolerance, "TotalMass", "kg")
         if self.links is None:
             return
         if isinstance(self.links, str):
@@ -138,12 +146,11 @@ class CenterOfMassInBox(Condition):
     def __post_init__(self) -> None:
         what = f"CenterOfMassInBox of '{self.link}'"
         bounds = []
-        for name in ("lower", "upper"):
+        for name, wrong in (("lower", np.inf), ("upper", -np.inf)):
             try:
                 values = frozen(getattr(self, name))
             except (TypeError, ValueError) as cause:
                 raise DataError(f"{what}: {name}: not numbers ({cause}); give 3.") from None
-            wrong = np.inf if name == "lower" else -np.inf
             if values.shape != (3,) or np.isnan(values).any() or (values == wrong).any():
                 raise DataError(
                     f"{what}: {name} is {values.tolist()}; give 3 numbers (m), "
@@ -195,11 +202,11 @@ class _Ellipsoid(Condition):
         if self.rotation is None:
             return
         R = frozen(real_array(self.rotation, f"{what}: rotation", ndim=2))
-        error = float(np.max(np.abs(R.T @ R - np.eye(3)))) if R.shape == (3, 3) else np.inf
-        if error > _ORTHOGONAL:
+        error = off_orthogonal(R)
+        if error > ORTHOGONAL:
             raise DataError(
                 f"{what}: rotation is no rotation matrix (shape {R.shape}, R^T R differs from the "
-                f"identity by {error:.2g}, at most {_ORTHOGONAL:g}); its columns are the axes."
+                f"identity by {error:.2g}, at most {ORTHOGONAL:g}); its columns are the axes."
             )
         object.__setattr__(self, "rotation", R)
 
@@ -318,10 +325,7 @@ class CenterOfMassInHull(Condition):
 
     def __post_init__(self) -> None:
         what = f"CenterOfMassInHull of '{self.link}'"
-        if not (np.isfinite(self.tolerance) and self.tolerance >= 0.0):
-            raise DataError(
-                f"{what}: tolerance is {self.tolerance} m; give a number of at least 0."
-            )
+        _require_tolerance(self.tolerance, what, "m")
         if isinstance(self.package_dirs, (str, os.PathLike)):
             raise DataError(f"{what}: give a tuple of folders, such as ('{self.package_dirs}',).")
         object.__setattr__(self, "package_dirs", tuple(self.package_dirs))

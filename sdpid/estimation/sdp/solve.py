@@ -163,10 +163,8 @@ class Search:
         Parameters whose bounds the solver is given.
     seconds, iterations, status
         Of the solver, over all attempts; the status is the last one's.
-    best : Estimate or None
-        The cheapest feasible point.
-    bound : Bound or None
-        The strongest proof. It may come from another attempt than the point.
+    found : (Estimate, Bound) or None
+        The cheapest feasible point, and the strongest proof, which may come from another attempt.
     """
 
     problem: Problem
@@ -176,22 +174,21 @@ class Search:
     seconds: float = 0.0
     iterations: int = 0
     status: str = ""
-    best: Estimate | None = None
-    bound: Bound | None = None
+    found: tuple[Estimate, Bound] | None = None
 
     @property
     def gap(self) -> float:
         """Gap between the point and the proof."""
-        if self.best is None or self.bound is None:
+        if self.found is None:
             return np.inf
-        return relative_gap(self.problem, self.best.cost, self.bound.value)
+        return relative_gap(self.problem, self.found[0].cost, self.found[1].value)
 
     @property
     def proven(self) -> bool:
         """Whether what was found is an optimum."""
-        if self.best is None:
+        if self.found is None:
             return False
-        return self.gap <= PROVEN and (self.best.violation or 0.0) <= FEASIBLE
+        return self.gap <= PROVEN and (self.found[0].violation or 0.0) <= FEASIBLE
 
     def try_once(self, attempt: _Attempt) -> None:
         """Solve once, and keep what is better than before."""
@@ -248,16 +245,15 @@ class Search:
     def _keep(self, estimate: Estimate) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
         bound = self._bound(estimate, exhaustive=PROVEN < self.gap < _NEARLY)
-        if self.best is None or _better(estimate, self.best):
-            self.best = estimate
-        if self.bound is None or bound.value > self.bound.value:
-            self.bound = bound
+        best, proof = (estimate, bound) if self.found is None else self.found
+        best = estimate if _better(estimate, best) else best
+        self.found = best, max(proof, bound, key=lambda each: each.value)
         if self.proven:
             return
         # From now on count the cost in units of itself.
         scaling, center = self.starts[0]
-        scaling = replace(scaling, cost=max(scaling.cost, self.best.cost))
-        found = np.array(self.best.theta)
+        scaling = replace(scaling, cost=max(scaling.cost, best.cost))
+        found = np.array(best.theta)
         self.starts = (scaling, center), (scaling.around(found), found)
 
     def _bound(self, estimate: Estimate, *, exhaustive: bool) -> Bound:
@@ -273,30 +269,29 @@ class Search:
         SolverError
             When what was found is none; InfeasibleError when the constraints are to blame.
         """
-        if self.best is not None and self.bound is not None:
+        best, found = None, "nothing"
+        if self.found is not None:
+            best, bound = self.found
             if self.gap > PROVEN:
-                refined = self._bound(self.best, exhaustive=True)
-                self.bound = max(self.bound, refined, key=lambda each: each.value)
-            self.best = replace(
-                self.best,
-                multipliers=self.bound.multipliers,
-                iterations=self.iterations,
-                solve_time=self.seconds,
+                refined = self._bound(best, exhaustive=True)
+                bound = max(bound, refined, key=lambda each: each.value)
+            multipliers, seconds = bound.multipliers, self.seconds
+            best = replace(
+                best, multipliers=multipliers, iterations=self.iterations, solve_time=seconds
             )
+            self.found = best, bound
             if self.proven:
-                return self.best, self.bound
+                return self.found
+            found = f"a relative gap of {self.gap:.1e} and a violation of {best.violation:.1e}"
         if self.problem.constraints.others:
             require_consistent(self.problem)
-        found = "nothing"
-        if self.best is not None:
-            found = f"a relative gap of {self.gap:.1e} and a violation of {self.best.violation:.1e}"
         raise SolverError(
             f"SDP of '{self.problem.robot.name}': ended '{self.status}' with {found} "
             f"(limits {PROVEN:.0e} and {FEASIBLE:.0e}); check the excitation "
             "(problem.excitation) and the margin, or give a prior or tighter bounds, such as "
             "Constraints.of_size(robot).",
             problem=self.problem,
-            found=self.best,
+            found=best,
         )
 
 
