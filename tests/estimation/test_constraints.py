@@ -420,18 +420,6 @@ class TestEquations:
         wrong = {first: body(world, first), second: body(world, second)}
         assert not satisfied(condition, theta_with(wrong, robot=robot), robot=robot)
 
-    @pytest.mark.parametrize("name", ["a1", "go2"])
-    def test_the_legs_of_a_quadruped_are_mirror_images(self, name: str) -> None:
-        robot = load_robot(name)
-        theta = theta_with({}, robot=robot)
-        theta[: robot.prior.size] = robot.prior.ravel()
-        legs = [link for link in robot.link_names if link.startswith("FL_")]
-        assert len(legs) == 3
-        for link in legs:
-            other = link.replace("FL", "FR")
-            assert satisfied(MirrorPair(link, other, (0, 1, 0)), theta, robot=robot)
-            assert not satisfied(MirrorPair(link, other, (1, 0, 0)), theta, robot=robot)
-
     @pytest.mark.parametrize(
         ("condition", "count"),
         [

@@ -9,22 +9,8 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.tables import plain
+from sdpid.estimation.constraints import equalities, mass, pairs
 from sdpid.estimation.constraints.condition import Condition
-from sdpid.estimation.constraints.equalities import (
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    MirrorPair,
-    MirrorSymmetry,
-)
-from sdpid.estimation.constraints.mass import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    MassInEllipsoid,
-    TotalMass,
-)
-from sdpid.estimation.constraints.pairs import EqualFriction
 from sdpid.robot.model.geometry import collision_points
 from sdpid.robot.model.model import RobotModel
 
@@ -32,26 +18,17 @@ from sdpid.robot.model.model import RobotModel
 _NO_END = {"lower": -np.inf, "upper": np.inf}
 
 _KINDS: dict[str, type[Condition]] = {
-    kind.__name__: kind
-    for kind in (
-        CenterOfMassInBox,
-        CenterOfMassInEllipsoid,
-        CenterOfMassInHull,
-        EqualFriction,
-        EqualLinks,
-        Fixed,
-        FixedLink,
-        MassInEllipsoid,
-        MirrorPair,
-        MirrorSymmetry,
-        TotalMass,
-    )
+    name: kind
+    for module in (equalities, mass, pairs)
+    for name, kind in vars(module).items()
+    if isinstance(kind, type) and issubclass(kind, Condition) and kind.__module__ == module.__name__
+    if not name.startswith("_")
 }
 
 
 def explicit(condition: Condition, robot: RobotModel) -> Condition:
     """Return a condition that holds the points that it reads from the robot's meshes."""
-    if not isinstance(condition, CenterOfMassInHull) or condition.points is not None:
+    if not isinstance(condition, mass.CenterOfMassInHull) or condition.points is not None:
         return condition
     points = collision_points(robot, condition.link, package_dirs=condition.package_dirs)
     return replace(condition, points=points, package_dirs=())
@@ -82,7 +59,7 @@ def conditions_from_list(given: Any) -> tuple[Condition, ...]:
         if not isinstance(each, Mapping) or each.get("condition") not in _KINDS:
             raise ValueError(f"no condition is {each!r:.200}")
         values = {k: v for k, v in each.items() if k != "condition"}
-        if each["condition"] == CenterOfMassInBox.__name__:
+        if each["condition"] == mass.CenterOfMassInBox.__name__:
             for end, far in _NO_END.items():
                 values[end] = [far if x is None else x for x in values[end]]
         found.append(_KINDS[each["condition"]](**values))
