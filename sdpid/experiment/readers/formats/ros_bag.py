@@ -6,7 +6,7 @@ Read in the sandbox only: compressed pieces may unpack to more than memory holds
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.formats.ros_base import MESSAGES, BaseStream, topic_of
 from sdpid.experiment.readers.table import Table
 
 _MESSAGE = "sensor_msgs/msg/JointState"
@@ -24,6 +24,8 @@ _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
 _SECOND = 1_000_000_000
+# Between messages further apart than this (s) nothing is known of a base.
+_LONGEST_GAP = 0.1
 
 
 def load_rosbag(
@@ -72,27 +74,83 @@ def load_rosbag(
         wanted = _connections(path, reader, topic)
         streams = _streams(path, reader, topics or {})
         wanted += [c for c in reader.connections if c.topic in streams]
-        for connection, stamp, raw in reader.messages(connections=wanted):
-            taker = streams.get(connection.topic, states)
-            taker.add(stamp, reader.deserialize(raw, connection.msgtype))
+        for connection, recorded, raw in reader.messages(connections=wanted):
+            stream = streams.get(connection.topic, states)
+            stream.add(recorded, reader.deserialize(raw, connection.msgtype))
     columns = states.columns()
     for stream in streams.values():
-        stamps, stamped, origin = states.clock
-        found = stream.at(stamps, stamped=stamped, origin=origin)
-        columns |= {name: partial(np.asarray, values) for name, values in found.items()}
+        columns |= _at_states(stream, states)
     said = {"base": {"quaternion": "xyzw", "velocity_frame": "base"}} if streams else {}
-    return Table(columns, stated=said)
+    return Table(
+        {name: partial(np.asarray, values) for name, values in columns.items()}, stated=said
+    )
 
 
-def _streams(path: Path, reader: Any, topics: Mapping[str, str]) -> dict[str, BaseStream]:
+class _Stream:
+    """Messages of one topic: their own stamps, when they were recorded (ns), and their numbers."""
+
+    def __init__(self, row: Callable[[Any], Iterable[float] | None]) -> None:
+        self.row = row
+        self.stamps, self.recorded, self.values = array("q"), array("q"), array("d")
+
+    def add(self, recorded: int, message: Any) -> None:
+        """Take one message, unless there is no row of it."""
+        row = self.row(message)
+        if row is not None:
+            stamp = message.header.stamp
+            self.stamps.append(int(stamp.sec) * _SECOND + int(stamp.nanosec))
+            self.recorded.append(int(recorded))
+            self.values.extend(row)
+
+    def clock(self, own: bool) -> NDArray[np.int64]:
+        """Return the messages' own stamps, or when they were recorded, in ns."""
+        return np.array(self.stamps if own else self.recorded, dtype=np.int64)
+
+
+def _odometry(message: Any) -> Iterable[float]:
+    """Return position, quaternion, linear and angular velocity."""
+    pose, twist = message.pose.pose, message.twist.twist
+    parts = (pose.position, pose.orientation, twist.linear, twist.angular)
+    rows = [(part.x, part.y, part.z) for part in parts]
+    return (*rows[0], *rows[1], pose.orientation.w, *rows[2], *rows[3])
+
+
+def _imu(message: Any) -> Iterable[float]:
+    """Return angular velocity and linear acceleration."""
+    parts = (message.angular_velocity, message.linear_acceleration)
+    return [value for part in parts for value in (part.x, part.y, part.z)]
+
+
+def _streams(path: Path, reader: Any, topics: Mapping[str, str]) -> dict[str, _Stream]:
     """Return what takes the messages of the base, by topic; nothing without odometry."""
-    found: dict[str, BaseStream] = {}
-    for message, name in MESSAGES.items():
-        topic = topic_of(path, reader, message, topics.get(name))
+    found: dict[str, _Stream] = {}
+    for message, (name, row) in _MESSAGES.items():
+        topic = _topic_of(path, reader, message, topics.get(name))
         if topic is None:
             break
-        found[topic] = BaseStream(message)
+        found[topic] = _Stream(row)
     return found
+
+
+def _topic_of(path: Path, reader: Any, message: str, wanted: str | None) -> str | None:
+    """Return the topic with messages of a kind: the one wanted, or the only one.
+
+    Raises
+    ------
+    DataError
+        When there are several and none is wanted, or the one wanted is not there.
+    """
+    topics = sorted({c.topic for c in reader.connections if c.msgtype == message})
+    if wanted is not None and wanted not in topics:
+        listed = ", ".join(topics) or "none"
+        raise DataError(f"{path}: no topic {wanted} with {message}; there is {listed}.")
+    if wanted is None and len(topics) > 1:
+        name = _MESSAGES[message][0]
+        raise DataError(
+            f"{path}: several topics carry {message}: {', '.join(topics)}; name one with "
+            f"{name}={{'topic': ...}}."
+        )
+    return wanted or (topics[0] if topics else None)
 
 
 def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
@@ -114,33 +172,26 @@ def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
     return [c for c in offered if c.topic == topic]
 
 
-class _States:
-    """The joint states of a topic, message by message."""
+class _States(_Stream):
+    """The joint states of a topic, message by message; those of other joints are passed over."""
 
     def __init__(self, path: Path, names: tuple[str, ...] | None) -> None:
+        super().__init__(self._joints)
         self._path = path
         self._names = names
         self._chosen = names is not None
         self._count = 0
         self._order: dict[tuple[str, ...], list[int] | None] = {}
         self._filled: dict[str, bool] = {}
-        self._stamps = array("q")
-        self._times = array("q")
-        self._values = {quantity: array("d") for quantity in _QUANTITIES}
 
-    def add(self, stamp: int, message: Any) -> None:
-        """Take one message; one of other joints is passed over."""
+    def _joints(self, message: Any) -> list[float] | None:
+        """Return the values of all quantities that are filled, one quantity behind the other."""
         self._count += 1
-        names = tuple(message.name)
+        names, values = tuple(message.name), []
         if names not in self._order:
             self._order[names] = self._matched(names)
         order = self._order[names]
-        if order is None:
-            return
-        header = message.header.stamp
-        self._stamps.append(int(header.sec) * _SECOND + int(header.nanosec))
-        self._times.append(int(stamp))
-        for quantity, values in self._values.items():
+        for quantity in _QUANTITIES if order is not None else ():
             row = getattr(message, quantity)
             filled = self._filled.setdefault(quantity, len(row) > 0)
             if len(row) != (len(names) if filled else 0):
@@ -149,8 +200,8 @@ class _States:
                     f"for {len(names)} joints; the messages before it have "
                     f"{'one a joint' if filled else 'none'}."
                 )
-            if filled:
-                values.extend(float(row[j]) for j in order)
+            values += [float(row[j]) for j in order or ()] if filled else []
+        return None if order is None else values
 
     def _matched(self, names: tuple[str, ...]) -> list[int] | None:
         """Return where the wanted joints are in a message; None when it is of others."""
@@ -169,17 +220,14 @@ class _States:
         return [names.index(name) for name in self._names]
 
     @property
-    def clock(self) -> tuple[NDArray[np.float64], bool, int]:
-        """The stamps in s, whether they are the messages' own, and where they count from, ns."""
-        stamped = np.array(self._stamps, dtype=np.int64)
-        own = bool(stamped.any())
-        best = stamped if own else np.array(self._times, dtype=np.int64)
-        return (best - best[0]) / _SECOND, own, int(best[0])
+    def stamped(self) -> bool:
+        """Whether messages have stamps of their own."""
+        return any(self.stamps)
 
-    def columns(self) -> dict[str, Callable[[], NDArray[Any]]]:
+    def columns(self) -> dict[str, NDArray[Any]]:
         """Return what was collected as named arrays."""
         others = sorted(", ".join(names) for names, order in self._order.items() if order is None)
-        if self._names is None or not self._times:
+        if self._names is None or not self.recorded:
             raise DataError(
                 f"{self._path}: no message holds the joints {', '.join(self._names or ())}; "
                 f"there are {'; '.join(others) or 'no messages'}."
@@ -189,13 +237,55 @@ class _States:
                 f"{self._path}: the messages are of several sets of joints: "
                 f"{', '.join(self._names)}; {'; '.join(others)}. Choose with joint_names=."
             )
-        found: dict[str, Callable[[], NDArray[Any]]] = {}
-        recorded = np.array(self._times, dtype=np.int64)
-        found["time"] = partial(np.asarray, self.clock[0])
-        found["bag_time"] = partial(np.asarray, (recorded - recorded[0]) / _SECOND)
-        found["joint_names"] = partial(np.asarray, np.asarray(self._names))
-        for quantity, values in self._values.items():
-            if values:
-                table = np.frombuffer(values).reshape(len(self._times), len(self._names))
-                found[quantity] = partial(np.asarray, table)
-        return found
+        clocks = {"time": self.clock(self.stamped), "bag_time": self.clock(False)}
+        found: dict[str, NDArray[Any]] = {
+            name: (stamps - stamps[0]) / _SECOND for name, stamps in clocks.items()
+        }
+        found["joint_names"] = np.asarray(self._names)
+        there = [quantity for quantity, filled in self._filled.items() if filled]
+        shape = (len(self.recorded), len(there), len(self._names))
+        table = np.frombuffer(self.values).reshape(shape)
+        return found | {quantity: table[:, k] for k, quantity in enumerate(there)}
+
+
+def _at_states(stream: _Stream, states: _States) -> dict[str, Array]:
+    """Return quantities of the base at the stamps of the joint states; NaN where unknown."""
+    if not stream.recorded:
+        return {}
+    clock, own = states.clock(states.stamped), stream.clock(states.stamped)
+    stamps = (clock - clock[0]) / _SECOND
+    time, first = np.unique((own - clock[0]) / _SECOND, return_index=True)
+    rows = np.frombuffer(stream.values).reshape(len(own), -1)[first]
+    values = np.column_stack([np.interp(stamps, time, column) for column in rows.T])
+    if stream.row is _odometry:
+        values[:, 3:7] = _between(stamps, time, rows[:, 3:7])
+    after = np.searchsorted(time, stamps).clip(1, max(1, len(time) - 1))
+    gap = time[after] - time[after - 1] if len(time) > 1 else np.full(len(stamps), np.inf)
+    unknown = (stamps < time[0]) | (stamps > time[-1]) | (gap > _LONGEST_GAP)
+    values[unknown & ~np.isin(stamps, time)] = np.nan
+    if stream.row is _imu:
+        return {"gyroscope": values[:, :3], "accelerometer": values[:, 3:]}
+    return {
+        "base_position": values[:, :3],
+        "base_orientation": values[:, 3:7],
+        "base_linear_velocity": values[:, 7:10],
+        "base_angular_velocity": values[:, 10:],
+    }
+
+
+def _between(stamps: Array, time: Array, quaternions: Array) -> Array:
+    """Return orientations between others, along the shortest turn."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    if len(time) == 1:
+        return np.repeat(quaternions, len(stamps), axis=0)
+    turns = Slerp(time, Rotation.from_quat(quaternions))
+    found: Array = turns(np.clip(stamps, time[0], time[-1])).as_quat()
+    return found
+
+
+# What is read of which message of a base, and the argument that names its topic.
+_MESSAGES: dict[str, tuple[str, Callable[[Any], Iterable[float]]]] = {
+    "nav_msgs/msg/Odometry": ("base", _odometry),
+    "sensor_msgs/msg/Imu": ("imu", _imu),
+}
