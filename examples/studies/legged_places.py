@@ -24,7 +24,7 @@ from legged_defects import Change, Log, feet, imu, shank
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks, point_checks
+from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.subject import Check, Subject
 
@@ -46,7 +46,7 @@ CHECKS: tuple[Check, ...] = (
     base_checks.accelerometer,
     feet_checks.feet_down,
     imu_checks.imu,
-    point_checks.points,
+    feet_checks.points,
 )
 GRAVITY, BIAS, HIGH = 9.81, 0.2, 1.05
 

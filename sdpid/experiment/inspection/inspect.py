@@ -22,7 +22,6 @@ from sdpid.experiment.inspection import (
     force_checks,
     imu_checks,
     motion_checks,
-    point_checks,
     time_checks,
 )
 from sdpid.experiment.inspection.finding import Finding
@@ -39,7 +38,7 @@ from sdpid.robot.model.model import RobotModel
 # Importing a file of checks adds them to the lists. A new check is a function in one of these.
 _ = (
     *(time_checks, motion_checks, effort_checks, delay_checks, dynamics_checks),
-    *(base_checks, imu_checks, feet_checks, point_checks, force_checks),
+    *(base_checks, imu_checks, feet_checks, force_checks),
 )
 # Positions in degrees raise most of the other alarms as well.
 _BESIDE_DEGREES = ("position_in_degrees", "joints", "joints_unknown", "effort_silent")

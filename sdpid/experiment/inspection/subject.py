@@ -12,6 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.corrections import CorrectedLog, corrected, searched
+from sdpid.experiment.inspection.delays.kinematic import Standing
 from sdpid.experiment.inspection.finding import Finding, Severity
 from sdpid.experiment.inspection.floating_log import floating_log
 from sdpid.experiment.inspection.rows import Rows, low_passed
@@ -126,6 +127,14 @@ class Subject:
     def passive(self) -> tuple[str, ...]:
         """Joints without motors."""
         return () if self.robot is None else self.robot.passive
+
+    @cached_property
+    def standing(self) -> Standing | None:
+        """When and how feet stand in the longest piece; None where that is not known."""
+        robot = self.floating
+        if robot is None or not robot.free_flyer or not self.pieces:
+            return None
+        return Standing.of(robot, self.longest)
 
     @cached_property
     def samples(self) -> Samples | None:

@@ -17,7 +17,6 @@ from sdpid.experiment.inspection import (
     feet_checks,
     force_checks,
     imu_checks,
-    point_checks,
 )
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
@@ -702,7 +701,7 @@ def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
 
 def points_found(motion: str, **changes: object) -> list[Finding]:
     recording = with_feet(go1(motion, 4, 3.0), **changes)
-    return list(point_checks.points(Subject(log=recording, robot=robot("go1"))))
+    return list(feet_checks.points(Subject(log=recording, robot=robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -741,7 +740,7 @@ def test_frame_that_moves_is_refused(part: str) -> None:
 def test_a_foot_that_slips_has_no_other_point(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "_GRIP", 0.05)
     slips = sdpid.simulate_legged(robot(), "trot", seed=2, duration=10.0).recording
-    told = list(point_checks.points(Subject(log=slips, robot=robot())))
+    told = list(feet_checks.points(Subject(log=slips, robot=robot())))
     assert {each.kind for each in told} == {"foot_moves"}
     assert told[0].message.endswith(": it slips")
 
