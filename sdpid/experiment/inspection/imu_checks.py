@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -42,35 +42,20 @@ _MIRROR_SHARE, _MIRROR_BETTER = 0.02, 10.0
 # Columns of what may be wrong. That of the delay is always fitted: it is told elsewhere.
 _GYROSCOPE = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,)}
 _ACCELEROMETER = {**_GYROSCOPE, "place": (8, 9, 10)}
-# What explains this share of what the best does is named beside it: a level base does not tell an
-# axis that is tilted from a bias.
-_RIVAL = 0.5
 # Turns are linearized anew so often.
 _ROUNDS = 5
 # A turn far from what was stated has to leave less than this of what one nearby leaves.
 _CLEARLY = 0.8
-# Of what explains as much, the first is taken.
+# Of what explains this share of what the best does, the first is taken: a level base does not tell
+# an axis that is tilted from a bias.
+_RIVAL = 0.5
 _ORDER_OF_BLAME = ("place", "bias", "scale", "axes")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """Something that is wrong with a sensor.
-
-    Attributes
-    ----------
-    value : ndarray, shape (3,) or (1,)
-        The change from what was stated to what the data show, in the base's axes: m of a place,
-        m/s² or rad/s of a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
-    error : float
-        Standard error of it, that of its least certain direction.
-    rivals : tuple of str
-        What would explain as much in place of it.
-    """
-
-    value: Array
-    error: float
-    rivals: tuple[str, ...] = ()
+# What is wrong with a sensor, with the standard error of its least certain direction: the change
+# from what was stated to what the data show, in the base's axes. In m of a place, m/s² or rad/s of
+# a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
+_Wrong: TypeAlias = dict[str, tuple[Array, float]]
 
 
 def searched(
@@ -79,44 +64,41 @@ def searched(
     sizes: Mapping[str, float],
     reference: Array,
     start: Array,
-) -> tuple[dict[str, Found], Array, float]:
+) -> tuple[_Wrong, Array, float]:
     """Return what is wrong, one after another, the sensor's turn, and what is left.
 
     What explains most comes first: one mistake leaks into all others until it is known.
     """
-    turn, now = reference, sums(reference)
-    rivals: dict[str, tuple[str, ...]] = {}
+    from scipy.spatial.transform import Rotation
 
-    def fit(names: Iterable[str], own: BlockSums) -> BlockFit:
-        return own.fit([i for name in ("late", *names) for i in groups[name]])
+    turn, now = reference, sums(reference)
+    chosen: list[str] = []
+
+    def fit(names: Iterable[str]) -> BlockFit:
+        return now.fit([i for name in ("late", *names) for i in groups[name]])
 
     while True:
-        before = fit(rivals, now).left
-        drops = {}
+        before, drops = fit(chosen).left, {}
         for name in _ORDER_OF_BLAME:
-            if name in groups and name not in rivals:
-                tried = fit((*rivals, name), now)
+            if name in groups and name not in chosen:
+                tried = fit((*chosen, name))
                 if sure_part(*tried.of(groups[name]), sizes[name]) is not None:
                     drops[name] = before**2 - tried.left**2
         if not drops:
             break
-        likely = [name for name in drops if drops[name] >= _RIVAL * max(drops.values())]
-        rivals[likely[0]] = tuple(likely[1:])
-        if "axes" in rivals:
+        chosen.append(next(name for name in drops if drops[name] >= _RIVAL * max(drops.values())))
+        if "axes" in chosen:
             # Anew with whatever came later: all of them are found together.
-            first = likely[0] == "axes"
-            starts = (reference, start) if first else (turn, turn)
-            turn, now = _turned(sums, groups, tuple(rivals), starts)
-    last = fit(rivals, now)
-    found = {}
-    for name, others in rivals.items():
+            starts = (reference, start) if chosen[-1] == "axes" else (turn, turn)
+            turn, now = _turned(sums, groups, tuple(chosen), starts)
+    last, wrong = fit(chosen), {}
+    for name in chosen:
         value, covariance = last.of(groups[name])
         if name == "axes":
-            value = value + _rotation_vector(turn @ reference.T)
-        sure = sure_part(value, covariance, sizes[name])
-        if sure is not None:
-            found[name] = Found(value=sure[0], error=sure[1], rivals=others)
-    return found, turn if "axes" in found else reference, last.left
+            value = value + Rotation.from_matrix(turn @ reference.T).as_rotvec()
+        if (sure := sure_part(value, covariance, sizes[name])) is not None:
+            wrong[name] = sure
+    return wrong, turn if "axes" in wrong else reference, last.left
 
 
 def _turned(
@@ -126,12 +108,15 @@ def _turned(
     starts: tuple[Array, ...],
 ) -> tuple[Array, BlockSums]:
     """Return the turn that fits best, linearized anew until it stays."""
+    from scipy.spatial.transform import Rotation
+
     columns = [i for name in ("late", *chosen) for i in groups[name]]
     ends = []
     for turn in starts:
         for _ in range(_ROUNDS):
             own = sums(turn)
-            turn = _rotation(own.fit(columns).of(groups["axes"])[0]) @ turn
+            turned = own.fit(columns).of(groups["axes"])[0]
+            turn = Rotation.from_rotvec(turned).as_matrix() @ turn
         own = sums(turn)
         ends.append((own.fit(columns).left, turn, own))
     # Where few axes turn, others fit as well that are far from what was stated.
@@ -148,39 +133,6 @@ def nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
     if proper and np.linalg.det(left @ right) < 0.0:
         left[:, 2] *= -1.0
     return np.asarray(left @ right)
-
-
-def _rotation(vector: Array) -> Array:
-    """Return the matrix of a rotation vector."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-
-
-def _rotation_vector(matrix: Array) -> Array:
-    """Return the rotation vector of a matrix."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ImuFit:
-    """A sensor that is compared with a pose.
-
-    Attributes
-    ----------
-    found : mapping of str to Found
-        ``"place"``, ``"bias"``, ``"scale"`` and ``"axes"``, where they are sure.
-    turn : ndarray, shape (3, 3)
-        From the axes that were stated to those of the sensor, in the base's.
-    mirrored : bool
-        Whether no rotation agrees, and a reflection does.
-    """
-
-    found: Mapping[str, Found]
-    turn: Array
-    mirrored: bool = False
 
 
 def _kept(smooth: Smooth) -> slice:
@@ -210,50 +162,41 @@ def on_time(log: Recording) -> Recording:
     return shifted(log, Processing(imu_delay_s=late.value))
 
 
-def gyroscope_fit(log: Recording) -> ImuFit | None:
-    """Compare a gyroscope with the turning of the pose; None where there is too little of either.
+def gyroscope_fit(log: Recording) -> tuple[_Wrong, Array, bool]:
+    """Compare a gyroscope with the turning of the pose: what is wrong, its turn, if it is mirrored.
 
     Sensed is ``turn @ (E + scale) @ turning + bias``, late by a delay that is of no interest here.
     """
     base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
     shown = None if base is None else base.sensed("gyroscope")
     if base is None or shown is None or smooth is None:
-        return None
+        return {}, np.eye(3), False
     kept, sensed = _kept(smooth), smooth.low(shown)
     late = np.gradient(sensed, log.step, axis=0)[kept]
     turning, sensed = smooth.low(smooth.turning(base))[kept], sensed[kept]
-    sizes = {**SIZES, "bias": RATE_BIAS}
     # At rest it has nothing but a bias.
     rests = _rms(turning) < LEAST_RATE
     groups = {name: _GYROSCOPE[name] for name in ("bias", "late")} if rests else _GYROSCOPE
 
     def sums(turn: Array) -> BlockSums:
         turned = sensed @ turn.T
-        columns = [
-            np.broadcast_to(np.eye(3), (len(turned), 3, 3)),
-            turned[:, :, None],
-            skew(turned),
-            -(late @ turn.T)[:, :, None],
-        ]
+        ones = np.broadcast_to(np.eye(3), (len(turned), 3, 3))
+        columns = [ones, turned[:, :, None], skew(turned), -(late @ turn.T)[:, :, None]]
         return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
 
     start = nearest_turn(turning, sensed, proper=True)
-    found, turn, left = searched(sums, groups, sizes, np.eye(3), start)
+    wrong, turn, left = searched(sums, groups, {**SIZES, "bias": RATE_BIAS}, np.eye(3), start)
     best = nearest_turn(turning, sensed, proper=False)
-    rest = turning - sensed @ best.T
-    power = float(np.mean(turning**2))
-    mirrored = bool(
+    mirrored = (
         np.linalg.det(best) < 0.0
-        and left**2 > _MIRROR_SHARE * power
-        and _MIRROR_BETTER * float(np.mean(rest**2)) < left**2
+        and left > np.sqrt(_MIRROR_SHARE) * _rms(turning)
+        and np.sqrt(_MIRROR_BETTER) * _rms(turning - sensed @ best.T) < left
     )
-    return ImuFit(
-        found={} if mirrored else found, turn=best if mirrored else turn, mirrored=mirrored
-    )
+    return ({}, best, True) if mirrored else (wrong, turn, False)
 
 
-def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | None:
-    """Compare an accelerometer with the pose's accelerations; None where there is too little.
+def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> tuple[_Wrong, Array, bool]:
+    """Compare an accelerometer with the pose's accelerations: what is wrong, its turn, if at rest.
 
     In the world's axes, with the base's orientation R and position p, the sensor's place r and
     the upward axis z, specific force is ``p'' + R''·r + g·z``: what is filtered alike on both
@@ -262,19 +205,18 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
     Parameters
     ----------
     log : Recording
-        With a base whose position is known.
+        With a base.
     gravity : float
         m/s².
     turn : (3, 3) ndarray
         Of the sensor, as the gyroscope shows it, against what is stated.
     """
     base, smooth = log.base, Smooth.of(log, _ACCELERATION_HZ, _LEAST)
-    shown = None if base is None else base.sensed("accelerometer")
-    if base is None or base.imu is None or shown is None or smooth is None:
-        return None
-    if base.position is None:
-        return None
-    R, stated, kept, low = base.rotations, shown, _kept(smooth), smooth.low
+    stated = None if base is None else base.sensed("accelerometer")
+    if base is None or base.position is None or stated is None or smooth is None:
+        return {}, turn, False
+    assert base.imu is not None
+    R, kept, low = base.rotations, _kept(smooth), smooth.low
     axes = low(R)
     moved = smooth.second(low(np.asarray(base.position)))
     moved[:, 2] += gravity
@@ -288,10 +230,10 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
         late = np.gradient(force, log.step, axis=0)[kept]
         turned = low(np.einsum("kij,kjl->kil", R, skew(sensed)))[kept]
         force = force[kept]
-        columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
-        return BlockSums.of(
-            np.concatenate(columns, axis=2), force - wanted, _scales(_ACCELEROMETER)
+        columns = np.concatenate(
+            [axes, force[:, :, None], turned, -late[:, :, None], swung], axis=2
         )
+        return BlockSums.of(columns, force - wanted, _scales(_ACCELEROMETER))
 
     rests = _rms(low(smooth.turning(base))[kept]) < LEAST_RATE
     names = ("bias", "scale", "late") if rests else tuple(_ACCELEROMETER)
@@ -299,11 +241,8 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
     sensed = low(np.einsum("kij,kj->ki", R, stated))[kept]
     in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
     start = nearest_turn(*in_base, proper=True)
-    found, total, _ = searched(sums, groups, SIZES, turn, start)
-    if rests and "bias" in found:
-        # At rest an axis that is tilted shows the same.
-        found["bias"] = replace(found["bias"], rivals=(*found["bias"].rivals, "axes"))
-    return ImuFit(found=found, turn=total)
+    wrong, total, _ = searched(sums, groups, SIZES, turn, start)
+    return wrong, total, rests
 
 
 def _scales(groups: Mapping[str, tuple[int, ...]]) -> Array:
@@ -315,13 +254,6 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-_RIVALS = {
-    "bias": "a bias",
-    "scale": "another scale",
-    "axes": "axes that are tilted",
-}
-
-
 @check
 def imu(subject: Subject) -> Iterator[Finding]:
     """Find an IMU that sits elsewhere, is turned, or whose sensors have biases or scales."""
@@ -329,71 +261,56 @@ def imu(subject: Subject) -> Iterator[Finding]:
     if given is None:
         return
     of_sensors = (base_checks.unchanging_sensors, base_checks.gyroscope, base_checks.accelerometer)
-    coarse = (base_checks.orientation, *of_sensors)
-    if any(True for each in coarse for _ in each(subject)):
+    if any(True for each in (base_checks.orientation, *of_sensors) for _ in each(subject)):
         return  # What is far off is told as such, and would seem to be all of these.
     log = on_time(subject.longest)
-    turned = gyroscope_fit(log)
-    turn = np.eye(3)
-    if turned is not None:
-        if turned.mirrored:
-            yield _mirrored(given, turned)
-        else:
-            turn = turned.turn
-            yield from _findings("gyroscope", given, turned)
+    wrong, turn, mirrored = gyroscope_fit(log)
+    if mirrored:
+        matrix = given.rotation.T @ turn @ given.rotation
+        nearest = max(signed_axes(), key=lambda axes: float(np.sum(axes * matrix)))
+        what = (
+            "gyroscope are mirrored: no rotation makes it the pose's turning, and "
+            f"{axes_in_words(nearest)} measured does"
+        )
+        remedy = "exchange its columns or their signs; rotation= can only turn them"
+        yield found("imu_axes", what=what, remedy=remedy, determinant=-1.0)
+        turn = np.eye(3)
+    yield from _findings("gyroscope", given, wrong, turn)
     gravity = GRAVITY
     if subject.floating is not None and np.any(subject.floating.gravity):
         gravity = float(np.linalg.norm(subject.floating.gravity))
-    moved = accelerometer_fit(log, gravity, turn)
-    if moved is not None:
-        yield from _findings("accelerometer", given, moved)
+    wrong, turn, rests = accelerometer_fit(log, gravity, turn)
+    # At rest an axis that is tilted shows the same as a bias.
+    also = "; axes that are tilted would show the same" if rests else ""
+    yield from _findings("accelerometer", given, wrong, turn, also)
 
 
-def _findings(sensor: str, imu: Imu, fit: ImuFit) -> Iterator[Finding]:
+def _findings(
+    sensor: str, imu: Imu, wrong: _Wrong, turn: Array, also: str = ""
+) -> Iterator[Finding]:
     """Yield what is wrong with a sensor."""
-    matrix = fit.turn @ imu.rotation
-    for name, wrong in fit.found.items():
-        also, size = "", float(np.linalg.norm(wrong.value))
-        if wrong.rivals:
-            also = f"; {' or '.join(_RIVALS[each] for each in wrong.rivals)} would show the same"
-        numbers = {"error": wrong.error, "limit": SIZES[name]}
-        fields = {"sensor": sensor, "also": also, **numbers}
+    matrix = turn @ imu.rotation
+    for name, (value, error) in wrong.items():
+        size, limit = float(np.linalg.norm(value)), SIZES[name]
+        fields = {"sensor": sensor, "also": also, "error": error, "limit": limit}
         if name == "axes":
             rows = ", ".join(
                 f"[{', '.join(f'{x:.4f}' for x in row)}]" for row in matrix.round(4) + 0.0
             )
             what = (
-                f"{sensor} are turned by {np.degrees(size):.3g}° about "
-                f"{vector(wrong.value / size)} of the base against those stated, as the pose shows "
-                f"(standard error {np.degrees(wrong.error):.2g}°, limit "
-                f"{np.degrees(SIZES['axes']):.2g}°)"
+                f"{sensor} are turned by {np.degrees(size):.3g}° about {vector(value / size)} of "
+                "the base against those stated, as the pose shows (standard error "
+                f"{np.degrees(error):.2g}°, limit {np.degrees(limit):.2g}°)"
             )
             remedy = f"give the IMU's rotation=[{rows}]"
-            yield found("imu_axes", what=what, remedy=remedy, angle=size, **numbers)
+            yield found("imu_axes", what=what, remedy=remedy, angle=size, error=error, limit=limit)
         elif name == "place":
-            place = vector(imu.translation + wrong.value)
-            yield found("imu_place", place=place, distance=size, **fields)
+            yield found("imu_place", place=imu.translation + value, distance=size, **fields)
         elif name == "bias":
             unit = "m/s²"
             if sensor == "gyroscope":
                 unit, fields["limit"] = "rad/s", RATE_BIAS
-            value = vector(matrix.T @ wrong.value)
-            yield found("imu_bias", value=value, unit=unit, bias=size, **fields)
+            yield found("imu_bias", value=matrix.T @ value, unit=unit, bias=size, **fields)
         else:
-            scale = 1.0 / (1.0 - float(wrong.value[0]))
-            least, most = 1.0 - SIZES["scale"], 1.0 + SIZES["scale"]
-            yield found("imu_scale", scale=scale, least=least, most=most, **fields)
-
-
-def _mirrored(imu: Imu, fit: ImuFit) -> Finding:
-    matrix = imu.rotation.T @ fit.turn @ imu.rotation
-    nearest = max(signed_axes(), key=lambda axes: float(np.sum(axes * matrix)))
-    return found(
-        "imu_axes",
-        what=(
-            "gyroscope are mirrored: no rotation makes it the pose's turning, and "
-            f"{axes_in_words(nearest)} measured does"
-        ),
-        remedy="exchange its columns or their signs; rotation= can only turn them",
-        determinant=-1.0,
-    )
+            fields |= {"least": 1.0 - limit, "most": 1.0 + limit, "also": ""}
+            yield found("imu_scale", scale=1.0 / (1.0 - float(value[0])), **fields)

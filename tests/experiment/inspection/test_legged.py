@@ -675,8 +675,8 @@ def test_mirrored_gyroscope_is_told_from_a_turned_one() -> None:
         imu_checks.gyroscope_fit(with_imu(go1("trot"), gyroscope=changed))
         for changed in (rates * [1.0, 1.0, -1.0], rates[:, [1, 0, 2]] * [1.0, -1.0, 1.0])
     ]
-    assert [fit.mirrored for fit in fits] == [True, False]
-    assert set(fits[1].found) == {"axes"}
+    assert [mirrored for *_, mirrored in fits] == [True, False]
+    assert set(fits[1][0]) == {"axes"}
 
 
 def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:

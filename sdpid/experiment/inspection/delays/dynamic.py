@@ -229,29 +229,27 @@ def dynamic_delays(
     cutoff = _CUTOFF_HZ if sensed or held else _POSE_CUTOFF_HZ
     processing = processing_at(log, cutoff, contact_margin_s=_MARGIN)
     log = _all_closed(robot, log)
-    delays, scale, found = np.zeros(len(names)), None, {}
+    delays, scale, errors = np.zeros(len(names)), None, np.zeros(len(names))
     for _ in range(_STEPS):
-        rows = _Linearized.of(robot, log, processing, dict(zip(names, delays, strict=True)))
+        samples, *rows = _linearized(robot, log, processing, dict(zip(names, delays, strict=True)))
+        picked = _picked(samples)
         if scale is None:
-            scale = first_scale(robot, rows.samples.effort, unused)
+            scale = first_scale(robot, samples.effort, unused)
         for _ in range(_WEIGHTINGS):
-            free = FreeRows.of(robot, rows.samples, rows.picked, scale)
-            solved = rows.solve(free)
+            free = FreeRows.of(robot, samples, picked, scale)
+            solved = _solved(free, *rows)
             if solved is None:
                 return {}
             change, errors, left = solved
-            unlike = float(np.sum(left**2) / np.sum(free.apply(rows.effort) ** 2))
+            unlike = float(np.sum(left**2) / np.sum(free.apply(samples.effort[picked]) ** 2))
             scale = free.rescaled(left)
         delays = delays + change
-        found = {
-            name: Delay(value=float(value), error=float(error))
-            for name, value, error in zip(names, delays, errors, strict=True)
-        }
         if unlike > _UNLIKE:
             return {}
         if np.abs(change).max() < _NEAR:
             break
-    return found
+    each = zip(names, delays.tolist(), errors.tolist(), strict=True)
+    return {name: Delay(value=value, error=error) for name, value, error in each}
 
 
 def _all_closed(robot: RobotModel, log: Recording) -> Recording:
@@ -285,95 +283,68 @@ def _at(log: Recording, delays: Mapping[str, float], margin: float) -> Recording
     return rows_of(moved, np.asarray(inside))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Linearized:
-    """Rows of a recording at some delays, and how they change with them.
+def _picked(samples: Samples) -> Indices:
+    """Return the samples that are looked at."""
+    return np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
 
-    Attributes
-    ----------
-    samples : Samples
-    picked : (K,) ndarray of int
-        Samples that are looked at.
-    columns : (K, n, p) ndarray
-        Regressor of links and friction.
-    effort : (K, n) ndarray
-    effort_rates : tuple of (K, n) ndarray
-        Derivatives of the efforts by each delay.
-    regressor_rates : tuple of (K, n, links) ndarray or None
-        Those of the regressor of the links; None where it does not depend on a delay.
+
+def _linearized(
+    robot: RobotModel, log: Recording, processing: Processing, delays: Mapping[str, float]
+) -> tuple[Samples, Array, Array, list[tuple[Array, Array | None]]]:
+    """Process a recording at some delays and on either side of each.
+
+    Returns
+    -------
+    tuple
+        Samples; of those that are looked at columns of links and friction (K, n, p), and efforts
+        (K, n); and for each delay derivatives of the efforts and of the columns of the links, None
+        where those do not depend on it.
     """
+    half = max(_HALF, 0.5 * log.step)
+    # All have the same rows, whatever shifting loses at their ends.
+    margin = max(abs(delay) for delay in delays.values()) + half + 1.5 * log.step
 
-    samples: Samples
-    picked: Indices
-    columns: Array
-    effort: Array
-    effort_rates: tuple[Array, ...]
-    regressor_rates: tuple[Array | None, ...]
+    def at(**changed: float) -> Samples:
+        moved = _at(log, {**delays, **changed}, margin)
+        return process(moved, processing, gravity=robot.gravity.tolist())
 
-    @classmethod
-    def of(
-        cls,
-        robot: RobotModel,
-        log: Recording,
-        processing: Processing,
-        delays: Mapping[str, float],
-    ) -> _Linearized:
-        """Process a recording at some delays and on either side of each."""
-        gravity = robot.gravity.tolist()
-        half = max(_HALF, 0.5 * log.step)
-        # All have the same rows, whatever shifting loses at their ends.
-        margin = max(abs(delay) for delay in delays.values()) + half + 1.5 * log.step
-        samples = process(_at(log, delays, margin), processing, gravity=gravity)
-        picked = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
-        effort_rates: list[Array] = []
-        regressor_rates: list[Array | None] = []
-        for name, delay in delays.items():
-            ends = [
-                process(
-                    _at(log, {**delays, name: delay + side}, margin), processing, gravity=gravity
-                )
-                for side in (half, -half)
-            ]
-            late, early = (end.effort[picked] for end in ends)
-            effort_rates.append((late - early) / (2.0 * half))
-            regressor_rates.append(None)
-            if name != "effort":
-                late, early = (regressor(robot, end, picked) for end in ends)
-                regressor_rates[-1] = (late - early) / (2.0 * half)
-        return cls(
-            samples=samples,
-            picked=picked,
-            columns=free_columns(robot, samples, picked),
-            effort=samples.effort[picked],
-            effort_rates=tuple(effort_rates),
-            regressor_rates=tuple(regressor_rates),
-        )
+    samples = at()
+    picked, rates = _picked(samples), []
+    for name, delay in delays.items():
+        ends = [at(**{name: delay + side}) for side in (half, -half)]
+        late, early = (end.effort[picked] for end in ends)
+        of_links = None
+        if name != "effort":
+            behind, before = (regressor(robot, end, picked) for end in ends)
+            of_links = (behind - before) / (2.0 * half)
+        rates.append(((late - early) / (2.0 * half), of_links))
+    return samples, free_columns(robot, samples, picked), samples.effort[picked], rates
 
-    def solve(self, free: FreeRows) -> tuple[Array, Array, Array] | None:
-        """Return changes of the delays, their errors, and residuals; None where nothing shows."""
-        columns, effort = free.apply(self.columns), free.apply(self.effort)
-        if len(columns) <= columns.shape[1]:
-            return None
-        basis, back = orthonormal(columns)
-        fitted = basis.T @ effort
-        theta, left = back @ fitted, effort - basis @ fitted
-        slopes = []
-        for effort_rate, regressor_rate in zip(
-            self.effort_rates, self.regressor_rates, strict=True
-        ):
-            rate = free.apply(effort_rate)
-            if regressor_rate is not None:
-                links = regressor_rate.shape[2]
-                rate = rate - free.apply(regressor_rate @ theta[:links])
-            slopes.append(rate - basis @ (basis.T @ rate))
-        slope = np.column_stack(slopes)
-        power = slope.T @ slope
-        if not np.linalg.cond(power) < 1.0 / np.finfo(float).eps:
-            return None
-        change = -np.linalg.solve(power, slope.T @ left)
-        left = left + slope @ change
-        # By time, so that neighbors, whose errors are alike, are in one block.
-        order = np.lexsort((free.sample,))
-        influence = np.linalg.solve(power, (slope * left[:, None]).T)[:, order]
-        errors = np.array([block_error(each, 1.0) for each in influence])
-        return np.asarray(change), errors, np.asarray(left)
+
+def _solved(
+    free: FreeRows, columns: Array, effort: Array, rates: list[tuple[Array, Array | None]]
+) -> tuple[Array, Array, Array] | None:
+    """Return changes of the delays, their errors, and residuals; None where nothing shows."""
+    columns, effort = free.apply(columns), free.apply(effort)
+    if len(columns) <= columns.shape[1]:
+        return None
+    basis, back = orthonormal(columns)
+    fitted = basis.T @ effort
+    theta, left = back @ fitted, effort - basis @ fitted
+    slopes = []
+    for effort_rate, of_links in rates:
+        rate = free.apply(effort_rate)
+        if of_links is not None:
+            rate = rate - free.apply(of_links @ theta[: of_links.shape[2]])
+        slopes.append(rate - basis @ (basis.T @ rate))
+    slope = np.column_stack(slopes)
+    power = slope.T @ slope
+    if not np.linalg.cond(power) < 1.0 / np.finfo(float).eps:
+        return None
+    change = -np.linalg.solve(power, slope.T @ left)
+    left = left + slope @ change
+    # By time, so that neighbors, whose errors are alike, are in one block.
+    order = np.lexsort((free.sample,))
+    influence = np.linalg.solve(power, (slope * left[:, None]).T)[:, order]
+    errors = np.array([block_error(each, 1.0) for each in influence])
+    return np.asarray(change), errors, np.asarray(left)
