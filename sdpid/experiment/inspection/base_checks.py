@@ -11,8 +11,8 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.evidence import (
     GRAVITY,
     LEAST_RATE,
-    Evidence,
     axes_in_words,
+    evidence,
     feet_in_base,
     readings,
     signed_axes,
@@ -29,9 +29,11 @@ from sdpid.experiment.recording.recording import Recording
 # An orientation that leaves more than half of a measured rate unexplained, or that is further off
 # the vertical than any gait leans on average, is wrong ...
 _WRONG_SHARE, _WRONG_TILT = 0.5, math.radians(30.0)
+_WRONG = {"rates": _WRONG_SHARE, "tilt": _WRONG_TILT, "above": _WRONG_SHARE}
 # ... and another reading is right where it leaves little of both. Noise of simulated legged robots
 # leaves a few per cent.
 _RIGHT_SHARE, _RIGHT_TILT = 0.2, math.radians(15.0)
+_RIGHT = {"rates": _RIGHT_SHARE, "tilt": _RIGHT_TILT, "above": _RIGHT_SHARE}
 # Of other axes, units and signs the best must be better by this factor.
 _BETTER = 3.0
 # Mean specific forces differ from gravity by noise, and by no more than this share.
@@ -51,48 +53,34 @@ def orientation(subject: Subject) -> Iterator[Finding]:
         return
     log, base = subject.based
     ways = feet_in_base(log, subject.floating)
-    own, *others = ((name, Evidence.of(log, q, ways)) for name, q in readings(base).items())
-    if not _contradicted(own[1]):
+    own, *others = (
+        (name, evidence(log, quaternions, ways)) for name, quaternions in readings(base).items()
+    )
+    given = own[1]
+    if not any(given[name] > _WRONG[name] for name in given):
         return
-    right = [name for name, evidence in others if _supported(evidence, own[1])]
+    # What is right agrees with all that there is, and better than the orientation.
+    right = [
+        name
+        for name, seen in others
+        if all(seen[each] <= _RIGHT[each] for each in seen)
+        and any(seen[each] * _BETTER < given[each] for each in seen)
+    ]
     if not right:
         return
-    rates, tilt = own[1].rates, own[1].tilt
-    seen = []
-    if rates is not None:
-        seen.append(
-            f"{100 * rates:.3g} % of the measured turning is not that of the orientation (limit "
-            f"{100 * _WRONG_SHARE:g} %)"
-        )
-    if tilt is not None:
-        seen.append(
-            f"the mean specific force points {math.degrees(tilt):.3g}° off the vertical (limit "
-            f"{math.degrees(_WRONG_TILT):.3g}°)"
-        )
-    if own[1].above is not None and own[1].above > _WRONG_SHARE:
-        seen.append(f"feet that are down are above the base in {100 * own[1].above:.3g} % of all")
-    yield found(
-        "base_orientation",
-        seen=" and ".join(seen),
-        right=" or ".join(right),
-        rates=rates or 0.0,
-        tilt=tilt or 0.0,
-    )
-
-
-def _contradicted(evidence: Evidence) -> bool:
-    limits = {"rates": _WRONG_SHARE, "tilt": _WRONG_TILT, "above": _WRONG_SHARE}
-    return any((value := getattr(evidence, k)) is not None and value > x for k, x in limits.items())
-
-
-def _supported(evidence: Evidence, own: Evidence) -> bool:
-    """Tell whether a reading agrees with all that there is, and better than the orientation."""
-    limits = {"rates": _RIGHT_SHARE, "tilt": _RIGHT_TILT, "above": _RIGHT_SHARE}
-    pairs = [(getattr(evidence, k), getattr(own, k), x) for k, x in limits.items()]
-    known = [(value, other, x) for value, other, x in pairs if value is not None]
-    if any(value > x for value, _, x in known):
-        return False
-    return any(value * _BETTER < other for value, other, _ in known)
+    said = {
+        "rates": "{:.3g} % of the measured turning is not that of the orientation (limit {:g} %)",
+        "tilt": "the mean specific force points {:.3g}° off the vertical (limit {:.3g}°)",
+        "above": "feet that are down are above the base in {:.3g} % of all",
+    }
+    sizes = {"rates": 100.0, "tilt": _DEGREES, "above": 100.0}
+    seen = [
+        words.format(sizes[name] * given[name], sizes[name] * _WRONG[name])
+        for name, words in said.items()
+        if name in given and (name != "above" or given[name] > _WRONG[name])
+    ]
+    numbers = {name: given.get(name, 0.0) for name in ("rates", "tilt")}
+    yield found("base_orientation", seen=" and ".join(seen), right=" or ".join(right), **numbers)
 
 
 @check

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
@@ -82,57 +81,37 @@ def axes_in_words(matrix: Array) -> str:
     return f"x, y, z are {', '.join(names)}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Evidence:
-    """How well an orientation agrees with what else was measured; None where nothing was.
+def evidence(log: Recording, quaternions: Array, feet: Array | None) -> dict[str, float]:
+    """Return how badly an orientation agrees with what else was measured; only what there is.
 
-    Attributes
-    ----------
-    rates : float or None
-        Share of the measured angular velocity that the orientation leaves unexplained.
-    tilt : float or None
-        Angle between the mean specific force and the world's upward axis, rad.
-    above : float or None
-        Share of the feet that are down and above the base's origin, of all times.
+    ``"rates"`` is the share of the measured angular velocity that it leaves unexplained, ``"tilt"``
+    the angle between the mean specific force and the world's upward axis, rad, ``"above"`` the
+    share of feet that are down and above the base's origin, of all times. Feet are places in the
+    base of those that are down (`feet_in_base`), one a row, with the row of the recording in front.
     """
+    from scipy.spatial.transform import Rotation
 
-    rates: float | None
-    tilt: float | None
-    above: float | None = None
-
-    @classmethod
-    def of(cls, log: Recording, quaternions: Array, feet: Array | None = None) -> Evidence:
-        """Compare an orientation with gyroscope, angular velocity, accelerometer and feet.
-
-        Feet are places in the base of those that are down (`feet_in_base`), one a row, with the
-        row of the recording in front.
-        """
-        from scipy.spatial.transform import Rotation
-
-        base = log.base
-        assert base is not None
-        wanted = turn_rates(quaternions, log.step)
-        shares = []
-        sensed, force = base.sensed("gyroscope"), base.sensed("accelerometer")
-        if sensed is not None:
-            shares.append(_rates(sensed, wanted, log.step))
-        if base.angular_velocity is not None:
-            turned = base.angular_velocity
-            if base.velocity_frame == "world":
-                turned = Rotation.from_quat(quaternions).inv().apply(np.array(turned))
-            shares.append(_rates(turned, wanted, log.step))
-        known = [share for share in shares if share is not None]
-        tilt = None
-        if force is not None:
-            mean = Rotation.from_quat(quaternions).apply(force).mean(axis=0)
-            size = float(np.linalg.norm(mean))
-            # Zeros point nowhere.
-            tilt = float(np.arccos(np.clip(mean[2] / size, -1.0, 1.0))) if size else None
-        above = None
-        if feet is not None:
-            turns = Rotation.from_quat(quaternions[feet[:, 0].astype(np.intp)])
-            above = float(np.mean(turns.apply(feet[:, 1:])[:, 2] > 0.0))
-        return cls(rates=min(known) if known else None, tilt=tilt, above=above)
+    base, found = log.base, {}
+    assert base is not None
+    wanted = turn_rates(quaternions, log.step)
+    sensed, force = base.sensed("gyroscope"), base.sensed("accelerometer")
+    turned = base.angular_velocity
+    if turned is not None and base.velocity_frame == "world":
+        turned = Rotation.from_quat(quaternions).inv().apply(np.array(turned))
+    means = [window_means(each, log.step) for each in (sensed, turned) if each is not None]
+    # Of a base that hardly turns rates say nothing.
+    turning = [each for each in means if np.sqrt(np.mean(each**2)) >= LEAST_RATE]
+    if turning:
+        found["rates"] = min(unexplained(each, wanted) for each in turning)
+    if force is not None:
+        mean = Rotation.from_quat(quaternions).apply(force).mean(axis=0)
+        size = float(np.linalg.norm(mean))
+        if size:  # Zeros point nowhere.
+            found["tilt"] = float(np.arccos(np.clip(mean[2] / size, -1.0, 1.0)))
+    if feet is not None:
+        turns = Rotation.from_quat(quaternions[feet[:, 0].astype(np.intp)])
+        found["above"] = float(np.mean(turns.apply(feet[:, 1:])[:, 2] > 0.0))
+    return found
 
 
 def feet_in_base(log: Recording, robot: RobotModel | None) -> Array | None:
@@ -151,11 +130,3 @@ def feet_in_base(log: Recording, robot: RobotModel | None) -> Array | None:
         return None
     numbers = np.broadcast_to(rows[:, None], down.shape)[down]
     return np.column_stack([numbers, frame_places(robot, q, contacts.frames)[down]])
-
-
-def _rates(measured: Array, wanted: Array, step: float) -> float | None:
-    """Return the share that is unexplained, None where the base hardly turns."""
-    means = window_means(measured, step)
-    if np.sqrt(np.mean(means**2)) < LEAST_RATE:
-        return None
-    return unexplained(means, wanted)

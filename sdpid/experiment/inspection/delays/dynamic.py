@@ -231,17 +231,17 @@ def dynamic_delays(
     log = _all_closed(robot, log)
     delays, scale, errors = np.zeros(len(names)), None, np.zeros(len(names))
     for _ in range(_STEPS):
-        samples, *rows = _linearized(robot, log, processing, dict(zip(names, delays, strict=True)))
-        picked = _picked(samples)
+        at = dict(zip(names, delays.tolist(), strict=True))
+        samples, columns, effort, rates = _linearized(robot, log, processing, at)
         if scale is None:
             scale = first_scale(robot, samples.effort, unused)
         for _ in range(_WEIGHTINGS):
-            free = FreeRows.of(robot, samples, picked, scale)
-            solved = _solved(free, *rows)
+            free = FreeRows.of(robot, samples, _picked(samples), scale)
+            solved = _solved(free, columns, effort, rates)
             if solved is None:
                 return {}
             change, errors, left = solved
-            unlike = float(np.sum(left**2) / np.sum(free.apply(samples.effort[picked]) ** 2))
+            unlike = float(np.sum(left**2) / np.sum(free.apply(effort) ** 2))
             scale = free.rescaled(left)
         delays = delays + change
         if unlike > _UNLIKE:
