@@ -29,7 +29,7 @@ from data_sets import ROBOTS, SETS
 import sdpid
 from sdpid._common.tables import Table
 from sdpid.errors import SdpidError
-from sdpid.output.samples.log_cholesky import changes
+from sdpid.output.samples.ranges import changes
 from sdpid.workflow.sample import ParameterSamples
 
 ARMS = ("panda_unisa", "kinova_gen3_dynamapp", "kuka_lwr4plus")

@@ -77,7 +77,7 @@ def validate(
     if rollout:
         from sdpid.assurance.diagnostics.described import described_dynamics
         from sdpid.assurance.rollouts.rollout import rollouts
-        from sdpid.output.report.sections.rollouts import fresh_notes
+        from sdpid.output.report.sections.motion import fresh_notes
 
         described = described_dynamics(model, samples)
         moved = rollouts(described, record, processing=chosen, without_effort=absent)

@@ -20,7 +20,7 @@ from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.judged import Judged, grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
-from sdpid.output.tables.intervals_shown import in_words, intervals_dict
+from sdpid.output.tables.parameter_tables import in_words, intervals_dict
 from sdpid.robot.friction.curve import JointCurve
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.results_folder import save as save_results
@@ -184,7 +184,7 @@ class Identification(Judged, Shown):
         ndarray of matplotlib.axes.Axes, shape (n, 3)
             One row a joint: effort and error over time, friction over velocity.
         """
-        from sdpid.output.report.sections.overview import plot_overview
+        from sdpid.output.report.sections.joints import plot_overview
 
         return plot_overview(self, title=title, axes=axes)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
-from sdpid.output.robots.friction_code import NAMES as FRICTION_FILES
+from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
 from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE

@@ -6,7 +6,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.samples.log_cholesky import changed
+from sdpid.output.samples.ranges import changed
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import full_regressor, random_theta

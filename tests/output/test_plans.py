@@ -24,12 +24,15 @@ from sdpid.experiment.trajectory.reading import read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.charts.page import number
 from sdpid.output.plans import write
-from sdpid.output.plans.joint_trajectory import write_joint_trajectory
-from sdpid.output.plans.motion_files import write_motion_csv
+from sdpid.output.plans.motion_files import (
+    TOLERANCE,
+    pieces,
+    write_joint_trajectory,
+    write_motion_csv,
+    write_urscript,
+)
 from sdpid.output.plans.page import plan_html
-from sdpid.output.plans.pieces import TOLERANCE, pieces
 from sdpid.output.plans.scene import scene_of
-from sdpid.output.plans.urscript import write_urscript
 from sdpid.output.plans.write import write_plan
 from tests.helpers.browser import Tab, look
 from tests.helpers.motions import fourier_motion, spline_motion

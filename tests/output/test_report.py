@@ -27,7 +27,7 @@ from sdpid.output.charts.page import number, policy
 from sdpid.output.report import report
 from sdpid.output.report.headline import headline
 from sdpid.output.report.report import report_html, write_report
-from sdpid.output.report.sections import mass_matrix, parameters
+from sdpid.output.report.sections import motion, parameters
 from sdpid.output.report.sections.recording import units
 from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
@@ -280,7 +280,7 @@ def test_every_link_stands_beside_its_description(result: Identification, page: 
 
 
 def test_the_mass_matrix_is_looked_at_along_the_motion(result: Identification) -> None:
-    found = mass_matrix.values(result, Charts())["mass_matrix"]
+    found = motion.values(result, Charts())["mass_matrix"]
     least = {row["name"]: row["least"] for row in found["rows"]}
     q = result.problem.samples.position
     own = np.linalg.eigvalsh(result.estimate.model().mass_matrix(q))[:, 0].min()
@@ -290,7 +290,7 @@ def test_the_mass_matrix_is_looked_at_along_the_motion(result: Identification) -
     base = result.wls.base.copy()
     base[list(result.problem.base.names).index("zzr1")] = -1.0
     wrong = replace(result, wls=replace(result.wls, base=base))
-    rows = mass_matrix.values(wrong, Charts())["mass_matrix"]["rows"]
+    rows = motion.values(wrong, Charts())["mass_matrix"]["rows"]
     (free,) = [row for row in rows if row["name"] == "least squares"]
     assert free["most"] < 0.0
     assert free["indefinite"] == 1.0

@@ -15,13 +15,12 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.friction import Coulomb, SigmoidFriction, Viscous
+from sdpid.output.robots.export_report import PLACES as URDF_PLACES
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf import PLACES
-from sdpid.output.robots.urdf_errors import PLACES as URDF_PLACES
 from sdpid.output.samples import patterns
-from sdpid.output.samples.drawn_friction import drawn_attributes
-from sdpid.output.samples.log_cholesky import NAMES, changed, changes
-from sdpid.output.samples.ranges import Ranges
+from sdpid.output.samples.patterns import drawn_attributes
+from sdpid.output.samples.ranges import NAMES, Ranges, changed, changes
 from sdpid.output.samples.write import SampleWriter, write_samples
 from sdpid.robot.description import mjcf, mjcf_bodies
 from sdpid.robot.friction.term import FrictionTerm

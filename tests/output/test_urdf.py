@@ -39,14 +39,12 @@ from sdpid.friction import (
     Tilt,
     Viscous,
 )
-from sdpid.output.robots.export_report import Errors, ExportReport, Written
-from sdpid.output.robots.friction_code import cpp, python
-from sdpid.output.robots.friction_files import friction_data, write_friction
+from sdpid.output.robots.export_report import Errors, ExportReport, Written, urdf_errors
+from sdpid.output.robots.friction_files import cpp, friction_data, python, write_friction
 from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
 from sdpid.output.robots.urdf import write_urdf
-from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.xml import undeclared

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.output.robots.urdf_tree import UrdfTree
+from sdpid.output.robots.written_bodies import UrdfTree
 from sdpid.robot.description.catalog import (
     bundled_folder,
     bundled_robots,

@@ -27,7 +27,7 @@ from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.recording.recording import Recording
-from sdpid.output.robots.friction_code import WRITERS
+from sdpid.output.robots.friction_files import WRITERS
 from sdpid.output.robots.friction_terms import Language
 from sdpid.output.tables.parameter_tables import base_table, theta_table
 from sdpid.robot.model.digest import kinematics_digest

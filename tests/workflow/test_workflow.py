@@ -28,7 +28,7 @@ from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.grades import graded, grades
-from sdpid.output.report.sections.gait import values
+from sdpid.output.report.sections.recording import values
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate

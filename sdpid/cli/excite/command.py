@@ -304,7 +304,7 @@ def _logs(previous: Iterable[Path]) -> list[Path]:
 
 def _printed(plan: Plan, out: Path, names: list[str], notes: list[str]) -> str:
     """Return what is printed of a plan: the sentences of its page, and what was written."""
-    from sdpid.output.plans.words import sentences
+    from sdpid.output.plans.page import sentences
 
     parts = [f"{plan.robot.name}: written to {out}: {', '.join(names)}"]
     noted = [note for note in (*plan.notes, *notes) if note not in plan.limits.notes]

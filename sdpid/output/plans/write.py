@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +20,13 @@ from sdpid._common.staging import RunFolder
 from sdpid._common.tables import plain_dict
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.ipopt import INTERRUPTED
-from sdpid.output.plans.joint_trajectory import write_joint_trajectory
 from sdpid.output.plans.motion_files import (
+    JOINTS,
+    write_joint_trajectory,
     write_motion_csv,
+    write_urscript,
 )
 from sdpid.output.plans.settings_files import LIMITS, OBSTACLES, PLAN, settings_files
-from sdpid.output.plans.urscript import JOINTS, write_urscript
 
 # Written last: it lists the other files.
 _RESULT = "plan.json"
@@ -106,8 +106,12 @@ def write_plan(
     require_writable(target, writes_config=True)
 
     def fill(stage: Path) -> dict[str, Any]:
-        writer = _Writer(plan, stage, target, note)
-        writer.write(command=command, config=config)
+        texts = settings_files(plan, target) if config is None else {_CONFIG: config}
+        with progress(3, "writing the plan") as advance:
+            for _ in _write(plan, stage, texts, note):
+                advance(1)
+            _write_page(plan, stage, command, note)
+            advance(1)
         return plan_content(plan)
 
     return _FOLDER.write(target, fill, note)
@@ -155,57 +159,36 @@ def ended_early(plan: Plan) -> str | None:
     )
 
 
-@dataclass(frozen=True)
-class _Writer:
-    """Writes the files of a plan into an empty folder."""
+def _write(
+    plan: Plan, folder: Path, texts: dict[str, str], note: Callable[[str], None]
+) -> Iterator[None]:
+    """Write motion, programs and settings into an empty folder, step by step."""
+    motion = plan.trajectory
+    write_motion_csv(motion, folder / "trajectory.csv")
+    motion.to_toml(folder / "trajectory.toml")
+    yield
+    write_joint_trajectory(motion, folder / "joint_trajectory.yaml")
+    if motion.n == JOINTS and not np.any(plan.joint_limits.sliding):
+        write_urscript(motion, folder / "excitation.script")
+    else:
+        note(
+            f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, this "
+            "robot has others"
+        )
+    if (reason := ended_early(plan)) is not None:
+        texts[_CONFIG] = f"# {reason}\n{texts[_CONFIG]}"
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    yield
 
-    plan: Plan
-    folder: Path
-    target: Path
-    note: Callable[[str], None]
 
-    def write(self, *, command: str | None, config: str | None) -> None:
-        """Write all files but plan.json."""
-        steps: list[Callable[[], None]] = [
-            self._motion,
-            self._controllers,
-            lambda: self._config(config),
-            lambda: self._page(command),
-        ]
-        with progress(len(steps), "writing the plan") as advance:
-            for step in steps:
-                step()
-                advance(1)
+def _write_page(plan: Plan, folder: Path, command: str | None, note: Callable[[str], None]) -> None:
+    """Write the page, where jinja2 is installed."""
+    if importlib.util.find_spec("jinja2") is None:
+        note(f"no report.html: jinja2 is not installed ({installation('report')})")
+        return
+    from sdpid.output.plans.page import plan_html
 
-    def _motion(self) -> None:
-        motion = self.plan.trajectory
-        write_motion_csv(motion, self.folder / "trajectory.csv")
-        motion.to_toml(self.folder / "trajectory.toml")
-
-    def _controllers(self) -> None:
-        motion = self.plan.trajectory
-        write_joint_trajectory(motion, self.folder / "joint_trajectory.yaml")
-        if motion.n == JOINTS and not np.any(self.plan.joint_limits.sliding):
-            write_urscript(motion, self.folder / "excitation.script")
-        else:
-            self.note(
-                f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, "
-                "this robot has others"
-            )
-
-    def _config(self, config: str | None) -> None:
-        texts = settings_files(self.plan, self.target) if config is None else {_CONFIG: config}
-        if (reason := ended_early(self.plan)) is not None:
-            texts[_CONFIG] = f"# {reason}\n{texts[_CONFIG]}"
-        for name, text in texts.items():
-            (self.folder / name).write_text(text, encoding="utf-8")
-
-    def _page(self, command: str | None) -> None:
-        if importlib.util.find_spec("jinja2") is None:
-            self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
-            return
-        from sdpid.output.plans.page import plan_html
-
-        there = [name for name in NAMES if (self.folder / name).exists()]
-        text = plan_html(self.plan, command=command, names=[*there, _RESULT])
-        (self.folder / "report.html").write_text(text, encoding="utf-8")
+    there = [name for name in NAMES if (folder / name).exists()]
+    text = plan_html(plan, command=command, names=[*there, _RESULT])
+    (folder / "report.html").write_text(text, encoding="utf-8")

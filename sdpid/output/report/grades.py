@@ -1,11 +1,11 @@
-"""Grade how far each joint's predicted effort can be trusted on other motion.
+"""Grade how far predicted efforts can be trusted on other motion, and state it as findings.
 
 Every limit is a constant here, with its reason.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,41 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
+
+# Names listed before "and 3 more".
+_LISTED = 4
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding of the verdict.
+
+    Attributes
+    ----------
+    level : {"good", "caution", "bad"}
+        What it means for the model.
+    text : str
+        A sentence or two.
+    warning : str
+        What not to do with the result, in words that follow "do not"; every bad finding has some.
+    """
+
+    level: Level
+    text: str
+    warning: str = ""
+
+
+def listed(names: Iterable[str], most: int = _LISTED) -> str:
+    """Join up to `most` names with commas, and count the rest."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
+
+
+def percent(share: float) -> str:
+    """Return a share in percent."""
+    return f"{100.0 * share:.3g} %"
+
 
 Level = Literal["good", "caution", "bad"]
 LEVELS: tuple[Level, ...] = ("bad", "caution", "good")

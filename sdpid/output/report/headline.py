@@ -17,10 +17,7 @@ from sdpid.assurance.diagnostics.held_out import (
 )
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.experiment.processing.delays.on_time import ON_TIME
-from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
-from sdpid.output.report.finding import percent
-from sdpid.output.report.grades import LEVELS, Grade
-from sdpid.output.report.held_back import held_of
+from sdpid.output.report.grades import LEVELS, Grade, percent
 from sdpid.output.report.held_out_verdict import CARRIES, COVERED, FAILS, inside_bands
 from sdpid.output.report.judged import (
     Judged,
@@ -31,8 +28,14 @@ from sdpid.output.report.judged import (
     missing_friction,
     terms_of,
 )
-from sdpid.output.report.prediction_verdict import resting_share
-from sdpid.output.report.sections.mass_matrix import least_eigenvalues
+from sdpid.output.report.prediction_verdict import (
+    NEGLIGIBLE,
+    goes_with,
+    held_of,
+    next_step,
+    resting_share,
+)
+from sdpid.output.report.sections.motion import least_eigenvalues
 from sdpid.output.report.verdict import findings
 from sdpid.output.robots.friction_terms import KINDS
 from sdpid.robot.description.level import LINK

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.errors import SdpidError
-from sdpid.output.report.finding import Finding, percent
+from sdpid.output.report.grades import Finding, percent
 from sdpid.output.report.judged import Judged
 
 # Held-out over training error. Another motion weighs the same defects differently, which makes

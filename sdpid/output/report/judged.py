@@ -5,11 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from sdpid._common.arrays import Array
 from sdpid._common.kept import kept
-from sdpid._common.tables import Table
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.causes import Cause, find_causes
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut, Remedy
@@ -21,9 +19,8 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.grades import Grade, Level, grades
-from sdpid.output.robots.export_report import Errors
-from sdpid.output.robots.urdf_errors import urdf_errors
+from sdpid.output.report.grades import Grade, grades
+from sdpid.output.robots.export_report import Errors, urdf_errors
 from sdpid.robot.friction.model import BY_NAME
 
 # Classes of terms that describe what every joint has.
@@ -33,91 +30,13 @@ _FRICTION = {
 }
 
 
-class Crossed(Protocol):
-    """What the verdict needs of a `CrossValidation`."""
-
-    @property
-    def by(self) -> str:
-        """What was held out: ``"time"`` or ``"recording"``."""
-
-    @property
-    def relative(self) -> float:
-        """Relative residual of all held-out rows."""
-
-    @property
-    def relative_unconstrained(self) -> float:
-        """Relative residual of the unconstrained fits on all held-out rows."""
-
-    @property
-    def relatives(self) -> Array:
-        """Relative residual of each fold on its held-out rows, shape (folds,)."""
-
-    @property
-    def training(self) -> float:
-        """Mean relative residual of the folds on their training rows."""
-
-
-class Bias(Protocol):
-    """What the verdict needs of a `BiasTest`."""
-
-    @property
-    def biased(self) -> bool:
-        """Whether least squares is biased, and by how much matters."""
-
-    @property
-    def verdict(self) -> str:
-        """That in words."""
-
-
-class Rolled(Protocol):
-    """What the report needs of a `Rollout`."""
-
-    @property
-    def free(self) -> str:
-        """Which joints were simulated together."""
-
-    @property
-    def horizons(self) -> tuple[float, ...]:
-        """Times after the start at which errors are told, s."""
-
-    @property
-    def start(self) -> Array:
-        """Times at which the simulations start, s."""
-
-    @property
-    def verdict(self) -> str:
-        """What it says, in a sentence."""
-
-    @property
-    def level(self) -> Level:
-        """What that means for the model."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was done, and what to know about the numbers."""
-
-    def as_table(self) -> Table:
-        """Return a row a model."""
-
-    def joint_table(self) -> Table:
-        """Return a row a joint."""
-
-    @property
-    def time(self) -> Array:
-        """Times after the start at which errors are known, s, (L,)."""
-
-    @property
-    def own(self) -> str:
-        """Name of the model that is judged."""
-
-    @property
-    def medians(self) -> dict[str, Array]:
-        """Of each model, the median over the starts at all times, rad, (L,)."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Judged(ABC):
-    """What an `Identification` holds, where each field is told."""
+    """What an `Identification` holds, where each field is told.
+
+    The classes of cross-validations, rollouts and bias tests are of features that nobody here may
+    import.
+    """
 
     problem: Problem
     wls: Estimate
@@ -130,10 +49,10 @@ class Judged(ABC):
     held_out: HeldOut | None = None
     remedies: tuple[Remedy, ...] = ()
     intervals: Intervals | None = None
-    cross_validation: Crossed | None = None
-    rollouts: Sequence[Rolled] = ()
+    cross_validation: Any | None = None
+    rollouts: Sequence[Any] = ()
     intervals_note: str | None = None
-    bias: Bias | None = None
+    bias: Any | None = None
     bias_note: str | None = None
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()

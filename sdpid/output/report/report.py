@@ -7,25 +7,22 @@ rest. Names of robots, joints and links, and notes, are escaped.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.charts.charts import Charts, scripts, style
 from sdpid.output.charts.page import page
+from sdpid.output.report.grades import LEVELS, Finding, Level
+from sdpid.output.report.headline import headline
 from sdpid.output.report.judged import Judged, errors_of, judged
-from sdpid.output.report.sections import (
-    gait,
-    joints,
-    links,
-    mass_matrix,
-    parameters,
-    recording,
-    rollouts,
-    short,
-)
+from sdpid.output.report.sections import joints, motion, parameters, recording
+from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
 from sdpid.plots.lines import TimeLine
@@ -118,12 +115,47 @@ def report_html(
         exports=exports,
         command=command,
         sha256=sha256,
-        **short.values(result),
+        **_short(result),
         **joints.values(result, errors, charts, line),
         **parameters.values(result, intervals),
-        **links.values(result),
-        **mass_matrix.values(result, charts),
-        **rollouts.values(result, charts),
+        **motion.values(result, charts),
         **recording.values(result),
-        **gait.values(result),
     )
+
+
+def _short(result: Judged) -> dict[str, Any]:
+    """Return the verdict, and the estimate beside what costs less."""
+    every = findings(result)
+    return {
+        "headline": headline(result),
+        "findings": every,
+        "level": _worst(every),
+        "held": result.held_out,
+        "other_motion": result.held_out is not None and result.held_out.by == "recording",
+        "beside": list(_beside(result)),
+    }
+
+
+def _worst(every: tuple[Finding, ...]) -> Level:
+    """Return the worst level of some findings."""
+    return min((each.level for each in every), key=LEVELS.index, default="caution")
+
+
+def _beside(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield the errors on what was held out of the baselines and of the estimate.
+
+    Bars are logarithmic, from 0.1 % to 100 %.
+    """
+    if result.held_out is None:
+        return
+    every = result.held_out.every
+    for name, fit in every.items():
+        joints = zip(fit.moving.rmse.tolist(), fit.moving.rows.tolist(), strict=True)
+        yield {
+            "name": name,
+            "ours": fit is result.held_out.fit,
+            "moving": fit.told.relative,
+            "length": float(np.clip(1.0 + np.log10(max(fit.told.relative, 1e-9)) / 3.0, 0.0, 1.0)),
+            "resting": None if fit.resting is None else fit.resting.relative,
+            "rmse": [value if rows else None for value, rows in joints][fit.n_base :],
+        }

@@ -18,11 +18,8 @@ from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
-from sdpid.output.report.cause_words import cause_findings
-from sdpid.output.report.finding import Finding, listed, percent
-from sdpid.output.report.floating_verdict import floating_findings
-from sdpid.output.report.gains_verdict import gains_findings
-from sdpid.output.report.held_back import held_back_findings
+from sdpid.output.report.efforts_verdict import floating_findings, gains_findings
+from sdpid.output.report.grades import Finding, listed, percent
 from sdpid.output.report.held_out_verdict import held_out_findings
 from sdpid.output.report.judged import (
     Judged,
@@ -33,7 +30,11 @@ from sdpid.output.report.judged import (
     seen_on,
     terms_of,
 )
-from sdpid.output.report.prediction_verdict import effort_findings
+from sdpid.output.report.prediction_verdict import (
+    cause_findings,
+    effort_findings,
+    held_back_findings,
+)
 
 # The constraints' share in the error: where they make the relative residual larger by this, they
 # contradict the data by more than rounding and noise, which cost a correct model far below 1 %.

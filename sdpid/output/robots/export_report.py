@@ -1,4 +1,4 @@
-"""What writing a robot's file says: links and joints written, terms left out, what that costs."""
+"""What writing a robot file says: links and joints written, terms left out, what that costs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
+from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.robots.joint_friction import LeftOut
+from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
+from sdpid.output.robots.places import Kind
+from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.model.model import RobotModel
 
 # Relative difference of two errors that are the same but for rounding and a solver's tolerance.
@@ -204,3 +209,39 @@ class Written:
             validate_dynamics(model, samples, problem).told.relative,
             validate(self.estimate, samples).told.relative,
         )
+
+
+# The attributes that a URDF has for friction.
+PLACES: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
+
+
+def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> Errors | None:
+    """Return the errors of an estimate's URDF beside the estimate's own.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The estimate.
+    samples : Samples, optional
+        Where efforts are predicted; by default the problem's own.
+
+    Returns
+    -------
+    Errors or None
+        None where no URDF can be written, or there are no rows.
+    """
+    problem, theta = estimate.problem, estimate.theta
+    robot = problem.robot
+    if theta is None or robot.urdf is None or problem.consistency == "none":
+        return None
+    try:
+        written = joint_attributes(problem, theta, PLACES, "URDF").values
+    except ExportError:  # negative friction
+        return None
+    damping, dry = (np.array(each) for each in robot.described_friction())
+    for j, joint in enumerate(robot.joint_names):
+        values = written.get(joint, {})
+        dry[j] = values.get(PLACES[Coulomb], dry[j])
+        damping[j] = values.get(PLACES[Viscous], damping[j])
+    seen = robot.with_gravity(estimate.model().tilted_gravity)
+    return Written(estimate, (dry, damping, np.zeros(robot.n)), seen).errors(samples)

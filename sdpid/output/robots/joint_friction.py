@@ -17,8 +17,7 @@ from sdpid.assurance.diagnostics.described import described_coulomb, efforts_of_
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
-from sdpid.output.robots.places import Kind, Part, Places
-from sdpid.output.robots.tendons import Tendon
+from sdpid.output.robots.places import Kind, Part, Places, Tendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 

@@ -16,13 +16,13 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, Written
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton, quoted
-from sdpid.output.robots.places import Kind
-from sdpid.output.robots.tendons import Tendon, couplings_of, tendons_markup
+from sdpid.output.robots.places import Kind, Tendon, couplings_of, tendons_markup
 from sdpid.output.robots.urdf import source_text
-from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
+    FixedChild,
+    UrdfTree,
     possible_body,
     require_consistent,
     require_same_efforts,

@@ -14,8 +14,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.plant.mujoco_model import joint_axis
-from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
-from sdpid.output.robots.written_bodies import possible, possible_body
+from sdpid.output.robots.written_bodies import FixedChild, UrdfTree, possible, possible_body
 from sdpid.robot.description.inertials import Inertial, rounded, tensor
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers

@@ -17,13 +17,13 @@ from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.output.robots.export_report import ExportReport, Written
+from sdpid.output.robots.export_report import PLACES, ExportReport, Written
 from sdpid.output.robots.joint_friction import JointAttributes, joint_attributes
-from sdpid.output.robots.urdf_errors import PLACES
-from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
+    FixedChild,
+    UrdfTree,
     possible_body,
     require_consistent,
     require_same_efforts,

@@ -22,8 +22,13 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.written_bodies import possible_body
-from sdpid.output.samples.drawn_friction import drawn_attributes
-from sdpid.output.samples.patterns import Joints, MjcfPattern, Pattern, UrdfPattern
+from sdpid.output.samples.patterns import (
+    Joints,
+    MjcfPattern,
+    Pattern,
+    UrdfPattern,
+    drawn_attributes,
+)
 from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
 from sdpid.robot.description.bodies import DescribedBody, exact_decimal
 from sdpid.robot.description.inertials import Inertial, rounded

@@ -1,13 +1,24 @@
-"""What a scene shows together, and the motion that it plays."""
+"""What a scene shows: groups, a motion, inertia ellipsoids, and a picture where nothing plays it.
+
+A uniform solid ellipsoid of mass m has the second-moment matrix ``m/5·A·A^T`` about its center,
+where the columns of A are its semi-axes. So the semi-axes of the ellipsoid of a body are the
+eigenvectors of its second-moment matrix, of lengths ``sqrt(5·λ/m)``; it exists exactly for bodies
+that are physically consistent. Of a plate or a rod one or two lengths are zero.
+"""
 
 from __future__ import annotations
 
+import base64
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.experiment.processing.samples import Samples
+from sdpid.output.scene.surfaces import Surface, thinned
+from sdpid.robot.inertia import physical_parameters, second_moment_from_inertia
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
 
@@ -95,3 +106,167 @@ def recorded_motion(samples: Samples) -> Motion:
     if len(frames) > _MOST:
         told = f"The first {seconds:.0f} s of {played[-1]:.0f} s are played."
     return Motion(rate, samples.position[nearest], told, nearest)
+
+
+# Second moments negative by less than this share of the body's largest about its frame's origin
+# are zero: the shift to the center of mass cancels, and solvers end as near to a boundary.
+_ZERO = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """A solid ellipsoid.
+
+    Attributes
+    ----------
+    center : ndarray, shape (3,)
+        In the body's frame, m.
+    rotation : ndarray, shape (3, 3)
+        Directions of the semi-axes as columns.
+    lengths : ndarray, shape (3,)
+        Of the semi-axes, m, from the shortest.
+    """
+
+    center: Array
+    rotation: Array
+    lengths: Array
+
+    @property
+    def axes(self) -> Array:
+        """The semi-axes as columns, shape (3, 3), m."""
+        return np.asarray(self.rotation * self.lengths)
+
+
+def inertia_ellipsoid(body: ArrayLike) -> Ellipsoid | None:
+    """Return the uniform ellipsoid of a body's inertia; None for one that cannot exist.
+
+    Parameters
+    ----------
+    body : array_like, shape (10,)
+        Inertial parameters in the order of `sdpid.robot.inertia`.
+    """
+    theta = np.asarray(body, dtype=np.float64)
+    if not np.isfinite(theta).all() or theta[0] <= 0.0:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        mass, center, inertia = physical_parameters(theta)
+        moments = second_moment_from_inertia(inertia)
+        largest = float(np.abs(moments).max() + mass * center @ center)
+    if not np.isfinite(largest):
+        return None
+    values, axes = np.linalg.eigh(moments)
+    if values[0] < -_ZERO * largest:
+        return None
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    with np.errstate(over="ignore"):
+        lengths = np.sqrt(5.0 * (np.maximum(values, 0.0) / mass))
+    if not np.isfinite(lengths).all():
+        return None
+    return Ellipsoid(frozen(center), frozen(axes), frozen(lengths))
+
+
+# Size of the picture in its own units, some two a pixel, and the share of it that the robot takes.
+_WIDTH, _HEIGHT, _FILLED = 1920, 1080, 0.94
+
+# Triangles that are drawn: half of them face away.
+_TRIANGLES = 3000
+
+# Points of an ellipsoid's outline.
+_OUTLINE = 60
+
+# From where light comes, in the frame of the view: right, up, toward the eye.
+_LIGHT = np.array([0.35, 0.75, 0.55]) / np.linalg.norm([0.35, 0.75, 0.55])
+
+
+def still_picture(
+    groups: Sequence[Group],
+    surfaces: Sequence[Surface],
+    ellipsoids: Sequence[tuple[int, str, Ellipsoid]],
+    placements: Array,
+    eye: tuple[float, float],
+) -> str:
+    """Return links and ellipsoids as a data URI with an SVG, in parallel projection.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+        In the order in which they are painted.
+    surfaces : sequence of Surface
+        Painted from far to near.
+    ellipsoids : sequence of (link, key of the group, Ellipsoid)
+        Painted after the surfaces.
+    placements : ndarray, shape (links + 1, 4, 4)
+        Of the links' joint frames, last of what stands still.
+    eye : (float, float)
+        Yaw and pitch of the view, rad.
+    """
+    turned = view(*eye)
+    few = thinned(surfaces, _TRIANGLES)
+    seen = [_seen(each.points, placements[each.link], turned) for each in few]
+    outlines = [(key, _outline(each, placements[link], turned)) for link, key, each in ellipsoids]
+    joints = _seen(placements[:, :3, 3], np.eye(4), turned)
+    every = np.concatenate([*(each[:, :2] for each in (*seen, joints)), *(o for _, o in outlines)])
+    low, high = every.min(axis=0), every.max(axis=0)
+    scale = _FILLED * float(np.min([_WIDTH, _HEIGHT] / np.maximum(high - low, 1e-6)))
+    middle = 0.5 * (low + high)
+
+    def path(points: Array) -> str:
+        flat = (points[:, :2] - middle) * [scale, -scale] + [0.5 * _WIDTH, 0.5 * _HEIGHT]
+        (x, y), *steps = np.diff(np.rint(flat), axis=0, prepend=0.0).astype(int).tolist()
+        return f'd="M{x} {y}l{" ".join(f"{dx} {dy}" for dx, dy in steps)}z"'
+
+    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}">']
+    for group in groups:
+        paint = 'fill="currentColor" stroke="currentColor" stroke-linejoin="round"'
+        lines.append(f'<g {paint} opacity="{group.opacity:g}">')
+        own = [(each, at) for each, at in zip(few, seen, strict=True) if each.group == group.key]
+        lines += [f'<path color="{c}" {path(points)}/>' for points, c in _painted(own, group.color)]
+        lines.append("</g>")
+    for group in groups:
+        paint = f'fill="{group.color}" fill-opacity="{group.filled:g}" stroke="{group.color}"'
+        dashed = ' stroke-width="4" stroke-dasharray="10 6"' if group.filled == 0.0 else ""
+        lines += [f"<path {paint}{dashed} {path(o)}/>" for key, o in outlines if key == group.key]
+    text = "\n".join([*lines, "</svg>"])
+    return f"data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode('ascii')}"
+
+
+def _painted(own: Sequence[tuple[Surface, Array]], color: str) -> Iterator[tuple[Array, str]]:
+    """Yield the triangles of surfaces from far to near, and their colors."""
+    corners = [seen[each.faces] for each, seen in own]
+    if not corners:
+        return
+    colors = [each.color or color for each, _ in own for _ in each.faces]
+    triangles = np.concatenate(corners)
+    sides = triangles[:, 1:] - triangles[:, :1]
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
+    light = 0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0.0)
+    for k in np.argsort(triangles[:, :, 2].mean(axis=1), kind="stable"):
+        yield triangles[k], _shaded(colors[k], float(light[k]))
+
+
+def _shaded(color: str, light: float) -> str:
+    """Return a color ``#rrggbb`` darkened by a factor, in steps that the eye does not see."""
+    values = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    return "#" + "".join(f"{min(round(value * light), 255):02x}" for value in values)
+
+
+def view(yaw: float, pitch: float) -> Array:
+    """Return the rotation into the frame of the view: right, up, toward the eye."""
+    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    return np.array([[-sy, cy, 0.0], [-sp * cy, -sp * sy, cp], [cp * cy, cp * sy, sp]])
+
+
+def _seen(points: Array, placement: Array, view: Array) -> Array:
+    """Return points of a link in the frame of the view, (N, 3)."""
+    return np.asarray((points @ placement[:3, :3].T + placement[:3, 3]) @ view.T)
+
+
+def _outline(ellipsoid: Ellipsoid, placement: Array, view: Array) -> Array:
+    """Return the outline of an ellipsoid as it is seen, (N, 2): the image of a ball's."""
+    flat = (view @ placement[:3, :3] @ ellipsoid.axes)[:2]
+    sides, lengths, _ = np.linalg.svd(flat)
+    angles = np.linspace(0.0, 2.0 * np.pi, _OUTLINE + 1)[:-1]
+    ring = np.stack([lengths[0] * np.cos(angles), lengths[1] * np.sin(angles)], axis=-1)
+    return np.asarray(ring @ sides.T + _seen(ellipsoid.center[None], placement, view)[0, :2])

@@ -8,8 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.scene.contents import Group, recorded_motion
-from sdpid.output.scene.ellipsoids import Ellipsoid, inertia_ellipsoid
+from sdpid.output.scene.contents import Ellipsoid, Group, inertia_ellipsoid, recorded_motion
 from sdpid.output.scene.scene import Scene, grid, robot_scene
 from sdpid.output.scene.surfaces import described_surfaces
 from sdpid.robot.model.model import RobotModel

@@ -13,9 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.output.charts.charts import packed, packed_indices
 from sdpid.output.charts.page import beside, rendered
-from sdpid.output.scene.contents import Group, Motion
-from sdpid.output.scene.ellipsoids import Ellipsoid
-from sdpid.output.scene.still import still_picture, view
+from sdpid.output.scene.contents import Ellipsoid, Group, Motion, still_picture, view
 from sdpid.output.scene.surfaces import Surface, thinned
 from sdpid.robot.model.model import RobotModel
 

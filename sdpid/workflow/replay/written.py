@@ -21,13 +21,11 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.output.robots.export_report import ExportReport
-from sdpid.output.robots.friction_code import NAMES, WRITERS
-from sdpid.output.robots.friction_files import terms_data
+from sdpid.output.robots.friction_files import NAMES, WRITERS, terms_data
 from sdpid.output.robots.friction_terms import SCHEMA, VERSION
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
-from sdpid.output.tables.intervals_shown import intervals_dict
-from sdpid.output.tables.parameter_tables import base_table, theta_table
+from sdpid.output.tables.parameter_tables import base_table, intervals_dict, theta_table
 from sdpid.output.tables.parameters_file import parameters_dict
 from sdpid.robot.description.xml import decode_xml
 from sdpid.robot.friction.model import FrictionModel

@@ -26,7 +26,7 @@ from sdpid.output.report.judged import errors_of
 from sdpid.output.report.prediction_verdict import prediction_findings
 from sdpid.output.report.report import report_html
 from sdpid.output.report.verdict import _one_way, _unlike, findings
-from sdpid.output.robots.urdf_errors import urdf_errors
+from sdpid.output.robots.export_report import urdf_errors
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
 from tests.experiment.inspection.test_inspect import WRONG, simulated

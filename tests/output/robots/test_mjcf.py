@@ -23,7 +23,7 @@ from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFrict
 from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
 from sdpid.output.robots.mjcf import PLACES, write_mjcf
 from sdpid.output.robots.mjcf_skeleton import inertial_markup
-from sdpid.output.robots.tendons import added
+from sdpid.output.robots.places import added
 from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
 from sdpid.robot.description.level import without_level
 from sdpid.robot.description.xml import parse_xml

@@ -1,7 +1,8 @@
-"""The least eigenvalue of the mass matrix, along the motion and over all positions."""
+"""Motion of the model: the least eigenvalue of its mass matrix, and simulations of a recording."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,7 @@ from sdpid._common.arrays import Array, Indices
 from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, LEAST_SQUARES, OURS
-from sdpid.assurance.diagnostics.mass_matrix import (
-    SmallestMassEigenvalue,
-    smallest_mass_eigenvalue,
-)
+from sdpid.assurance.diagnostics.mass_matrix import SmallestMassEigenvalue, smallest_mass_eigenvalue
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report.judged import Judged
 from sdpid.plots.lines import TimeLine
@@ -61,7 +59,8 @@ def values(result: Judged, charts: Charts) -> dict[str, Any]:
             "bound": bound,
             "chart": charts.add(x=line.time, linear_to=_linear_to(sizes), **columns),
             "time_label": line.label,
-        }
+        },
+        **_simulated(result, charts),
     }
 
 
@@ -97,3 +96,40 @@ def _over_the_box(result: Judged) -> SmallestMassEigenvalue | None:
     if np.linalg.eigvalsh(drives)[0] < -_ROUNDING * np.abs(links).max():
         return None
     return smallest_mass_eigenvalue(estimate)
+
+
+def _simulated(result: Judged, charts: Charts) -> dict[str, Any]:
+    """Return one entry a rollout."""
+    return {
+        "rollouts": [
+            {
+                "title": "All joints free" if each.free == "all" else "One joint free at a time",
+                "starts": len(each.start),
+                "verdict": each.verdict,
+                "notes": told,
+                "models": each.as_table(),
+                "joints": each.joint_table(),
+                "chart": _chart(each, charts),
+                "own": each.own,
+                "names": list(each.medians),
+            }
+            for each, told in zip(result.rollouts, fresh_notes(result.rollouts), strict=True)
+        ]
+    }
+
+
+def _chart(rolled: Any, charts: Charts) -> int:
+    """Return the median errors over time, exponents of ten of mrad; what ran away is missing."""
+    with np.errstate(divide="ignore"):
+        powers = {name: np.log10(1e3 * median) for name, median in rolled.medians.items()}
+    return charts.add(x=rolled.time, **powers)
+
+
+def fresh_notes(rollouts: Sequence[Any]) -> list[list[str]]:
+    """Return the notes of each rollout that those before it have not said."""
+    said: set[str] = set()
+    fresh = []
+    for each in rollouts:
+        fresh.append([note for note in each.notes if note not in said])
+        said.update(each.notes)
+    return fresh
