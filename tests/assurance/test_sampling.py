@@ -220,23 +220,20 @@ def cone(size: int, scale: Array | None = None, power: float = 0.0) -> Density:
     matrices = Matrices(np.zeros((1, size, size)), units[:, None])
     nothing = Matrices(np.zeros((0, size, size)), np.zeros((n, 0, size, size)))
     empty = Density.of(sdpid.solve_sdp(arm_problem(*CONDITIONS["pair"])))
+    trace = -np.einsum("kii->k", units)[:, None, None, None]
+    up_to = [Matrices(np.full((1, 1, 1), most), trace) for most in (1.0, 1e3)]
     flat = replace(
         empty,
         mean=np.zeros(n),
         slope=np.zeros(n),
         precision=np.zeros((n, n)),
-        walls=matrices,
+        walls=(matrices, up_to[0]),
         bodies=nothing,
-        rows=np.einsum("kii->k", units)[None],
-        lower=np.array([-1.0]),
-        upper=np.array([1.0]),
     )
     if scale is None:
         return flat
     slope = 0.5 * np.einsum("ij,kij->k", np.linalg.inv(scale), units)
-    return replace(
-        flat, slope=slope, bodies=matrices, strength=power, upper=np.array([1e3]), walls=nothing
-    )
+    return replace(flat, slope=slope, bodies=matrices, strength=power, walls=(up_to[1],))
 
 
 def matrices_of(density: Density, start: Array, covariance: Array) -> Array:

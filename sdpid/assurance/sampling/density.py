@@ -100,10 +100,8 @@ class Density:
     mean, slope : ndarray, shape (n,)
     precision : ndarray, shape (n, n)
         Of the Gaussian.
-    walls : Matrices
-        What must be positive definite.
-    rows, lower, upper : ndarray, shapes (m, n), (m,), (m,)
-        Linear limits.
+    walls : tuple of Matrices
+        What must be positive definite: the matrix inequalities, and every limit as a number.
     bodies : Matrices
         Pseudo-inertias of the links that an entropic prior is about.
     strength : float
@@ -117,10 +115,7 @@ class Density:
     mean: Array
     slope: Array
     precision: Array
-    walls: Matrices
-    rows: Array
-    lower: Array
-    upper: Array
+    walls: tuple[Matrices, ...]
     bodies: Matrices
     strength: float
     unseen: int
@@ -163,7 +158,7 @@ class Density:
         feasible, log_det = problem.feasible, problem.log_det
         walls = coordinates.inequalities(feasible, scaling, slack=-_INSIDE)
         bodies = coordinates.pseudo_inertias(scaling, log_det.links)
-        rows, lower, upper = _limits(problem, scaling, coordinates)
+        limits = _limits(problem, scaling, coordinates)
         return cls(
             problem=problem,
             coordinates=coordinates,
@@ -171,10 +166,7 @@ class Density:
             # Costs are twice nats.
             slope=0.5 * (log_det.trace_slope() @ coordinates.directions),
             precision=precision,
-            walls=Matrices.of(walls, n, feasible.size),
-            rows=rows,
-            lower=lower,
-            upper=upper,
+            walls=(Matrices.of(walls, n, feasible.size), limits),
             bodies=Matrices.of(bodies, n, 4),
             strength=log_det.strength,
             unseen=unseen,
@@ -201,21 +193,14 @@ class Density:
         values, vectors = np.linalg.eigh(self.precision)
         kept = values > _OPEN * values[-1]
         M = np.sqrt(0.5 * values[kept])[:, None] * vectors[:, kept].T
-        index = np.arange(self.n)
-        slacks = [
-            Matrix(index, sign * row[:, None, None], np.array([[-sign * limit]]))
-            for sign, limits in ((1.0, self.lower), (-1.0, self.upper))
-            for row, limit in zip(self.rows, limits, strict=True)
-            if np.isfinite(limit)
-        ]
         program = ConicProgram(
             M=M,
             m=-M @ self.mean,
             cost=self.slope,
-            C=self.rows,
-            lower=self.lower,
-            upper=self.upper,
-            log_dets=(*self.walls.single(), *self.bodies.single(), *slacks),
+            C=np.zeros((0, self.n)),
+            lower=np.zeros(0),
+            upper=np.zeros(0),
+            log_dets=tuple(each for own in self.matrices for each in own.single()),
             weight=1.0,
         )
         solution = solve_conic(program)
@@ -229,11 +214,15 @@ class Density:
             )
         return solution.x
 
+    @property
+    def matrices(self) -> tuple[Matrices, ...]:
+        """All that must be positive definite, the bodies last."""
+        return (*self.walls, self.bodies)
+
     def inside(self, x: Array) -> bool:
         """Return whether a point (n,) is strictly inside."""
-        values, both = self.rows @ x, (self.walls, self.bodies)
-        least = (np.linalg.eigvalsh(each.at(x[None])).min(initial=1.0) for each in both)
-        return bool(np.all(values > self.lower) & np.all(values < self.upper)) and min(least) > 0.0
+        every = (np.linalg.eigvalsh(each.at(x[None])) for each in self.matrices)
+        return all(bool(values.min(initial=1.0) > 0.0) for values in every)
 
     def covariance_at(self, x: Array) -> Array:
         """Return the inverse curvature (n, n) of the density weakened by the barrier at a point.
@@ -241,14 +230,11 @@ class Density:
         The ellipsoid of radius one about a point inside is inside of every wall.
         """
         H = self.precision.copy()
-        for each in (self.walls, self.bodies):
+        for each in self.matrices:
             root = np.linalg.inv(np.linalg.cholesky(each.at(x[None])[0]))
             whitened = root @ each.linear @ np.swapaxes(root, 1, 2)
             flat = whitened.reshape(each.flat.shape)
             H += flat @ flat.T
-        values = self.rows @ x
-        H += (self.rows.T * (1.0 / (values - self.lower) ** 2)) @ self.rows
-        H += (self.rows.T * (1.0 / (self.upper - values) ** 2)) @ self.rows
         return np.asarray(np.linalg.inv(H))
 
 
@@ -317,14 +303,14 @@ def _unseen(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> int
     return int(coordinates.directions.shape[1]) - seen
 
 
-def _limits(
-    problem: Problem, scaling: Scaling, coordinates: Coordinates
-) -> tuple[Array, Array, Array]:
-    """Return rows (m, n) and their limits (m,), in units of the rows, a rounding inside."""
-    feasible, X, origin = problem.feasible, coordinates.directions, coordinates.origin
+def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> Matrices:
+    """Return how far parameters and rows are from their limits, a rounding less."""
+    X = coordinates.directions
     bounded = np.abs(X).max(axis=1) > _FIXED * scaling.theta
     limits = Limits.of(problem, scaling, coordinates, bounded)
-    rows = np.vstack([np.eye(len(X)), feasible.rows])[limits.chosen]
+    rows = np.vstack([np.eye(len(X)), problem.feasible.rows])[limits.chosen]
     # A value is the sum of its parts, which rounding is relative to.
-    room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(origin) / limits.sizes)
-    return limits.C, limits.lower + room, limits.upper - room
+    room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(coordinates.origin) / limits.sizes)
+    constants = np.concatenate([-limits.lower - room, limits.upper - room])
+    linear, real = np.vstack([limits.C, -limits.C]), np.isfinite(constants)
+    return Matrices(constants[real, None, None], linear[real].T[:, :, None, None])

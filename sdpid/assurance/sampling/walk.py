@@ -62,11 +62,9 @@ def hit_and_run(
 def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generator) -> Array:
     """Return where chains (C, n) are after a step along each of some directions (k, n)."""
     # From the points themselves in every sweep, so that roundings do not add up.
-    matrices = [each for each in (density.walls, density.bodies) if len(each)]
-    here, values = [each.at(x) for each in matrices], x @ density.rows.T
-    roots = _roots(here)
-    steps = [each.along(directions) for each in matrices]
-    row_steps, pulls = directions @ density.rows.T, directions @ density.precision
+    matrices = [each for each in density.matrices if len(each)]
+    here, pulls = [each.at(x) for each in matrices], directions @ density.precision
+    roots, steps = _roots(here), [each.along(directions) for each in matrices]
     strength = density.strength if len(density.bodies) else 0.0
     for k, v in enumerate(directions):
         # The line is inside at t where 1 + t·rate is positive for all of these.
@@ -75,8 +73,6 @@ def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generat
             for L, D in zip(roots, steps, strict=True)
         ]
         bodies = rates[-1] if strength else np.zeros((len(x), 0))
-        rates.append(-row_steps[k] / np.maximum(density.upper - values, _TINY))
-        rates.append(row_steps[k] / np.maximum(values - density.lower, _TINY))
         slope = (x - density.mean) @ pulls[k] + density.slope @ v
         t = drawn_on_lines(slope, float(pulls[k] @ v), strength, bodies, np.hstack(rates), rng)
         moved = [F + t[:, None, None, None] * D[k] for F, D in zip(here, steps, strict=True)]
@@ -86,7 +82,7 @@ def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generat
             for F, own in zip(moved, here, strict=True):
                 F[i] = own[i]
         here, roots = moved, _roots(moved)
-        x, values = x + t[:, None] * v, values + t[:, None] * row_steps[k]
+        x = x + t[:, None] * v
     return x
 
 
@@ -137,6 +133,8 @@ def relative_eigenvalues(L: Array, D: Array) -> Array:
     With ``F = L·L^T`` the matrix ``F + t·D`` is positive definite as long as ``1 + t·value`` is
     positive for all of them.
     """
+    if L.shape[-1] == 1:
+        return np.asarray(D / L**2)
     half = _lower_solve(L, D)
     return np.asarray(np.linalg.eigvalsh(_lower_solve(L, np.swapaxes(half, -1, -2))))
 
@@ -152,7 +150,14 @@ def _lower_solve(L: Array, right: Array) -> Array:
 
 def _roots(matrices: list[Array]) -> list[Array]:
     """Return L with ``F = L·L^T`` of matrices F (C, N, s, s)."""
-    return [np.asarray(np.linalg.cholesky(each), dtype=np.float64) for each in matrices]
+    found = []
+    for F in matrices:
+        if F.shape[-1] == 1 and not F.min(initial=1.0) > 0.0:
+            raise np.linalg.LinAlgError
+        # Of numbers the square root is much faster.
+        root = np.sqrt(F) if F.shape[-1] == 1 else np.linalg.cholesky(F)
+        found.append(np.asarray(root, dtype=np.float64))
+    return found
 
 
 def _outside(matrices: list[Array]) -> list[int]:
