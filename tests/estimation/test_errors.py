@@ -204,27 +204,6 @@ def test_filtered_noise_needs_blocks() -> None:
     assert slow_motion_coverage(1) < 0.8
 
 
-def test_errors_shrink_with_the_root_of_the_samples() -> None:
-    rng = np.random.default_rng(2)
-    theta = random_theta(ARM, rng)
-    runs = (make_samples(ARM, theta, rng, count=count, noise=1.0) for count in (400, 6400))
-    errors = [solve_wls(build_problem(ARM, each, base=BASE)).standard_errors for each in runs]
-    np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.4)
-
-
-def test_the_covariance_is_one() -> None:
-    samples, _ = world.samples(ARM, 3, count=200, noise=1.0)
-    estimate = solve_wls(build_problem(ARM, samples, base=BASE))
-    covariance = np.asarray(estimate.covariance)
-    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-10)
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-    np.testing.assert_allclose(estimate.standard_errors**2, np.diag(covariance))
-    # White noise of unit variance: nearly the textbook's (W^T W)^(-1).
-    A = estimate.problem.A
-    textbook = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
-    np.testing.assert_allclose(estimate.standard_errors, textbook, rtol=0.5)
-
-
 def test_too_few_blocks() -> None:
     samples, _ = world.samples(ARM, 4, count=60, noise=1.0, block=30)
     with pytest.raises(DataError, match="2 blocks of 30 samples, at least 8"):
@@ -322,18 +301,6 @@ def test_errors_are_as_large_as_stated(noise: Noise, count: int) -> None:
     error = np.std(held) / np.sqrt(runs)
     assert 0.92 - 2.0 * error < np.mean(held) < 0.98 + 2.0 * error
     assert 0.7 < np.median(squares) < 1.5
-
-
-def test_white_errors_that_are_taken_for_independent_are_too_small() -> None:
-    """The red noise of these tests does harm where its spectrum is not looked at."""
-    rng, runs = np.random.default_rng(3), 40
-    ratios = []
-    for _ in range(runs):
-        problem = build_problem(ARM, moving(800, red(rng, 800)), base=BASE)
-        error = sdpid.solve_wls(problem).base - problem.base_of(SLOW_THETA)
-        naive = np.diag(np.linalg.inv(problem.A.T @ problem.A)) * problem.floor / problem.n_rows
-        ratios.append(np.mean(error**2 / naive))
-    assert np.median(ratios) > 3.0
 
 
 def short_problem() -> Problem:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sdpid import Prior, Samples, build_problem, solve_sdp, solve_wls, validate
+from sdpid import Prior, Samples, build_problem, solve_sdp, validate
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.closed_loop.rounds import InstrumentalRows, SensitivityRows
@@ -172,16 +172,6 @@ def test_whitening_by_independent_joints(exponent: float) -> None:
     np.testing.assert_array_equal(W, before)
 
 
-@given(SEEDS, st.integers(1, 20), st.integers(1, 12))
-def test_each_sample_has_its_pattern(seed: int, count: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    mask = rng.random((count, n)) < 0.6
-    sigma = random_covariance(rng, n)
-    powers, index = weights(sigma, mask)
-    near(powers[index], each_weight(np.tile(sigma, (count, 1, 1)), mask))
-    assert len(powers) <= len(np.unique(mask, axis=0))
-
-
 @pytest.mark.usefixtures("numba")
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("per_sample", [False, True])
@@ -195,12 +185,6 @@ def test_compression_takes_every_row_once(
     flat = plainly_whitened(rows, sigma).reshape(-1, rows.base.count + 1)
     near(triangle.R.T @ triangle.R, flat.T @ flat)
     assert used == int(rows.mask(slice(None)).sum())
-
-
-def test_the_same_rows_give_the_same_bits() -> None:
-    rows, sigma = source(300, masked=True)
-    one, other = (compress(rows, sigma)[0].R for _ in range(2))
-    np.testing.assert_array_equal(one, other)
 
 
 def test_the_rows_of_other_samples() -> None:
@@ -341,25 +325,6 @@ def test_white_residuals_count_in_full_and_masked_ones_not_at_all() -> None:
     spoiled = replace(samples, effort=effort, mask=mask)
     sigma = build_problem(ARM3, spoiled, weighting="residual").sigma
     np.testing.assert_allclose(np.diag(sigma), variance, rtol=0.2)
-
-
-def test_a_quiet_joint_gets_more_say_than_under_equal_weights() -> None:
-    """With the right variances the spread of the estimates goes down."""
-    rng = np.random.default_rng(4)
-    theta = random_theta(ARM3, rng)
-    loud = np.array([0.05, 5.0, 0.05])
-    errors: dict[str, list[float]] = {"gls": [], "residual": []}
-    for _ in range(10):
-        noise = loud * rng.standard_normal((300, 3))
-        samples = make_samples(ARM3, theta, rng, count=300, noise=noise)
-        for weighting, found in errors.items():
-            problem = build_problem(ARM3, samples, weighting=weighting)  # type: ignore[arg-type]
-            error = np.abs(solve_wls(problem).base - problem.base_of(theta))
-            # The last link's own parameters, which act on its quiet joint too.
-            last = [i for i, name in enumerate(problem.base.names) if name in ("zz3", "mx3", "my3")]
-            assert len(last) == 3
-            found.append(float(error[last].max()))
-    assert np.mean(errors["residual"]) < 0.7 * np.mean(errors["gls"])
 
 
 @given(SEEDS)
@@ -504,14 +469,6 @@ def test_lagged_pairs_stay_inside_their_piece(seed: int, counts: list[int]) -> N
     merged = LaggedSums.merged(alone)
     np.testing.assert_allclose(merged.products, found.products, atol=1e-12 * ends[-1])
     np.testing.assert_array_equal(merged.pairs, found.pairs)
-
-
-def test_the_mean_residual_needs_no_rows() -> None:
-    rows = build_problem(ARM, pieces(3)).rows
-    base = np.random.default_rng(4).standard_normal(rows.base.count)
-    expected = np.mean(rows.samples.effort - rows.regressor(slice(None)) @ base, axis=0)
-    found = JointRows.of(rows).mean_residual(base)
-    np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 # ---- Compression of rows, against a Householder QR of all of them in extended precision.
@@ -667,18 +624,6 @@ def test_what_comes_later(what: str) -> None:
     else:
         rows[900:] *= 1e9
     check(folded(rows, (100,)).R, rows)
-
-
-@wide
-@pytest.mark.parametrize("rate", [3.0, 30.0, 1e3, 1e5])
-def test_directions_that_grow(rate: float) -> None:
-    """Half of the directions, across all columns, are `rate` times larger in every piece."""
-    rng = np.random.default_rng(1)
-    V = np.linalg.qr(rng.standard_normal((COLUMNS, COLUMNS)))[0]
-    pieces = rng.standard_normal((6, 200, COLUMNS))
-    pieces[:, :, COLUMNS // 2 :] *= rate ** (np.arange(6.0) - 5.0)[:, None, None]
-    rows = (pieces @ V.T).reshape(-1, COLUMNS)
-    check(folded(rows, (200,)).R, rows)
 
 
 def test_nothing_and_little() -> None:
