@@ -17,9 +17,8 @@ from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local.log_cholesky import solve_log_cholesky, unsupported
-from sdpid.estimation.local.run import FEASIBLE_LOCAL
+from sdpid.estimation.local.run import FEASIBLE_LOCAL, random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
-from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls

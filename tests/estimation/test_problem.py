@@ -19,8 +19,8 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, residual_covariance
 from sdpid.estimation.constraints.mass import TotalMass
+from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
-from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.robot.inertia import Consistency
 from tests.helpers import world
@@ -313,7 +313,7 @@ def test_a_single_condition_needs_no_tuple() -> None:
 @pytest.mark.parametrize("taken", [sdpid.solve_robust, sdpid.RecursiveEstimator])
 @pytest.mark.parametrize("fields", [{"constant": 1.0}, {"meaning": "a second stage"}])
 def test_costs_of_other_rows_are_refused(taken: Any, fields: dict[str, Any]) -> None:
-    problem = replace(build_problem(ARM, noisy_samples(0)[0]), **fields)
+    problem = build_problem(ARM, noisy_samples(0)[0]).with_origin(**fields)
     refuses(DataError, "not that of the measured samples", taken, problem)
 
 

@@ -17,7 +17,7 @@ from sdpid.assurance.certificate.certificate import GAP
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.whitening import compress
-from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.local.run import random_start
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.robust.huber import HuberLoss
 from sdpid.estimation.robust.solve import RobustEstimate, solve_robust

@@ -48,7 +48,7 @@ from sdpid.estimation.duality.bound import (
 from sdpid.estimation.duality.correct_multipliers import corrected_multipliers
 from sdpid.estimation.duality.refine_multipliers import lower_bound, refine_multipliers
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.local.run import random_start
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.solve import repair

@@ -19,8 +19,8 @@ from sdpid.assurance.certificate.certificate import certify
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local.log_cholesky import solve_log_cholesky
+from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
-from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.cvxpy_form import to_cvxpy

@@ -48,7 +48,6 @@ from sdpid.experiment.simulation.law import Controller
 # joints' numbers are added up to one.
 _SPARE_BLOCKS = 6
 
-
 # A shift of the predicted efforts below this share of the efforts does not matter: raw logs with
 # noisy encoders shift by 9 to 17 %, filtered ones by 0.5 %, masked ones by 0.02 %, and any model
 # of a real arm misses more.
@@ -206,16 +205,16 @@ def check_bias(
     known = None if estimate is None or estimate.theta is None else estimate
 
     def tested(controller: Controller | Literal["fit"] | None) -> BiasTest:
-        given_of = recording, "check_bias", processing, reference, controller, instruments
-        source = source_of(given, *given_of)
+        source = source_of(
+            given, recording, "check_bias", processing, reference, controller, instruments
+        )
         model = None if source.loop is None else starting(given, known, solve_sdp)[0]
         first = source.first_stage(given, model)
-        samples = given.samples
-        sums, shift, effort = contrast(first, samples.block)
+        sums, shift, effort = contrast(first, given.samples.block)
         statistic, freedom, p = hotelling(sums) or (None, None, None)
         return BiasTest(
             instruments=source.words,
-            joint_names=samples.names,
+            joint_names=given.samples.names,
             shift=float(np.sqrt(shift.sum() / max(effort.sum(), np.finfo(float).tiny))),
             shifts=tuple(np.sqrt(shift / np.where(effort > 0.0, effort, 1.0)).tolist()),
             p=p,
@@ -232,15 +231,8 @@ def check_bias(
 
 
 def _best_of(tested: Callable[[Controller | Literal["fit"] | None], BiasTest]) -> BiasTest:
-    """Return the test against what the log holds, else against the model under a fitted controller.
-
-    A robot that lags far behind what is commanded still moves as its model does in its loop.
-
-    Raises
-    ------
-    IdentifiabilityError
-        When all is weak, or no controller can be fitted: with what to give.
-    """
+    """Return the test against what the log holds, else the model under a fitted controller."""
+    # A robot that lags far behind what is commanded still moves as its model does in its loop.
     found, weak = None, None
     try:
         found = tested(None)
@@ -316,23 +308,10 @@ def _products(first: FirstStage, pair: Pair, block: int) -> tuple[Array, Array, 
 
 
 def _hidden(gram: Array, inner: Array, scores: Array, explained: Array) -> Array:
-    """Return what leverage hides of the sums of ``v_j·e`` over blocks, (G, n).
-
-    With Q the rows of W of a block in coordinates in which the columns of W are orthonormal, the
-    errors are ``(E − Q·Q^T)^(-1/2)·e = e + Q·h(Q^T·Q)·Q^T·e`` with ``h(x) = 1/(s + s²)`` and
-    ``s = √(1 − x)``.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (r, r)
-        ``W^T·W``.
-    inner : ndarray, shape (G, r, r + n)
-        ``W^T·[W | v]`` of the blocks.
-    scores : ndarray, shape (G, r)
-        ``W^T·e`` of the blocks.
-    explained : ndarray, shape (r, n)
-        The fit of v by W.
-    """
+    """Return what leverage hides of the sums of ``v_j·e``, (G, n), of the products of blocks."""
+    # With Q the rows of W of a block in coordinates in which the columns of W are orthonormal, the
+    # errors are ``(E − Q·Q^T)^(-1/2)·e = e + Q·h(Q^T·Q)·Q^T·e`` with ``h(x) = 1/(s + s²)`` and
+    # ``s = √(1 − x)``.
     r = len(gram)
     root = information_root(information_rows(gram))
     values, vectors = np.linalg.eigh(root.T @ inner[:, :, :r] @ root)

@@ -439,13 +439,7 @@ def _strongest(log: Recording, told: tuple[Array, ...] | None, controller: objec
 
 
 def _halves(twin: Twin, purpose: str) -> tuple[Pair, ...]:
-    """Return either half of a record's periods, as the other's instrument.
-
-    Raises
-    ------
-    DataError
-        When there are fewer than two periods.
-    """
+    """Return either half of a record's periods, as the other's instrument."""
     log, samples = twin.logs[0], twin.measured
     layout = log.period_layout
     if layout is None or layout[2] < _FEWEST_PERIODS:

@@ -409,11 +409,9 @@ def _check(max_iterations: Any, **shares: float) -> None:
 
 
 def _require_smooth(problem: Problem) -> None:
-    """Refuse friction whose part in the sensitivities is not known: errors would be too small.
-
-    Friction of the load changes with the whole motion, and friction of two joints' sum jumps where
-    neither joint reverses.
-    """
+    """Refuse friction whose part in the sensitivities is not known: errors would be too small."""
+    # Friction of the load changes with the whole motion, and friction of two joints' sum jumps
+    # where neither joint reverses.
     for term in problem.friction.terms:
         if isinstance(term, LoadFriction):
             words = "friction of the load"

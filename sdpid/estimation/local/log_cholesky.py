@@ -11,8 +11,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Status
-from sdpid.estimation.local.run import LocalRun
-from sdpid.estimation.local.starts import checked_start
+from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, checked_start
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.consistent import raise_eigenvalues
@@ -274,7 +273,7 @@ def unsupported(problem: Problem) -> str | None:
     """Return why a problem cannot be solved in these coordinates, None where it can."""
     feasible = problem.feasible
     if problem.consistency == "none":
-        return "consistency is 'none', nothing constrains; use solve_wls."
+        return UNCONSTRAINED
     # Facets of a hull are many; a few names tell.
     names = [*feasible.row_names, *feasible.block_names[feasible.n_own :]]
     if names:

@@ -8,12 +8,10 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
+from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Status
-from sdpid.estimation.local.physical_constraints import PhysicalConstraints
-from sdpid.estimation.local.physical_variables import PhysicalVariables
-from sdpid.estimation.local.run import LocalRun, require_consistency
-from sdpid.estimation.local.starts import checked_start
-from sdpid.estimation.local.stationarity import preconditioner
+from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariables
+from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, checked_start, preconditioner
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import matrix_basis
@@ -92,7 +90,8 @@ def solve_slsqp(
     >>> bool(local.cost >= sdpid.certify(estimate).lower_bound)
     True
     """
-    require_consistency(problem, "solve_slsqp")
+    if problem.consistency == "none":
+        raise DataError(f"solve_slsqp: {UNCONSTRAINED}")
     start = checked_start(problem, start, seed)
     run = _Run(problem)
     theta, result = run.minimized(start, max_iterations, tolerance)
@@ -106,7 +105,7 @@ class _Run(LocalRun):
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         self.variables = PhysicalVariables.of(problem)
-        self.constraints = PhysicalConstraints.of(problem, self.variables)
+        self.constraints = PhysicalConstraints.of(self.variables)
 
     def theta(self, x: Array) -> Array:
         """Return the standard parameters of the physical variables."""
@@ -123,7 +122,7 @@ class _Run(LocalRun):
 
     def minimized(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
         """Return the standard parameters of the end point, and SciPy's last result."""
-        x = self._within(self.variables.from_theta(start))
+        x = self.variables.within(self.variables.from_theta(start))
         self.record(x)
         # SciPy also counts iterations that end without a step; the history has steps only.
         left = max_iterations
@@ -138,9 +137,6 @@ class _Run(LocalRun):
             if int(result.status) != 9 and abs(before - after) <= _SETTLED * abs(after):
                 break
         return self._best_of(self.variables.theta(x)), result
-
-    def _within(self, x: Array) -> Array:
-        return np.clip(x, self.constraints.lower, self.constraints.upper)
 
     def _best_of(self, theta: Array) -> Array:
         """Return theta, moved inside where that makes it more nearly feasible."""
@@ -183,15 +179,13 @@ class _Run(LocalRun):
             options={"maxiter": limit, "ftol": tolerance},
         )
         end = at(result.x)
-        return result, self._within(end) if np.all(np.isfinite(end)) else x
+        return result, variables.within(end) if np.all(np.isfinite(end)) else x
 
 
 def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
-    """Return the value and the gradient of a log-det prior, finite everywhere.
-
-    Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
-    `_CONTINUED` the logarithm is replaced by its second-order expansion there.
-    """
+    """Return the value and the gradient of a log-det prior, finite everywhere."""
+    # Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
+    # `_CONTINUED` the logarithm is replaced by its second-order expansion there.
     out = np.zeros(len(theta))
     if not len(entropy.links):
         return 0.0, out
