@@ -14,12 +14,11 @@ from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.descriptions.body_checks import (
     check_numbers,
     check_shape,
-    check_without_shape,
     consistent,
     least_second_moment,
 )
 from sdpid.assurance.descriptions.findings import GEOMETRY, Finding
-from sdpid.assurance.descriptions.link_shape import Shape
+from sdpid.assurance.descriptions.link_shape import Shape, Shapes
 from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
@@ -218,7 +217,7 @@ def audit_urdf(
         from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies
 
         bodies = read_mjcf_bodies(text, path, what)
-        shapes: dict[str, _Shapes] = {}
+        shapes: dict[str, Shapes] = {}
         findings: list[Finding] = []
     else:
         root, bodies = read_urdf_bodies(text, what)
@@ -228,12 +227,8 @@ def audit_urdf(
         shapes, findings = _shapes(root, what, folders)
     for body in bodies:
         findings += check_numbers(body)
-        shape = shapes.get(body.name)
-        if shape is None:
-            findings += check_without_shape(body)
-        else:
-            findings += check_shape(body, shape.collision, shape.whole)
-    findings += check_copies(bodies, {name: shape.whole for name, shape in shapes.items()})
+        findings += check_shape(body, shapes.get(body.name))
+    findings += check_copies(bodies, shapes)
     findings += check_moving(bodies)
     findings.sort(key=lambda finding: _ORDER[finding.severity])
     return UrdfAudit(
@@ -243,19 +238,11 @@ def audit_urdf(
     )
 
 
-@dataclass(frozen=True)
-class _Shapes:
-    """Hulls of a link's collision geometry (of all where it has none) and of all its geometry."""
-
-    collision: Shape
-    whole: Shape
-
-
 def _shapes(
     root: Any, what: str, folders: Sequence[Path]
-) -> tuple[dict[str, _Shapes], list[Finding]]:
+) -> tuple[dict[str, Shapes], list[Finding]]:
     """Return the hulls of the geometry by link, and what could not be read."""
-    shapes: dict[str, _Shapes] = {}
+    shapes: dict[str, Shapes] = {}
     failed: list[str] = []
     for link in root.findall("link"):
         points = {}
@@ -268,13 +255,13 @@ def _shapes(
         whole = Shape.around(np.concatenate([points["collision"], points["visual"]]))
         if whole is not None:
             collision = Shape.around(points["collision"]) or whole
-            shapes[link.get("name", "")] = _Shapes(collision, whole)
+            shapes[link.get("name", "")] = Shapes(collision, whole)
     if not failed:
         return shapes, []
     return shapes, [GEOMETRY.found("", count=len(failed), first=failed[0])]
 
 
-def _numbers(body: DescribedBody, shapes: _Shapes | None) -> BodyAudit:
+def _numbers(body: DescribedBody, shapes: Shapes | None) -> BodyAudit:
     """Return the numbers of a body, as far as they exist."""
     tensor, mass = body.tensor, body.mass
     moments = second = ratio = gyration = outside = density = None

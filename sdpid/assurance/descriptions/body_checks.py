@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions import findings
 from sdpid.assurance.descriptions.findings import Finding, Severity
-from sdpid.assurance.descriptions.link_shape import Shape
+from sdpid.assurance.descriptions.link_shape import Shape, Shapes
 from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia
 from sdpid.verifier.exact import positive_semidefinite
@@ -80,42 +81,33 @@ def thin_limit(tensor: Array) -> float:
     return max(THIN, THIN_SHARE * float(np.abs(tensor).max()))
 
 
-def check_numbers(body: DescribedBody) -> list[Finding]:
+def check_numbers(body: DescribedBody) -> Iterator[Finding]:
     """Check what needs no geometry: the text, the mass and the tensor."""
     name = body.name
-    found = [
-        (findings.NOT_SYMMETRIC if "symmetric" in problem else findings.UNREADABLE).found(
-            name, problem=problem
-        )
-        for problem in body.problems
-    ]
+    for problem in body.problems:
+        rule = findings.NOT_SYMMETRIC if "symmetric" in problem else findings.UNREADABLE
+        yield rule.found(name, problem=problem)
     mass, tensor, possible = body.mass, body.tensor, consistent(body)
     if mass is None or tensor is None or possible is None:
-        return found
+        return
     if mass < 0.0:
-        found.append(findings.NEGATIVE_MASS.found(name, value=mass, limit=0.0))
+        yield findings.NEGATIVE_MASS.found(name, value=mass, limit=0.0)
     elif mass == 0.0 and not possible:
         largest = float(np.abs(tensor).max())
-        found.append(findings.MASSLESS_INERTIA.found(name, value=largest, limit=0.0))
+        yield findings.MASSLESS_INERTIA.found(name, value=largest, limit=0.0)
     elif not possible:
-        found.append(_impossible(body, tensor, mass))
+        yield _impossible(body, tensor, mass)
     elif mass > 0.0 and not tensor.any():
         moves = body.moving and body.carrier == name
         severity: Severity = "warning" if moves else "note"
-        found.append(findings.POINT.found(name, value=0.0, limit=0.0, severity=severity, mass=mass))
+        yield findings.POINT.found(name, value=0.0, limit=0.0, severity=severity, mass=mass)
     elif thin(body):
-        found.append(
-            findings.NO_THICKNESS.found(
-                name,
-                value=least_second_moment(tensor),
-                limit=thin_limit(tensor),
-                moments=_triple(np.linalg.eigvalsh(tensor)),
-            )
-        )
+        value, moments = least_second_moment(tensor), _triple(np.linalg.eigvalsh(tensor))
+        limit = thin_limit(tensor)
+        yield findings.NO_THICKNESS.found(name, value=value, limit=limit, moments=moments)
     if np.array_equal(tensor, np.eye(3)):
         gyration = np.sqrt(1.5 / mass) if mass > 0.0 else np.inf
-        found.append(findings.IDENTITY.found(name, value=1.0, mass=mass, gyration=gyration))
-    return found
+        yield findings.IDENTITY.found(name, value=1.0, mass=mass, gyration=gyration)
 
 
 def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
@@ -152,79 +144,60 @@ def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
     )
 
 
-def check_without_shape(body: DescribedBody) -> list[Finding]:
-    """Check a body whose link has no geometry to be compared with."""
-    mass, tensor = body.mass, body.tensor
-    if mass is None or tensor is None or not mass > 0.0 or not consistent(body):
-        return []
-    gyration = float(np.sqrt(0.5 * np.trace(tensor) / mass))
-    if gyration <= LARGEST_RADIUS:
-        return []
-    rule = findings.TOO_WIDE_WITHOUT_SHAPE
-    return [rule.found(body.name, value=gyration, limit=LARGEST_RADIUS)]
-
-
-def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Finding]:
-    """Check a body with mass against its geometry.
-
-    Parameters
-    ----------
-    body : DescribedBody
-        The body.
-    collision : Shape
-        Hull of the collision geometry, in which the center of mass should be.
-    whole : Shape
-        Hull of all geometry, into which the body should fit.
-    """
-    mass, com, tensor = body.mass, body.com, body.tensor
-    if mass is None or com is None or tensor is None or not mass > 0.0:
-        return []
-    found = _check_center(body.name, com, collision, whole)
-    found += _check_density(body.name, mass, whole)
+def check_shape(body: DescribedBody, shapes: Shapes | None) -> Iterator[Finding]:
+    """Check a body with mass against the geometry of its link, as far as there is one."""
+    name, mass, com, tensor = body.name, body.mass, body.com, body.tensor
+    if mass is None or tensor is None or not mass > 0.0:
+        return
+    if shapes is None:
+        gyration = float(np.sqrt(max(0.5 * np.trace(tensor) / mass, 0.0)))
+        if consistent(body) and gyration > LARGEST_RADIUS:
+            rule = findings.TOO_WIDE_WITHOUT_SHAPE
+            yield rule.found(name, value=gyration, limit=LARGEST_RADIUS)
+        return
+    if com is None:
+        return
+    yield from _check_center(name, com, shapes)
+    yield from _check_density(name, mass, shapes.whole)
     if tensor.any() and consistent(body):
         P = second_moment_from_inertia(tensor)
         turned = body.rotation @ P @ body.rotation.T / mass
-        found += _check_spread(body.name, com, turned, whole)
-    return found
+        yield from _check_spread(name, com, turned, shapes.whole)
 
 
-def _check_center(name: str, com: Array, collision: Shape, whole: Shape) -> list[Finding]:
+def _check_center(name: str, com: Array, shapes: Shapes) -> Iterator[Finding]:
     """Check that the center of mass is inside the collision geometry."""
+    collision = shapes.collision
     outside = collision.distance(com)
     size = collision.radius(collision.corners.mean(axis=0))
     limit = OUTSIDE + OUTSIDE_SHARE * size
-    if outside <= limit:
-        return []
-    hidden = whole.distance(com) <= limit
-    severity: Severity = "note" if hidden else "warning"
-    return [
-        findings.COM_OUTSIDE.found(
+    if outside > limit:
+        hidden = shapes.whole.distance(com) <= limit
+        yield findings.COM_OUTSIDE.found(
             name,
             value=outside,
             limit=limit,
-            severity=severity,
+            severity="note" if hidden else "warning",
             visual=", inside the one with the visual geometry" if hidden else "",
             units=" (millimeters?)" if outside > 100.0 * size else "",
         )
-    ]
 
 
-def _check_density(name: str, mass: float, shape: Shape) -> list[Finding]:
+def _check_density(name: str, mass: float, shape: Shape) -> Iterator[Finding]:
     """Check that the mass over the volume of the hull is that of some material."""
     density = mass / shape.volume
     advice = "check the mass and the geometry."
     if density > DENSEST:
         if LIGHTEST * 100.0 < density * 1e-3 < DENSEST:
             advice = "is the mass in grams?"
-        return [findings.TOO_DENSE.found(name, value=density, limit=DENSEST, advice=advice)]
-    if density < LIGHTEST:
+        yield findings.TOO_DENSE.found(name, value=density, limit=DENSEST, advice=advice)
+    elif density < LIGHTEST:
         if density < 1e-4:
             advice = "is the geometry in millimeters (mesh scale)?"
-        return [findings.TOO_LIGHT.found(name, value=density, limit=LIGHTEST, advice=advice)]
-    return []
+        yield findings.TOO_LIGHT.found(name, value=density, limit=LIGHTEST, advice=advice)
 
 
-def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> list[Finding]:
+def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> Iterator[Finding]:
     """Check that the mass is spread neither wider nor far less than the geometry."""
     radius = shape.radius(com)
     gyration = float(np.sqrt(max(np.trace(covariance), 0.0)))
@@ -235,21 +208,17 @@ def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> lis
         other = shape.spread(com, about, slack=slack)
         possible = np.linalg.eigvalsh(about)[0] >= -1e-12 * float(np.trace(covariance))
         fits = possible and other is not None and other <= 1.0
-        return [
-            (findings.WRONG_POINT if fits else findings.TOO_WIDE).found(
-                name,
-                value=max(spread, gyration / radius),
-                limit=SPREAD,
-                gyration=gyration,
-                radius=radius,
-                advice=_unit((gyration / (TYPICAL_RADIUS * radius)) ** 2),
-            )
-        ]
-    if gyration < CONCENTRATED * radius:
+        yield (findings.WRONG_POINT if fits else findings.TOO_WIDE).found(
+            name,
+            value=max(spread, gyration / radius),
+            limit=SPREAD,
+            gyration=gyration,
+            radius=radius,
+            advice=_unit((gyration / (TYPICAL_RADIUS * radius)) ** 2),
+        )
+    elif gyration < CONCENTRATED * radius:
         share = gyration / radius
-        rule = findings.TOO_NARROW
-        return [rule.found(name, value=share, limit=CONCENTRATED, gyration=gyration)]
-    return []
+        yield findings.TOO_NARROW.found(name, value=share, limit=CONCENTRATED, gyration=gyration)
 
 
 def _unit(factor: float) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -102,3 +103,10 @@ class Shape:
             return None
         limits = above * below
         return float(np.sqrt(np.max(np.maximum(values, 0.0) / limits)))
+
+
+class Shapes(NamedTuple):
+    """Hulls of a link's collision geometry (of all where it has none) and of all its geometry."""
+
+    collision: Shape
+    whole: Shape

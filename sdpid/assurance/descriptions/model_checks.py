@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions import findings
 from sdpid.assurance.descriptions.body_checks import consistent
 from sdpid.assurance.descriptions.findings import Finding
-from sdpid.assurance.descriptions.link_shape import Shape
+from sdpid.assurance.descriptions.link_shape import Shape, Shapes
 from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.inertia import transform
 
@@ -21,43 +21,39 @@ _SAME_PART = 0.01
 
 
 def check_copies(
-    bodies: Sequence[DescribedBody], shapes: Mapping[str, Shape | None]
-) -> list[Finding]:
+    bodies: Sequence[DescribedBody], shapes: Mapping[str, Shapes]
+) -> Iterator[Finding]:
     """Find tensors that several links share although their masses or shapes differ."""
     groups: dict[Any, list[DescribedBody]] = {}
     for body in bodies:
-        if body.entries is not None and any(body.entries) and body.mass:
+        # The identity is told as a placeholder.
+        placeholder = body.tensor is not None and np.array_equal(body.tensor, np.eye(3))
+        if body.entries is not None and any(body.entries) and body.mass and not placeholder:
             groups.setdefault(body.entries, []).append(body)
-    found = []
     for group in groups.values():
-        first = group[0]
-        if first.tensor is not None and np.array_equal(first.tensor, np.eye(3)):
-            continue  # already reported as a placeholder
+        first, names = group[0].name, [body.name for body in group[1:]]
+        if len(names) > 4:
+            names[3:] = [f"{len(names) - 3} more"]
+        told: dict[str, Any] = {"value": float(len(group)), "others": ", ".join(names)}
         masses = sorted({body.mass for body in group if body.mass is not None})
-        others, count = _names(group[1:]), float(len(group))
         if len(masses) > 1:
-            least, most = masses[0], masses[-1]
-            found.append(
-                findings.COPIED.found(
-                    first.name, value=count, others=others, least=least, most=most
-                )
-            )
-        elif len(group) > 1 and _differ([shapes.get(b.name) for b in group]):
-            found.append(findings.COPIED_WITH_MASS.found(first.name, value=count, others=others))
-    return found
+            yield findings.COPIED.found(first, **told, least=masses[0], most=masses[-1])
+        elif _differ([shapes[b.name].whole for b in group if b.name in shapes]):
+            yield findings.COPIED_WITH_MASS.found(first, **told)
 
 
-def _differ(shapes: Sequence[Shape | None]) -> bool:
+def _differ(shapes: Sequence[Shape]) -> bool:
     """Return whether the shapes are not all of the same part or its mirror image."""
-    extents = [np.sort(np.ptp(shape.corners, axis=0)) for shape in shapes if shape is not None]
+    extents = [np.sort(np.ptp(shape.corners, axis=0)) for shape in shapes]
     return any(not np.allclose(e, extents[0], rtol=_SAME_PART, atol=0.0) for e in extents[1:])
 
 
-def check_moving(bodies: Sequence[DescribedBody]) -> list[Finding]:
+def check_moving(bodies: Sequence[DescribedBody]) -> Iterator[Finding]:
     """Find joints that move nothing, directly or at all."""
     groups = carried(bodies)
     if groups and not any(b.described or b.inferred or b.problems for b in bodies):
-        return [findings.NO_INERTIALS.found("")]
+        yield findings.NO_INERTIALS.found("")
+        return
     carriers = {body.name: body.carrier for body in bodies}
     heavy = {
         carrier
@@ -71,14 +67,11 @@ def check_moving(bodies: Sequence[DescribedBody]) -> list[Finding]:
         while at in groups and at not in moved:
             moved.add(at)
             at = carriers.get(groups[at][0].parent or "")
-    found = []
     for carrier, group in groups.items():
-        if carrier in heavy:
-            continue
-        rule = findings.MOVING_WITHOUT_MASS if carrier in moved else findings.MOVES_NOTHING
-        lacks = "has no mass" if any(b.described for b in group) else "has no inertial"
-        found.append(rule.found(carrier, value=0.0, limit=0.0, joint=group[0].joint, lacks=lacks))
-    return found
+        if carrier not in heavy:
+            rule = findings.MOVING_WITHOUT_MASS if carrier in moved else findings.MOVES_NOTHING
+            lacks = "has no mass" if any(b.described for b in group) else "has no inertial"
+            yield rule.found(carrier, value=0.0, limit=0.0, joint=group[0].joint, lacks=lacks)
 
 
 def carried(bodies: Sequence[DescribedBody]) -> dict[str, list[DescribedBody]]:
@@ -98,11 +91,3 @@ def carried_theta(group: Sequence[DescribedBody]) -> Array:
         if theta is not None and np.isfinite(body.placement).all():
             total += transform(theta, body.placement[:3, :3], body.placement[:3, 3])
     return total
-
-
-def _names(bodies: Sequence[DescribedBody]) -> str:
-    """Return the names of bodies as text, shortened after three."""
-    names = [body.name for body in bodies]
-    if len(names) > 4:
-        names[3:] = [f"{len(names) - 3} more"]
-    return ", ".join(names)
