@@ -17,7 +17,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.provenance import ACTIVE
-from sdpid.estimation.constraints.named import Constraint, ConstraintKind, Side
+from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling
@@ -25,13 +25,13 @@ from sdpid.robot.inertia import margin_shift
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstraintState:
+class ConstraintState(Constraint):
     """One constraint at an estimate.
 
     Attributes
     ----------
-    constraint : Constraint
-        Kind, name, link, side, limit and unit.
+    kind, name, index, link, side, limit, unit
+        The constraint's (see `Constraint`).
     slack : float or None
         How far the estimate is inside; of an equation minus the error. None where it means
         nothing: a link without a positive mass has no margin.
@@ -42,30 +42,9 @@ class ConstraintState:
         Whether it holds the estimate back (see `constraint_states`).
     """
 
-    constraint: Constraint
     slack: float | None
     multiplier: float | None
     active: bool
-
-    @property
-    def name(self) -> str:
-        """The constraint in words."""
-        return self.constraint.name
-
-    @property
-    def kind(self) -> ConstraintKind:
-        """What kind of constraint it is."""
-        return self.constraint.kind
-
-    @property
-    def side(self) -> Side | None:
-        """Which limit of the quantity it is; None for consistency, equations and cones."""
-        return self.constraint.side
-
-    @property
-    def unit(self) -> str | None:
-        """Unit of slack and limit; None where a condition has none."""
-        return self.constraint.unit
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -153,7 +132,7 @@ class _Seen:
             presses = 0.0 if multiplier is None else abs(multiplier) * size / self.cost
             active = slack / size <= ACTIVE or slack / size < presses
         return ConstraintState(
-            constraint=constraint, slack=slack, multiplier=multiplier, active=bool(active)
+            **vars(constraint), slack=slack, multiplier=multiplier, active=bool(active)
         )
 
     def _measured(self, constraint: Constraint) -> tuple[float, float, float | None]:
@@ -209,7 +188,7 @@ class _Seen:
             least, largest = float(eigenvalues[i, 0]), max(float(eigenvalues[i, -1]), 0.0)
             slack = float(margins[i])
             yield ConstraintState(
-                constraint=constraint,
+                **vars(constraint),
                 slack=slack if np.isfinite(slack) else None,
                 multiplier=multiplier,
                 active=least <= ACTIVE * largest or least < presses,

@@ -18,7 +18,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.kept import kept
 from sdpid._common.threads import one_thread
 from sdpid.errors import SdpidError
-from sdpid.estimation.compression.covariance import PRINTED
+from sdpid.estimation.compression.covariance import PRINTED, pooled
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress, with_contact_forces
@@ -26,6 +26,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.experiment.processing.samples import Samples
 
 # Blocks of a recording: a fifth is long enough to be a motion, and what is left holds most of it;
 # of short recordings fewer, but with less than two thirds of it no fit is like that of the whole.
@@ -112,9 +113,12 @@ def held_out_blocks(problem: Problem) -> tuple[Block, ...]:
 
 @one_thread
 def predicted_by(
-    blocks: Sequence[Block], problem: Problem, ways: Mapping[str, Callable[[Estimate], Array]]
+    blocks: Sequence[Block],
+    problem: Problem,
+    ways: Mapping[str, Callable[[Estimate], Array]],
+    samples: Samples | None = None,
 ) -> dict[str, Array]:
-    """Return the efforts (K, n) of the problem's samples, each predicted by a fit without it.
+    """Return the efforts (K, n) of samples, each predicted by a fit without it.
 
     Parameters
     ----------
@@ -125,8 +129,12 @@ def predicted_by(
         With its rows.
     ways : mapping of str to callable
         By name, functions that return the base parameters to predict with, of a block's estimate.
+    samples : Samples, optional
+        By default the problem's own.
     """
-    rows = problem.rows_of(problem.require_rows_here("blocks").samples)
+    own_samples = problem.require_rows_here("blocks").samples if samples is None else samples
+    rows = problem.rows_of(own_samples)
+    sigma = problem.sigma if samples is None else pooled(problem.sigma)
     values = {
         name: np.stack([way(block.estimate) for block in blocks], axis=1)
         for name, way in ways.items()
@@ -136,7 +144,7 @@ def predicted_by(
     for part, W, _, _ in rows.chunks():
         for name, each in values.items():
             effort = np.take_along_axis(W @ each, owner[part][:, None, None], axis=2)
-            found[name][part] = with_contact_forces(rows, part, problem.sigma, effort[:, :, 0])
+            found[name][part] = with_contact_forces(rows, part, sigma, effort[:, :, 0])
     return found
 
 

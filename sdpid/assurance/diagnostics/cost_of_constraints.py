@@ -208,7 +208,7 @@ def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
         if not state.active:
             continue
         # Solved as a program: solvers of estimates keep every link consistent.
-        relaxed = replace(problem, feasible=problem.feasible.without(state.constraint))
+        relaxed = replace(problem, feasible=problem.feasible.without(state))
         coordinates = Coordinates.of(relaxed, scaling.basis(), theta)
         if coordinates is None:
             continue

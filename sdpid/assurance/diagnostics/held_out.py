@@ -15,7 +15,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain_dict
-from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import (
     Block,
     held_out_blocks,
@@ -25,11 +24,8 @@ from sdpid.assurance.diagnostics.blocks import (
 )
 from sdpid.assurance.diagnostics.described import described_friction
 from sdpid.assurance.diagnostics.validation import Validation, validate
-from sdpid.estimation.compression.covariance import pooled
-from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import least_squares
-from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
@@ -168,29 +164,23 @@ def hold_out(
         `held_out_blocks`).
     """
     problem = estimate.problem
-    robot = problem.robot
-    if fresh is not None:
-        bases = {name: way(estimate) for name, way in _ways(problem).items()}
-        predicted = _predicted(problem, fresh, {**bases, LEAST_SQUARES: wls.base})
-        fit = validate(estimate, fresh) if fit is None else fit
-        return HeldOut(
-            by="recording", samples=fresh, fit=fit, baselines=_judged(robot, fresh, predicted)
-        )
-    blocks = held_out_blocks(problem)
-    if not blocks:
-        return None
-    samples = _counted(problem.samples, blocks)
-    ways = {**_ways(problem), LEAST_SQUARES: _least_squares, OURS: own}
-    every = _judged(robot, samples, predicted_by(blocks, problem, ways))
-    fit = every.pop(OURS)
-    return HeldOut(by="blocks", samples=samples, fit=fit, baselines=every, blocks=len(blocks))
-
-
-def _ways(problem: Problem) -> dict[str, Callable[[Estimate], Array]]:
-    """Return how the baselines of the description find base parameters; none without masses."""
-    if not np.any(problem.robot.prior[:, 0] > 0.0):
-        return {}
-    return {DESCRIPTION: _description, FRICTION_FITTED: _friction_fitted}
+    ways: dict[str, Callable[[Estimate], Array]] = {}
+    if np.any(problem.robot.prior[:, 0] > 0.0):
+        ways = {DESCRIPTION: _description, FRICTION_FITTED: _friction_fitted}
+    if fresh is None:
+        blocks = held_out_blocks(problem)
+        if not blocks:
+            return None
+        samples = _counted(problem.samples, blocks)
+        ways |= {LEAST_SQUARES: _least_squares, OURS: own}
+        every = _judged(problem.robot, samples, predicted_by(blocks, problem, ways))
+        fit = every.pop(OURS)
+        return HeldOut(by="blocks", samples=samples, fit=fit, baselines=every, blocks=len(blocks))
+    whole = Block(slices=(slice(None),), estimate=estimate)
+    ways[LEAST_SQUARES] = lambda _: wls.base
+    every = _judged(problem.robot, fresh, predicted_by((whole,), problem, ways, fresh))
+    fit = validate(estimate, fresh) if fit is None else fit
+    return HeldOut(by="recording", samples=fresh, fit=fit, baselines=every)
 
 
 def _description(estimate: Estimate) -> Array:
@@ -224,19 +214,6 @@ def friction_fitted(estimate: Estimate) -> Array:
 def _least_squares(estimate: Estimate) -> Array:
     """Return the base parameters (b,) of least squares on a block's training rows."""
     return solve_wls(replace(estimate.problem, prior=None)).base
-
-
-@one_thread
-def _predicted(problem: Problem, samples: Samples, bases: dict[str, Array]) -> dict[str, Array]:
-    """Return the efforts (K, n) that several base parameters predict, in one pass."""
-    every = np.stack(list(bases.values()), axis=1)
-    rows = problem.rows_of(samples)
-    sigma = pooled(problem.sigma)
-    found: dict[str, list[Array]] = {name: [] for name in bases}
-    for part, W, _, _ in rows.chunks():
-        for name, effort in zip(bases, np.moveaxis(W @ every, 2, 0), strict=True):
-            found[name].append(with_contact_forces(rows, part, sigma, effort))
-    return {name: np.concatenate(each) for name, each in found.items()}
 
 
 def _judged(

@@ -376,11 +376,7 @@ def validate(
             name="validation",
         )
         samples = prepared.samples
-    if samples.effort.shape[1] != problem.robot.n:
-        raise DataError(
-            f"validate: samples have {samples.effort.shape[1]} joints, the robot "
-            f"'{problem.robot.name}' has {problem.robot.n}."
-        )
+    _require_joints(samples, problem.robot)
     if without:
         samples = without_efforts(samples, problem.robot, without)
     return Validation.of_prediction(
@@ -415,11 +411,7 @@ def validate_robot(robot: RobotModel, samples: Samples) -> Validation:
     DataError
         When the samples' joints are not the robot's.
     """
-    if samples.effort.shape[1] != robot.n:
-        raise DataError(
-            f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
-            f"has {robot.n}."
-        )
+    _require_joints(samples, robot)
     return validate_dynamics(described_dynamics(robot, samples), samples)
 
 
@@ -442,6 +434,14 @@ def validate_dynamics(
             [with_contact_forces(rows, part, sigma, predicted[part]) for part in rows.parts()]
         )
     return Validation.of_prediction(robot.joint_names, samples, predicted, robot=robot)
+
+
+def _require_joints(samples: Samples, robot: RobotModel) -> None:
+    if samples.effort.shape[1] != robot.n:
+        raise DataError(
+            f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
+            f"has {robot.n}."
+        )
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:

@@ -348,7 +348,7 @@ def _constraints(result: Judged) -> Iterator[Finding]:
 
 def _rises(result: Judged, state: ConstraintState) -> float:
     """Return by which share the cost would fall, were a limit twice as far: to first order."""
-    size = abs(state.constraint.limit or 0.0)
+    size = abs(state.limit or 0.0)
     return abs(state.multiplier or 0.0) * size / max(result.estimate.cost, 1e-300)
 
 
