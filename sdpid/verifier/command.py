@@ -16,7 +16,7 @@ from .result import Result
 # By schema: how a file is read and checked, and the numbers that it claims.
 CHECKS = {
     certificate.SCHEMA: (certificate.load, certificate.check, certificate.claimed),
-    **dict.fromkeys(tables.SCHEMAS, (tables.load, tables.check, tables.claimed)),
+    **dict.fromkeys(tables.SCHEMAS, (tables.load, tables.check, lambda _: {})),
 }
 
 

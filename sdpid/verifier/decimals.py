@@ -61,14 +61,6 @@ class Rationals:
         return number
 
 
-def number_text(value: Fraction) -> str:
-    """Return the text that `Rationals` reads as this number: a decimal where it is a short one."""
-    if rounded(value, _SHORT) != value:
-        return str(value)
-    text = f"{_decimal(value, _SHORT, ROUND_HALF_EVEN).normalize():f}"
-    return text if len(text) <= 2 * _SHORT else str(value)
-
-
 def _decimal(value: Fraction, digits: int, rounding: str) -> Decimal:
     context = Context(prec=digits, rounding=rounding, Emin=MIN_EMIN, Emax=MAX_EMAX)
     return context.divide(Decimal(value.numerator), Decimal(value.denominator))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,23 +32,6 @@ _MOST = 2**29
 
 # Bytes hashed at a time.
 _BLOCK = 1 << 20
-
-
-def contents(
-    inputs: Sequence[Mapping[str, Any]],
-    recipe: Mapping[str, Any] | None,
-    certificate: str,
-    software: str,
-) -> dict[str, Any]:
-    """Return the content of a manifest but for its files and its digest."""
-    return {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "metadata": {"software": software},
-        "inputs": list(inputs),
-        "recipe": recipe,
-        "certificate": certificate,
-    }
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:

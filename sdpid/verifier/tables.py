@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from .decimals import Rationals, decimal_text, linear_text, number_text, parameter, rounded
+from .decimals import Rationals, decimal_text, linear_text, parameter, rounded
 from .reading import (
     REFUSED,
     MalformedError,
@@ -162,48 +162,6 @@ def _realization(data: Any, question: Question, read: Any) -> Realization:
     )
 
 
-def answer_dict(answer: Answer, software: str) -> dict[str, Any]:
-    """Return the file of an answer, as plain values."""
-    q = answer.question
-    data: dict[str, Any] = {
-        "schema": REFUTATION if isinstance(answer, Refutation) else REALIZATION,
-        "version": VERSION,
-        "metadata": {"software": software},
-        "robot": {"name": q.robot, "links": list(q.link_names)},
-        "table": {"file": q.table, "sha256": q.table_sha256},
-        "constraints": {
-            "consistency": q.consistency,
-            "margin": number_text(q.margin),
-            "mass_min": number_text(q.mass_min),
-            "mass_max": number_text(q.mass_max),
-            "theta_max": number_text(q.theta_max),
-            "nonnegative": sorted(q.nonnegative),
-        },
-        "theta_names": list(q.theta_names),
-        "parameters": [
-            {
-                "name": name,
-                "coefficients": {str(j): number_text(x) for j, x in row.items()},
-                "value": number_text(value),
-                "halfwidth": number_text(half),
-            }
-            for name, row, value, half in zip(q.names, q.rows, q.values, q.halfwidths, strict=True)
-        ],
-    }
-    if isinstance(answer, Refutation):
-        data["refutation"] = {
-            "weights": {name: number_text(w) for name, w in answer.weights.items()},
-            "masses": {str(link): number_text(x) for link, x in answer.masses.items()},
-            "slack": {str(link): number_text(x) for link, x in answer.slack.items()},
-        }
-    else:
-        data["realization"] = {
-            "theta": list(map(number_text, answer.theta)),
-            "margins": list(map(number_text, answer.margins)),
-        }
-    return {**data, "sha256": digest(data)}
-
-
 def inequality(proof: Refutation) -> str:
     """Return the inequality of a refutation, and what the table makes of it, in one line."""
     least, most = proof.least, proof.most
@@ -318,8 +276,3 @@ def _realized(answer: Realization) -> Result:
     if more > 0:
         faults = [*faults, f"and {more} more"]
     return Result(tuple(said), tuple(faults), unchecked(q))
-
-
-def claimed(_: dict[str, Any]) -> dict[str, float | None]:
-    """Return the numbers that a file claims beside its sentences: none."""
-    return {}

@@ -18,7 +18,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
 from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
-from sdpid.verifier.manifest import contents, sealed
+from sdpid.verifier.manifest import SCHEMA, VERSION, sealed
 
 if TYPE_CHECKING:
     from sdpid.output.robots.export_report import ExportReport
@@ -79,12 +79,16 @@ def save(
     def fill(stage: Path) -> dict[str, Any]:
         writer = _Writer(result, stage, intervals, note, exports, offsets)
         writer.write(figures=figures, command=command, config=config)
-        recipe = None if result.recipe is None else result.recipe.to_dict()
-        software = f"sdpid {__version__}"
-        digest = result.certificate.to_dict()["sha256"]
         if result.recipe_note is not None:
             note(result.recipe_note)
-        return contents(result.inputs, recipe, digest, software)
+        return {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "metadata": {"software": f"sdpid {__version__}"},
+            "inputs": list(result.inputs),
+            "recipe": None if result.recipe is None else result.recipe.to_dict(),
+            "certificate": result.certificate.to_dict()["sha256"],
+        }
 
     files = _FOLDER.write(target, fill, note)
     if exported is not None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from sdpid.robot.inertia import margin as margins_of
 from sdpid.verifier import realizable, tables
 from sdpid.verifier.bodies import has_margin
 from sdpid.verifier.decimals import rounded
-from sdpid.verifier.reading import MalformedError
+from sdpid.verifier.reading import MalformedError, digest
 from sdpid.verifier.realizable import Question
 
 Number = float | Fraction
@@ -35,6 +36,9 @@ _BEFORE, _AFTER = 12, 400
 
 # Digits of the numerator and the denominator of a fraction.
 _DIGITS = 400
+
+# Digits of decimals that are written as such; all others are fractions.
+_SHORT = 34
 
 # Margins are stated with this many digits, and each is tried so many times a little smaller.
 _MARGIN_DIGITS = 9
@@ -54,8 +58,15 @@ class TableFile:
         return cls(Path(path).name, sha256(content).hexdigest())
 
 
-class Stored:
+class Stored(ABC):
     """An answer that can be written to a file."""
+
+    question: Question
+    schema: ClassVar[str]
+
+    @abstractmethod
+    def content(self) -> dict[str, Any]:
+        """Return the answer itself, numbers as text."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the file's content: the whole question and the answer, numbers as text.
@@ -65,7 +76,33 @@ class Stored:
         CertificateError
             When a number has more digits than the checker reads.
         """
-        data = tables.answer_dict(cast(tables.Answer, self), f"sdpid {__version__}")
+        q = self.question
+        limits = ("margin", "mass_min", "mass_max", "theta_max")
+        data: dict[str, Any] = {
+            "schema": self.schema,
+            "version": tables.VERSION,
+            "metadata": {"software": f"sdpid {__version__}"},
+            "robot": {"name": q.robot, "links": list(q.link_names)},
+            "table": {"file": q.table, "sha256": q.table_sha256},
+            "constraints": {
+                "consistency": q.consistency,
+                **{name: number_text(getattr(q, name)) for name in limits},
+                "nonnegative": sorted(q.nonnegative),
+            },
+            "theta_names": list(q.theta_names),
+            "parameters": [
+                {"name": name, "coefficients": _texts(row), "value": value, "halfwidth": half}
+                for name, row, value, half in zip(
+                    q.names,
+                    q.rows,
+                    map(number_text, q.values),
+                    map(number_text, q.halfwidths),
+                    strict=True,
+                )
+            ],
+            self.schema.removeprefix("sdpid-"): self.content(),
+        }
+        data["sha256"] = digest(data)
         try:
             tables.answer_of(data)
         except MalformedError as cause:
@@ -83,6 +120,12 @@ class Stored:
 class Realization(Stored, realizable.Realization):
     """Bodies that have the numbers of a table (see `sdpid.verifier.realizable.Realization`)."""
 
+    schema = tables.REALIZATION
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer itself, numbers as text."""
+        return {name: list(map(number_text, getattr(self, name))) for name in ("theta", "margins")}
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refutation(Stored, realizable.Refutation):
@@ -90,6 +133,12 @@ class Refutation(Stored, realizable.Refutation):
 
     See `sdpid.verifier.realizable.Refutation` for its parts, and when it holds.
     """
+
+    schema = tables.REFUTATION
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer itself, numbers as text."""
+        return {name: _texts(getattr(self, name)) for name in ("weights", "masses", "slack")}
 
     @property
     def margin_bound(self) -> Fraction | None:
@@ -106,6 +155,17 @@ class Refutation(Stored, realizable.Refutation):
     def inequality(self) -> str:
         """Return the inequality in one line."""
         return tables.inequality(self)
+
+
+def _texts(numbers: Mapping[Any, Fraction]) -> dict[str, str]:
+    """Return numbers by name or index as text."""
+    return {str(key): number_text(value) for key, value in numbers.items()}
+
+
+def number_text(value: Fraction) -> str:
+    """Return the text that the verifier reads as this number: a decimal where it is a short one."""
+    text = f"{Decimal(value.numerator) / Decimal(value.denominator):f}"
+    return text if len(text) <= _SHORT and Fraction(text) == value else str(value)
 
 
 def exact(value: Number | Decimal | str) -> Fraction:
