@@ -422,8 +422,7 @@ def source_of(
             f"{purpose} needs the controller that followed the reference; give one of "
             "sdpid.controllers, or controller='fit', or take instruments='reference'."
         )
-    others = "instruments='reference' or 'periods'"
-    loop = ClosedLoop.of(twin, controller, told, purpose=purpose, others=others, as_measured=False)
+    loop = ClosedLoop.of(twin, controller, told, purpose=purpose, as_measured=False)
     fitted = ", its controller fitted" * (not isinstance(controller, Controller))
     return Source(words=f"the motion of the model in closed loop{fitted}", loop=loop)
 

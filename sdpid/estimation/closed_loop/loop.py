@@ -104,7 +104,7 @@ def _at_stamps(log: Recording, reference: Any) -> Array:
     return np.asarray(planned.at(time)[:, 0])
 
 
-def controller_of(given: Any, log: Recording, purpose: str, others: str, *, exact: bool) -> Any:
+def controller_of(given: Any, log: Recording, purpose: str, *, exact: bool) -> Controller:
     """Return a given controller, or one that explains a log's efforts.
 
     Parameters
@@ -113,8 +113,8 @@ def controller_of(given: Any, log: Recording, purpose: str, others: str, *, exac
         What the user gave.
     log : Recording
         With commanded positions.
-    purpose, others : str
-        For messages: who asks, and what needs no controller.
+    purpose : str
+        For messages.
     exact : bool
         Whether a fitted one must be known well.
 
@@ -130,19 +130,19 @@ def controller_of(given: Any, log: Recording, purpose: str, others: str, *, exac
             f"{purpose}: controller is {given!r:.80}: give one of sdpid.controllers (P, PD, PID, "
             "ComputedTorque), or 'fit'."
         )
-    first = None
+    fits = []
     for kind in _FITTED:
-        found = fit_controller(log, kind)
-        first = first or found
-        if found.usable:
-            return found.controller
-    assert first is not None
-    if first.controller is not None and not exact:
-        return first.controller
+        fits.append(fit_controller(log, kind))
+        if fits[-1].usable:
+            return fits[-1].require()
+    if fits[0].controller is not None and not exact:
+        return fits[0].controller
+    hardly = "method='didim' of sdpid.solve_output_error, or " if exact else ""
     raise DataError(
         f"{purpose}: the controller is not known well enough from this log: "
-        f"{'; '.join(first.reasons)}. Give it, as one of sdpid.controllers (controller=), look "
-        f"whether the commanded positions are those of this log, in rad, or use {others}."
+        f"{'; '.join(fits[0].reasons)}. Give it, as one of sdpid.controllers (controller=), look "
+        f"whether the commanded positions are those of this log, in rad, or use {hardly}"
+        "sdpid.solve_instrumental with instruments='reference' or 'periods', which needs none."
     )
 
 
@@ -201,7 +201,6 @@ class ClosedLoop:
         *,
         control_hz: float | None = None,
         purpose: str = "output error",
-        others: str = "sdpid.solve_instrumental with instruments='reference' or 'periods'",
         exact: bool = True,
         as_measured: bool = True,
     ) -> ClosedLoop:
@@ -213,7 +212,7 @@ class ClosedLoop:
             The recordings.
         controller, reference, control_hz : optional
             As for `solve_output_error`.
-        purpose, others, exact
+        purpose, exact
             As for `controller_of`.
         as_measured : bool, optional
             Whether motions begin as measured, and are simulated at instants close enough for
@@ -227,7 +226,7 @@ class ClosedLoop:
         told = commanded(twin, reference, f"{purpose}:")
         assert told is not None
         logs = [replace(log, reference=each) for log, each in zip(twin.logs, told, strict=True)]
-        law = controller_of(controller, logs[0], purpose, others, exact=exact)
+        law = controller_of(controller, logs[0], purpose, exact=exact)
         if law.n != twin.robot.n:
             raise DataError(
                 f"controller: has gains of {law.n} joints, the robot '{twin.robot.name}' "

@@ -48,9 +48,6 @@ TOLERANCE = 0.025
 # output error is off by as much.
 CONTROLLER = 0.03
 
-# What needs no controller, for refusals of one.
-_OTHERS = "sdpid.solve_instrumental with instruments='reference' or 'periods', which needs none"
-
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class InstrumentalEstimate(Estimate):
@@ -359,7 +356,6 @@ def solve_output_error(
         controller,
         reference,
         control_hz=control_hz,
-        others=_OTHERS if method == "didim" else f"method='didim', which hardly does, or {_OTHERS}",
         exact=method != "didim",
     )
     check = ControllerCheck.of(loop)
