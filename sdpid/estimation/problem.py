@@ -16,7 +16,7 @@ from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, WEIGHTINGS, Weighting, pooled
-from sdpid.estimation.compression.factor import Factor, covariance
+from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource, SamplesElsewhere
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.constraints.condition import Layout
@@ -428,7 +428,7 @@ def build_problem(
             "directions without one; use 'residual', 'gls' or 'gls_per_sample'."
         )
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
-    model, profiled = close_terms(model, robot, here, lambda rows: covariance(rows, weighting))
+    model, profiled = close_terms(model, robot, here, lambda rows: Factor.of(rows, weighting).sigma)
     if base is None:
         base = structural_base(robot, model)
     rows = RowSource(robot, model, base, here, elsewhere=elsewhere)

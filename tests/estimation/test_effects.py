@@ -14,7 +14,7 @@ import sdpid.estimation.effects.choose as profile_module
 from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.compression.covariance import residual_covariance
+from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.effects.choose import close_terms
@@ -571,7 +571,7 @@ def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
     terms = problem.friction.terms
     every = (*terms, Tilt(BODIES), RotorInertia())
     largest, independent = with_every_term(problem, every, prior)
-    sigma = residual_covariance(largest.rows)
+    sigma = Factor.of(largest.rows, "residual").sigma
     known = replace(samples, covariance=sigma)
     for some in (terms, (*terms, RotorInertia()), every):
         trial = with_terms(largest, some)

@@ -17,7 +17,7 @@ import sdpid.estimation.compression.rows as rows_module
 from sdpid import Constraints, Recording, RobotModel, Samples, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
-from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, residual_covariance
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.constraints.mass import TotalMass
 from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
@@ -250,13 +250,6 @@ def test_a_singular_covariance_is_refused() -> None:
 )
 def test_bad_constraints(options: dict[str, float], error: type[Exception]) -> None:
     refuses(error, "Constraints", Constraints, **options)
-
-
-def test_residual_sigma_is_what_its_estimator_says() -> None:
-    samples, _, _ = noisy_samples(20, masked=True)
-    problem = build_problem(ARM, samples, weighting="residual")
-    sigma: Array = residual_covariance(problem.rows)
-    np.testing.assert_array_equal(problem.sigma, sigma)
 
 
 @pytest.mark.parametrize("noise", [0.01, 1.0])

@@ -209,35 +209,27 @@ def least_variance(own: Array, effort: float) -> Array:
     return np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
 
 
-def residual_covariance(rows: RowSource) -> Array:
-    """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
+def residual_noise(rows: RowSource, joints: JointRows) -> tuple[Array, float]:
+    """Estimate every joint's variance (n,) of residuals and their correlation time, in samples.
 
-    Each joint has one variance, found by iteration: fit, take the residuals' variance with the
-    degrees of freedom that the fit used up, fit again. A small share of the overall effort is
-    added, so that a quiet joint does not outweigh all others. The result is scaled so that the
-    weighted residuals have a variance of one on average, and multiplied by the number of samples
-    over the number of independent ones, found from the residuals' autocorrelation: the cost then
-    counts correlated samples as the few independent ones they are, and a prior beside it weighs
-    what it says.
+    The variances are found by iteration: fit, take the residuals' variance with the degrees of
+    freedom that the fit used up, fit again. A small share of the overall effort is added, so that a
+    quiet joint does not outweigh all others. They are scaled so that the weighted residuals have a
+    variance of one on average. Times the number of samples over the number of independent ones,
+    found from the residuals' autocorrelation, they make a cost that counts correlated samples as
+    the few independent ones they are, and a prior beside it weighs what it says.
 
     Parameters
     ----------
     rows : RowSource
         Regressor and efforts.
+    joints : JointRows
+        These rows, compressed before.
 
     Raises
     ------
     DataError
         When every effort is zero, or no row counts.
-    """
-    variance, time = residual_noise(rows, JointRows.merged(rows.map(JointRows.of)))
-    return np.diag(variance * time)
-
-
-def residual_noise(rows: RowSource, joints: JointRows) -> tuple[Array, float]:
-    """Return every joint's variance (n,) of residuals and their correlation time, in samples.
-
-    They are the factors of `residual_covariance`, with its errors, of rows compressed before.
     """
     require_effort(float(joints.squares.sum()), int(joints.used.sum()))
     base, rank = np.zeros(rows.base.count), 0

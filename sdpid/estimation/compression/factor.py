@@ -13,7 +13,6 @@ from sdpid.estimation.compression.covariance import (
     JointRows,
     Weighting,
     pooled,
-    residual_covariance,
     residual_noise,
 )
 from sdpid.estimation.compression.rows import RowSource
@@ -53,10 +52,18 @@ class Factor:
     def of(cls, rows: RowSource, weighting: Weighting) -> Factor:
         """Weight and compress rows, piece by piece; the order of the pieces decides rounding."""
         if weighting == "residual":
-            if rows.samples.contacts is not None:
-                return cls.of_contacts(rows)
-            return cls.of_joints(rows, JointRows.merged(rows.map(JointRows.of)))
-        sigma = covariance(rows, weighting)
+            if rows.samples.contacts is None:
+                return cls.of_joints(rows, JointRows.merged(rows.map(JointRows.of)))
+            variance, time, force = contact_noise(rows)
+            # Residuals only raise errors of forces: a fit follows forces that are all wrong alike,
+            # as by their scale, and hardly shows it.
+            sigma, scale = np.diag(variance * time), time * max(force, 1.0)
+            triangle, used = compressed(rows.with_force_scale(scale), sigma)
+            return cls(sigma, *triangle.split(), used, scale, time)
+        given = rows.samples.covariance
+        sigma = np.eye(rows.robot.n) if given is None else np.asarray(given)
+        if weighting == "gls":
+            sigma = pooled(sigma)
         if weighting in PRINTED:
             # W^T·Sigma^e·W, as a product of equal factors.
             pairs = rows.map(_normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma)
@@ -64,16 +71,6 @@ class Factor:
             return cls(sigma, H[:, :-1], H[:, -1], 0.0, sum(used for _, used in pairs))
         triangle, used = compressed(rows, sigma)
         return cls(sigma, *triangle.split(), used)
-
-    @classmethod
-    def of_contacts(cls, rows: RowSource) -> Factor:
-        """Weight rows with contacts by one variance a joint and two of the base, from residuals."""
-        variance, time, force = contact_noise(rows)
-        # Residuals only raise errors of forces: a fit follows forces that are all wrong alike, as
-        # by their scale, and hardly shows it.
-        sigma, scale = np.diag(variance * time), time * max(force, 1.0)
-        triangle, used = compressed(rows.with_force_scale(scale), sigma)
-        return cls(sigma, *triangle.split(), used, scale, time)
 
     @classmethod
     def of_joints(cls, rows: RowSource, joints: JointRows) -> Factor:
@@ -91,19 +88,6 @@ def compressed(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
         triangle.merge(piece)
         used += count
     return triangle, used
-
-
-def covariance(rows: RowSource, weighting: Weighting) -> Array:
-    """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
-    if weighting == "residual":
-        if rows.samples.contacts is not None:
-            variance, time, _ = contact_noise(rows)
-            return np.diag(variance * time)
-        return residual_covariance(rows)
-    given = rows.samples.covariance
-    if given is None:
-        return np.eye(rows.robot.n)
-    return pooled(given) if weighting == "gls" else np.asarray(given)
 
 
 def _normal_equations(rows: RowSource, sigma: Array, exponent: float) -> tuple[Array, int]:

@@ -324,12 +324,8 @@ def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 
     """Return the motion of some samples, of the joints from `first` on that have friction."""
 
     def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
-        if first:
-            # The coordinates of a floating base come first, and have no friction.
-            return samples.through_filter(
-                lambda v, a: function(v[:, first:], a[:, first:]), part, key
-            )
-        return samples.through_filter(function, part, key)
+        # The coordinates of a floating base come first, and have no friction.
+        return samples.through_filter(lambda v, a: function(v[:, first:], a[:, first:]), part, key)
 
     return Motion(
         position=samples.position[part],
