@@ -18,6 +18,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.corrections import GAINS, CorrectedLog, Correction, Gains
+from sdpid.experiment.inspection.delays.kinematic import block_error
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.samples import Samples
@@ -41,8 +42,6 @@ _MANY = 20
 _HELD = 1e-6
 # A gain is known where its standard error is below this share of it.
 _KNOWN = 0.2
-# Standard errors are from so many blocks of samples.
-_BLOCKS = 20
 # Rows that are compared: with 4 feet down 6 equations each.
 _ROWS = 120
 # A joint whose bodies ask for less than this share of what they ask for at the strongest is not
@@ -105,8 +104,7 @@ def fitted(columns: Array, due: Array) -> tuple[Array, Array]:
     inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
     found = inverse @ (A.T @ b)
     scores = (A * (b - A @ found)[:, None]).reshape(*due.shape, -1).sum(axis=1)
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, _BLOCKS)])
-    errors = np.sqrt(np.sum((sums @ inverse) ** 2, axis=0))
+    errors = np.array([block_error(each, 1.0) for each in (scores @ inverse).T])
     return found / size, errors / size
 
 

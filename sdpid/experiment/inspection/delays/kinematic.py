@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,16 +141,28 @@ def lag(signal: Array, other: Array, step: float, *, gain: bool = False) -> Dela
     from scipy.interpolate import CubicSpline
 
     rows = np.arange(len(signal), dtype=np.float64)
-    spline = CubicSpline(rows, signal, axis=0)
-    delay, error = 0.0, 0.0
-    for _ in range(_STEPS):
-        at = np.clip(rows + delay / step, 0.0, rows[-1])
-        moved, rate = _centered(spline(at)), _centered(spline(at, 1) / step)
-        target = _centered(other)
+    spline, target = CubicSpline(rows, signal, axis=0), _centered(other)
+
+    def at(delay: float) -> tuple[Array, Array]:
+        places = np.clip(rows + delay / step, 0.0, rows[-1])
+        moved, rate = _centered(spline(places)), _centered(spline(places, 1) / step)
         if gain:
             size = np.sum(moved**2, axis=0)
             moved, rate = (np.sum(moved * target, axis=0) / size * each for each in (moved, rate))
-        left = target - moved
+        return target - moved, rate
+
+    return least_delay(at)
+
+
+def least_delay(at: Callable[[float], tuple[Array, Array]]) -> Delay | None:
+    """Return the delay at which residuals are least, None where they do not depend on it.
+
+    `at` returns the residuals (N, c) at a delay, in the order of time, and what a longer one takes
+    off them a second, (N, c).
+    """
+    delay, error = 0.0, 0.0
+    for _ in range(_STEPS):
+        left, rate = at(delay)
         weight = 1.0 / np.maximum(np.mean(left**2, axis=0), 1e-30)
         power = float(np.sum(rate**2 * weight))
         if not power > 0.0:
@@ -271,7 +284,6 @@ def on_legs(robot: RobotModel, log: Recording) -> Mask:
 _POSE_HZ = 15.0
 # Least number of samples of a foot that stands.
 _LEAST = 200
-_POSE_STEPS = 3
 # A base that moves less than this (rad/s, rms) shows nothing.
 _LEAST_RATE = 0.05
 
@@ -309,20 +321,11 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
     J = contact_jacobians(robot, feet.position, contacts.frames, contacts.offset)[:, :, :3]
     legs = np.einsum("kcij,kj->kci", J[..., 6:], feet.speeds)
     spline = CubicSpline(np.arange(len(velocity)), velocity, axis=0)
-    delay, error = 0.0, 0.0
-    for _ in range(_POSE_STEPS):
-        at = np.clip(rows + delay / step, 0.0, len(velocity) - 1.0)
-        left = np.einsum("kcij,kj->kci", J[..., :6], spline(at)) + legs
-        rate = np.einsum("kcij,kj->kci", J[..., :6], spline(at, 1) / step)
-        change, error = _step(left, rate, stands)
-        delay += change
-    return Delay(value=delay, error=error)
 
+    def at(delay: float) -> tuple[Array, Array]:
+        places = np.clip(rows + delay / step, 0.0, len(velocity) - 1.0)
+        left = np.einsum("kcij,kj->kci", J[..., :6], spline(places)) + legs
+        rate = np.einsum("kcij,kj->kci", J[..., :6], spline(places, 1) / step)
+        return left[stands], -rate[stands]
 
-def _step(left: Array, rate: Array, stands: Mask) -> tuple[float, float]:
-    """Return the change of the delay that leaves the feet slowest, and its error."""
-    weight = stands[..., None] / np.maximum(np.mean(left[stands] ** 2, axis=0), 1e-30)
-    power = float(np.sum(rate**2 * weight))
-    change = -float(np.sum(left * rate * weight)) / power
-    scores = np.sum((left + change * rate) * rate * weight, axis=(1, 2))
-    return change, block_error(scores, power)
+    return least_delay(at)
