@@ -17,7 +17,7 @@ from sdpid.estimation.effects.choose import Profiled
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import Prepared
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.readers.arguments import Arguments
+from sdpid.experiment.readers.mapping import Arguments
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm

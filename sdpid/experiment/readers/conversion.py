@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.arguments import Arguments, only_signs
 from sdpid.experiment.readers.floating.build import base_of, contacts_of
+from sdpid.experiment.readers.mapping import Arguments, only_signs
 from sdpid.experiment.readers.missing import mend_missing
 from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection

@@ -11,10 +11,10 @@ from typing import Any, TypeAlias, overload
 
 from sdpid._common.files import Source, unchanged
 from sdpid.errors import DataError
-from sdpid.experiment.readers.arguments import Arguments, complete_arguments
 from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, load_frame
 from sdpid.experiment.readers.formats.matrices import is_folder_of_matrices
+from sdpid.experiment.readers.mapping import Arguments, complete_arguments
 from sdpid.experiment.readers.selection import Selection, read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
