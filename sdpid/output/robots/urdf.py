@@ -16,9 +16,8 @@ from sdpid._common.arrays import Array, real_array
 from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import PLACES, ExportReport, Written
-from sdpid.output.robots.joint_friction import JointAttributes, joint_attributes
+from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
@@ -144,7 +143,8 @@ def write_urdf(
             flat.append(link)
         write_inertial(document, tree.links[link], written_values(written))
         changed.append(link)
-    friction = _write_friction(tree, problem, theta)
+    friction = joint_attributes(problem, theta, PLACES, what)
+    write_dynamics(tree, document, friction.values)
     notes, turn = friction.notes, base_turn(robot.gravity, estimate.model().tilted_gravity)
     if not np.array_equal(turn, np.eye(3)):
         stand_on_level(document, tree.root_link(), turn)
@@ -242,13 +242,6 @@ def write_inertial(
             document.insert_child(inertial, line.strip())
         else:
             document.set_attributes(element, values[tag])
-
-
-def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttributes:
-    """Write damping and friction into the joints and return them."""
-    found = joint_attributes(problem, theta, PLACES, f"URDF of '{problem.robot.name}'")
-    write_dynamics(tree, tree.document, found.values)
-    return found
 
 
 def write_dynamics(

@@ -13,8 +13,8 @@ are read once.
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
@@ -38,8 +38,8 @@ from sdpid.robot.description.urdf import inertial_values, written_values
 Joints = Mapping[str, Mapping[str, float]]
 
 
-class Pattern(ABC):
-    """A robot's text with places for numbers.
+class UrdfPattern:
+    """A URDF with places for inertials and for damping and friction of joints.
 
     Attributes
     ----------
@@ -54,28 +54,6 @@ class Pattern(ABC):
     notes : tuple of str
         What else differs from the source.
     """
-
-    suffix: str
-    places: Mapping[Kind, str]
-    names: Sequence[str]
-    frames: Array
-    notes: tuple[str, ...]
-
-    @abstractmethod
-    def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
-        """Return the text of a robot, its bodies in their own frames."""
-
-    @abstractmethod
-    def require_right(self, text: str, bodies: Array) -> None:
-        """Refuse a text that does not have the efforts of bodies (links, 10), or does not load."""
-
-    @abstractmethod
-    def require_loaded(self, text: str, name: str) -> None:
-        """Refuse a text that the format's own reader refuses, where that takes milliseconds."""
-
-
-class UrdfPattern(Pattern):
-    """A URDF with places for inertials and for damping and friction of joints."""
 
     suffix = ".urdf"
     places = URDF_PLACES
@@ -101,7 +79,7 @@ class UrdfPattern(Pattern):
         for name in (*counted, *impossible):
             nothing = inertial_values(np.zeros(10))
             write_inertial(self._tree.document, self._tree.links[name], nothing)
-        self.notes = ()
+        self.notes: tuple[str, ...] = ()
         if impossible:
             self.notes = (
                 "links that do not move, with inertials in the description that no body can have, "
@@ -124,8 +102,8 @@ class UrdfPattern(Pattern):
         """Do nothing: readers differ only in the inertials, and those are audited."""
 
 
-class MjcfPattern(Pattern):
-    """An MJCF with places for inertials and for damping, dry friction and armature of joints."""
+class MjcfPattern:
+    """As `UrdfPattern`, an MJCF with places for damping, dry friction and armature of joints."""
 
     suffix = ".xml"
     places = MJCF_PLACES
@@ -165,6 +143,8 @@ class MjcfPattern(Pattern):
         if self._ours:
             compiled(text, None, None, f"{self._what} ({name})")
 
+
+Pattern: TypeAlias = UrdfPattern | MjcfPattern
 
 # Rows at a time: columns of all terms take some 2 kB each.
 _CHUNK = 20_000
