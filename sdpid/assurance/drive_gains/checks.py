@@ -11,6 +11,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.drive_gains.fit import Found, GainFit
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation.information import least_squares
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
@@ -121,13 +122,12 @@ def rough_gains(robot: RobotModel, samples: Sequence[Samples]) -> tuple[Array, A
             columns.append(np.column_stack([rigid, np.sign(v), v, a, np.ones(len(v))]))
             currents.append(each.effort[used, j])
         A, y = np.vstack(columns), np.concatenate(currents)
-        size = np.linalg.norm(A, axis=0)
-        if len(y) < A.shape[1] or not size[0] > 0.0:
+        size = float(np.linalg.norm(A[:, 0]))
+        if len(y) < A.shape[1] or not size > 0.0:
             continue
-        size[size == 0.0] = 1.0
-        others, _ = np.linalg.qr(A[:, 1:] / size[1:])
-        x, left = (each - others @ (others.T @ each) for each in (A[:, 0], y))
-        if np.linalg.norm(x) < _INVISIBLE * size[0]:
+        others = A[:, 1:]
+        x, left = (each - others @ least_squares(others, each) for each in (A[:, 0], y))
+        if np.linalg.norm(x) < _INVISIBLE * size:
             continue
         kappa = float(x @ left) / float(x @ x)
         shown[j] = float(x @ left) > _FOLLOWS * np.linalg.norm(x) * np.linalg.norm(left)

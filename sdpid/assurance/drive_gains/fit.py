@@ -17,6 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.rows import GainModel, RunRows
+from sdpid.estimation.information import information_root, least_squares
 
 # Steps of Gauss and Newton; from good starts 5 to 15 are needed.
 _STEPS = 60
@@ -149,7 +150,7 @@ class GainFit:
         """Return the parameters of the drive of joint j, in A, of all runs."""
         rows, count = self.stacked[j]
         links = rows[:, count:-2] @ z + rows[:, -2]
-        return _solved(rows[:, :count], rows[:, -1] - np.exp(log_kappa[j]) * links)[1]
+        return least_squares(rows[:, :count], rows[:, -1] - np.exp(log_kappa[j]) * links)
 
     @cached_property
     def systems(self) -> tuple[tuple[Array, Array, Array], ...]:
@@ -176,7 +177,9 @@ class GainFit:
     def at(self, log_kappa: Array) -> tuple[Array, Array, Array]:
         """Return best z, residual, and the residual's derivative by log kappa, z following."""
         matrix, rhs = self.linear(log_kappa)
-        basis, z = _solved(matrix, rhs)
+        root = information_root(matrix)
+        basis = matrix @ root
+        z = root @ (basis.T @ rhs)
         slopes = self.slopes(log_kappa, z, len(rhs))
         return z, rhs - matrix @ z, slopes - basis @ (basis.T @ slopes)
 
@@ -235,25 +238,9 @@ class GainFit:
 
 def _projected(nuisance: Array, others: Array) -> Array:
     """Return columns less what others explain of them."""
-    size = np.linalg.norm(nuisance, axis=0)
-    kept = nuisance[:, size > 0.0] / size[size > 0.0]
-    if not kept.shape[1]:
-        return others
-    U, singular, _ = np.linalg.svd(kept, full_matrices=False)
-    U = U[:, singular > _RANK * singular[0]]
-    left = others - U @ (U.T @ others)
+    basis = nuisance @ information_root(nuisance)
+    left = others - basis @ (basis.T @ others)
     # What is nothing but rounding must not be scaled up later.
     gone = np.linalg.norm(left, axis=0) < _EXPLAINED * np.linalg.norm(others, axis=0)
     left[:, gone] = 0.0
     return np.asarray(left)
-
-
-def _solved(matrix: Array, rhs: Array) -> tuple[Array, Array]:
-    """Return an orthonormal basis of the columns, and the least-squares solution."""
-    size = np.linalg.norm(matrix, axis=0)
-    size[size == 0.0] = 1.0
-    U, singular, Vt = np.linalg.svd(matrix / size, full_matrices=False)
-    keep = singular > _RANK * singular[0]
-    U = U[:, keep]
-    z = (Vt[keep].T / singular[keep]) @ (U.T @ rhs) / size
-    return U, z

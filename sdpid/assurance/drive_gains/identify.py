@@ -19,10 +19,14 @@ from sdpid.assurance.drive_gains.model_choice import (
     first_terms,
     gain_processing,
 )
-from sdpid.assurance.drive_gains.result import CarriedLoad, IdentifiedGains
+from sdpid.assurance.drive_gains.result import (
+    CarriedLoad,
+    IdentifiedGains,
+    basis_in_words,
+    notes_on,
+)
 from sdpid.assurance.drive_gains.rows import GainModel
 from sdpid.assurance.drive_gains.search import Task
-from sdpid.assurance.drive_gains.words import basis_in_words, notes_on
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.experiment.drive_gains.gains import DriveGains
@@ -148,7 +152,8 @@ def identify_drive_gains(
     loads = _loads(load, len(loaded))
     held = _held(model, known)
     _check_numbers(model, description_error, starts)
-    matched = [[_matched(model, log) for log in logs] for logs in (bare, loaded)]
+    require_open_chain(model, "gains")
+    matched = [[match_joints(model, log) for log in logs] for logs in (bare, loaded)]
     checks.require_every_current([*matched[0], *matched[1]])
     chosen, why = gain_processing([*matched[0], *matched[1]], processing)
     samples = [
@@ -241,12 +246,6 @@ def _recordings(given: Logs, name: str) -> tuple[Recording, ...]:
     )
     checks.require_currents(read, name)
     return read
-
-
-def _matched(robot: RobotModel, log: Recording) -> Recording:
-    """Return a recording with the robot's joints in its order, currents as they are."""
-    require_open_chain(robot, "gains")
-    return match_joints(robot, log)
 
 
 def _loads(given: float | Load | Sequence[float | Load] | None, count: int) -> tuple[Load, ...]:
