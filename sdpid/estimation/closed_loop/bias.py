@@ -279,7 +279,7 @@ def contrast(first: FirstStage, block: int) -> tuple[Array, Array, Array]:
     # What W explains of every v counts for nothing.
     explained = np.linalg.solve(gram[:, :r], gram[:, r:])
     own = scores[:, r:] - scores[:, :r] @ explained
-    freed = own + _hidden(gram[:, :r], inner, scores[:, :r], explained)
+    freed = own + _leverage_corrections(gram[:, :r], inner, scores[:, :r], explained)
     return own.mean(axis=0) + freed - freed.mean(axis=0), shift, effort
 
 
@@ -307,7 +307,7 @@ def _products(first: FirstStage, pair: Pair, block: int) -> tuple[Array, Array, 
     return np.array(inner), np.array(scores), shift, effort
 
 
-def _hidden(gram: Array, inner: Array, scores: Array, explained: Array) -> Array:
+def _leverage_corrections(gram: Array, inner: Array, scores: Array, explained: Array) -> Array:
     """Return what leverage hides of the sums of ``v_j·e``, (G, n), of the products of blocks."""
     # With Q the rows of W of a block in coordinates in which the columns of W are orthonormal, the
     # errors are ``(E − Q·Q^T)^(-1/2)·e = e + Q·h(Q^T·Q)·Q^T·e`` with ``h(x) = 1/(s + s²)`` and

@@ -67,7 +67,7 @@ class ControllerCheck:
         feeds it back; least squares would find too small or too large ratios (0.6 to 2.7 on BIRDy's
         RV2SQ). The commanded motion, as instrument, has no noise.
         """
-        measured, told = loop.twin.measured, loop.twin.samples(loop.told)
+        measured, told = loop.twin.measured, loop.twin.samples(loop.references)
         integral = None
         if loop.integral_gain is not None:
             integral = _integral(told.position - measured.position, loop)
@@ -131,7 +131,7 @@ class ControllerCheck:
         j = int(np.argmax(size / least))
         if size[j] <= share * least[j]:
             return None
-        error = loop.twin.positions(loop.told)[:, j] - measured[:, j]
+        error = loop.twin.positions(loop.references)[:, j] - measured[:, j]
         own, simulated = (float(np.sqrt(np.mean(e**2))) for e in (error, error + missed[:, j]))
         return (
             f"output error: joint {self.names[j]} does not follow what was commanded as it did in "

@@ -173,7 +173,7 @@ class ClosedLoop:
     ----------
     twin : Twin
         The recordings and their processing.
-    told : tuple of ndarray, shape (N, n)
+    references : tuple of ndarray, shape (N, n)
         What was commanded in each.
     paths : tuple of Path
         The same, for simulations.
@@ -186,7 +186,7 @@ class ClosedLoop:
     """
 
     twin: Twin
-    told: tuple[Array, ...]
+    references: tuple[Array, ...]
     paths: tuple[Path, ...]
     controller: Controller
     control_hz: float | None
@@ -234,7 +234,7 @@ class ClosedLoop:
             )
         return cls(
             twin=twin,
-            told=told,
+            references=told,
             paths=tuple(_path(log, as_measured=as_measured) for log in logs),
             controller=law,
             control_hz=control_hz,

@@ -422,7 +422,7 @@ class SensitivityRounds(DidimRounds):
             self.at, halvings = found, _HALVINGS + 1
             now = self._cost(linear, found, self.motions)
         for halving in range(halvings, _HALVINGS + 1):
-            candidate = found if not halving else _moved(start, found, 0.5**halving)
+            candidate = found if not halving else _between(start, found, 0.5**halving)
             motions = self.loop.follow(candidate.model())
             self.simulations += 1
             if motions[-1].diverged is None:
@@ -454,7 +454,7 @@ def _cost_in(problem: Problem, estimate: Estimate) -> float:
     return problem.cost_of(estimate.theta)
 
 
-def _moved(estimate: Estimate, towards: Estimate, share: float) -> Estimate:
+def _between(estimate: Estimate, towards: Estimate, share: float) -> Estimate:
     """Return the parameters some way from one estimate to another; between two feasible ones."""
     if towards.theta is None:
         base = estimate.base + share * (towards.base - estimate.base)

@@ -485,7 +485,7 @@ def starting(problem: Problem, start: Any, solver: Solver) -> tuple[RobotDynamic
         if model.theta.size != problem.n_theta:
             return model, None
         values = model.theta if values.theta is not None else values.base
-    found = _given(problem, values, solver)
+    found = _nearest_feasible(problem, values, solver)
     return found.model(), found
 
 
@@ -500,7 +500,7 @@ def _solution(problem: Problem, solver: Solver) -> Estimate:
         return found
 
 
-def _given(problem: Problem, start: Any, solver: Solver) -> Estimate:
+def _nearest_feasible(problem: Problem, start: Any, solver: Solver) -> Estimate:
     """Return standard or base parameters as an estimate, the nearest feasible one."""
     try:
         values = np.asarray(start, dtype=np.float64)

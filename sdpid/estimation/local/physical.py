@@ -138,9 +138,9 @@ class PhysicalVariables:
 
         That is the inertia about the center of mass, or for the 4×4 inequality the second moments.
         """
-        return self.turned(self._links(x)[2])
+        return self.bounded_by_margin(self._links(x)[2])
 
-    def turned(self, inertias: Array) -> Array:
+    def bounded_by_margin(self, inertias: Array) -> Array:
         """Return inertias about centers of mass (…, 3, 3) as what must exceed the margin."""
         of_moments = self.problem.consistency == "pseudo_inertia"
         return second_moment_from_inertia(inertias) if of_moments else inertias
@@ -160,12 +160,10 @@ def _link_jacobians(mass: Array, com: Array) -> Array:
 
 
 def _reducible_axis(problem: Problem) -> int | None:
-    """Return the axis of the first link when only its moment about that axis matters.
-
-    Then no parameter of the link but the inertia about the axis and the first moments across it
-    has a column in B, whatever the direction of gravity. A prior looks at all of them; rows and
-    cones may look at those that stay.
-    """
+    """Return the axis of the first link when only its moment about that axis matters."""
+    # Then no parameter of the link but the inertia about the axis and the first moments across it
+    # has a column in B, whatever the direction of gravity. A prior looks at all of them; rows and
+    # cones may look at those that stay.
     if problem.prior is not None:
         return None
     feasible = problem.feasible
@@ -278,7 +276,7 @@ class PhysicalConstraints:
 
         N is what must exceed the margin; scaled.
         """
-        basis = self.variables.turned(_TENSOR_BASIS)
+        basis = self.variables.bounded_by_margin(_TENSOR_BASIS)
         slopes = np.einsum("lia,kij,lja->lak", vectors, basis, vectors)
         links, count = slopes.shape[:2]
         each = np.zeros((links, count, links, 10))
