@@ -66,7 +66,8 @@ def test_gains_are_kept_shown_and_proven(folder: Path) -> None:
     assert "Gains that made efforts of currents: gains.toml, by a load of 2 kg" in report
     assert 'gains = "' in (out / "run.toml").read_text()
     said = printed("verify", out, "--data", folder / "run.csv", "--robot", folder / "arm.urdf")
-    assert "gains.toml: b 5.0, a 10.0 N.m/A" in said
+    assert '"name": "gains.toml"' in said
+    assert '"joint_names": ["b", "a"], "gains": [5.0, 10.0]' in said
     assert "PROVEN" in said.splitlines()[-1]
 
 

@@ -24,7 +24,7 @@ from tests.helpers.data import FRICTION, flat_links, make_samples, random_theta
 from tests.helpers.runs import arm, recorded
 
 RATE = 100.0
-SECONDS = 20.0
+SECONDS = 10.0
 LOAD = 2.0
 # N·m/A, of the logs of currents.
 GAINS = (13.0, 12.0, 10.0, 10.5, 10.0, 10.5)
