@@ -18,8 +18,7 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.workflow.runs.saved import SavedRun
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
-from tests.helpers.plans import small_plan
-from tests.helpers.standing import standing_plan
+from tests.helpers.plans import small_plan, standing_plan
 from tests.test_contract import BESIDE, CONTRACT
 
 # In one process, which makes the results once.

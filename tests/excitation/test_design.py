@@ -25,10 +25,10 @@ from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.robot.model.model import RobotModel
-from tests.helpers.dense_check import dense_check
 from tests.helpers.plans import small_plan
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.studies import study
 
 # Plans: within every limit at every instant, the same for a seed, and stoppable.
 
@@ -50,7 +50,7 @@ def test_a_plan_holds_its_limits_at_every_instant(plan: Plan) -> None:
 
 
 def test_a_plan_holds_its_limits_on_a_dense_grid(plan: Plan) -> None:
-    states = dense_check().states_of(plan.trajectory)
+    states = study("dense_check").states_of(plan.trajectory)
     limits = plan.joint_limits
     for reached, most in (
         (states.velocity, limits.velocity),
@@ -312,7 +312,7 @@ def test_mirrored_motions_have_the_slack_of_mirrored_limits() -> None:
 
 def test_no_grid_finds_less_slack_than_is_stated() -> None:
     plan = small_plan()
-    dense = dense_check()
+    dense = study("dense_check")
     states, limits = dense.states_of(plan.trajectory), plan.joint_limits
     kinds = ("lower", "upper", *KINDS)
     found = list(

@@ -24,8 +24,8 @@ from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.find import find_legs
+from tests.helpers.plans import standing_plan
 from tests.helpers.refusals import refuses
-from tests.helpers.standing import standing_plan
 
 
 def test_a_plan_holds_its_limits_and_tells_what_it_buys() -> None:

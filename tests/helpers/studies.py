@@ -9,7 +9,7 @@ _STUDIES = Path(__file__).parents[2] / "examples" / "studies"
 
 
 def study(name: str) -> ModuleType:
-    """Return a module of the studies, such as ``"certificate_judge"``."""
+    """Return a module of the studies, such as ``"certificate_judge"`` or ``"dense_check"``."""
     sys.path.append(str(_STUDIES))
     try:
         return importlib.import_module(name)
