@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
-import sdpid.estimation.compression.rows as rows_module
 from sdpid import Constraints, Recording, RobotModel, Samples, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
@@ -109,13 +108,6 @@ def test_unconstrained_eq18_is_gls_per_sample() -> None:
     np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
 
 
-def test_without_covariance_gls_is_the_sum_of_squares() -> None:
-    samples, theta, _ = noisy_samples(7)
-    problem = build_problem(ARM, samples)
-    residual = samples.effort - problem.predict(problem.base_of(theta))
-    assert problem.cost_of(theta) == pytest.approx(float(np.sum(residual**2)), rel=1e-10)
-
-
 def test_a_scaled_covariance_scales_the_cost_and_changes_no_estimate() -> None:
     samples, theta, _ = noisy_samples(8, covariance="one")
     first = build_problem(ARM, samples)
@@ -142,16 +134,6 @@ def test_masked_rows_have_no_influence() -> None:
     one, other = (build_problem(ARM, s) for s in (samples, replace(samples, effort=spoiled)))
     np.testing.assert_array_equal(one.A, other.A)
     assert other.cost_of(theta) == pytest.approx(one.cost_of(theta), rel=1e-10)
-
-
-def test_chunks_do_not_change_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
-    samples, theta, _ = noisy_samples(11, covariance="each", masked=True)
-    whole = build_problem(ARM, samples, weighting="gls_per_sample")
-    original = rows_module.RowSource.chunks
-    monkeypatch.setattr(rows_module.RowSource, "chunks", lambda self: original(self, 7))
-    chunked = build_problem(ARM, samples, weighting="gls_per_sample")
-    assert chunked.cost_of(theta) == pytest.approx(whole.cost_of(theta), rel=1e-11)
-    assert chunked.floor == pytest.approx(whole.floor, rel=1e-9)
 
 
 def test_a_floating_base() -> None:
