@@ -130,7 +130,7 @@ def test_validate_says_what_joints_and_base_miss(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a made with a robot, its log, and the results of a run."""
+    """Return a folder with a robot, its log, and the results of a run."""
     made = tmp_path_factory.mktemp("arm")
     write_arm(made, joint_names=["a", "b"])
     arguments = (made / "log.npz", "--robot", made / "arm.urdf", "--out", made / "results")
@@ -188,7 +188,7 @@ def test_a_run_that_gives_other_parameters_now(made: Path, tmp_path: Path) -> No
         (("results", "--seed", "-1"), "--seed"),
         (("results", "--probability", "1"), "probability is 1.0; give a probability between"),
         (("results", "--config", "results/run.toml"), "not both"),
-        (("nowhere",), "has no run.toml; give the made that `sdpid identify` wrote"),
+        (("nowhere",), "has no run.toml; give the folder that `sdpid identify` wrote"),
         (("results", "--no-urdf", "--no-mjcf"), "nothing to write"),
         (("results", "--out", "taken"), "ranges.json, which no run like this wrote"),
         (("results", "--out", "arm.urdf"), "it is a file"),
