@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -85,13 +87,14 @@ def proven_margins(feasible: FeasibleSet, theta: Array) -> list[float | None] | 
         return None
     out: list[float | None] = []
     for body, found in zip(feasible.bodies(theta), feasible.margins(theta), strict=True):
-        if not np.isfinite(found):
-            out.append(None)
-            continue
-        margin, step = float(found), _EPS * float(np.max(np.abs(body)))
-        while not has_margin(body.tolist(), margin, consistency):
-            margin, step = margin - step, 2.0 * step
-        if margin < required and has_margin(body.tolist(), required, consistency):
-            margin = required
-        out.append(margin)
+        known = np.isfinite(found)
+        out.append(proven_margin(body.tolist(), found, required, consistency) if known else None)
     return out
+
+
+def proven_margin(body: Sequence[Any], found: float, required: float, consistency: str) -> float:
+    """Return the largest margin of a body that exact arithmetic confirms, to rounding."""
+    margin, step = float(found), _EPS * max(abs(float(each)) for each in body)
+    while not has_margin(body, margin, consistency):
+        margin, step = margin - step, 2.0 * step
+    return required if margin < required and has_margin(body, required, consistency) else margin

@@ -15,6 +15,7 @@ from sdpid.experiment.processing.samples import Samples
 
 # What the rows are made of, in the order in which it is hashed.
 _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance")
+_OF_CONTACTS = ("offset", "down", "forces", "force_covariance")
 
 
 def rows_digest(problem: Problem) -> str | None:
@@ -23,13 +24,11 @@ def rows_digest(problem: Problem) -> str | None:
     Of several pieces it is that of their digests, one behind the other; None where the rows were
     not kept.
     """
-    return None if problem.rows is None else _joined(problem.rows.map(_of_rows))
-
-
-def _joined(digests: Sequence[str]) -> str:
-    if len(digests) == 1:
-        return digests[0]
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
+    if problem.rows is None:
+        return None
+    digests: Sequence[str] = problem.rows.map(_of_rows)
+    whole = "".join(digests)
+    return whole if len(digests) == 1 else hashlib.sha256(whole.encode()).hexdigest()
 
 
 def _of_rows(rows: RowSource) -> str:
@@ -45,26 +44,20 @@ def _of_rows(rows: RowSource) -> str:
 
 def _of_piece(samples: Samples) -> str:
     found = hashlib.sha256()
-    for name in _FIELDS:
-        values: Any = getattr(samples, name)
-        if values is None:
-            found.update(f"{name}: none\n".encode())
-            continue
-        array = np.ascontiguousarray(values, dtype="<f8")
-        found.update(f"{name}: {array.shape}\n".encode())
-        found.update(array.data)
-    if samples.contacts is not None:
-        _add_contacts(found, samples.contacts)
+    _add(found, samples, _FIELDS)
+    if (contacts := samples.contacts) is not None:
+        # Which there are, when they are closed, and what is known of their forces.
+        found.update(f"contacts: {contacts.frames} {contacts.kind}\n".encode())
+        if any(contacts.against):
+            found.update(f"against: {contacts.against}\n".encode())
+        _add(found, contacts, _OF_CONTACTS)
     return found.hexdigest()
 
 
-def _add_contacts(found: Any, contacts: ContactSamples) -> None:
-    """Hash which contacts there are, when they are closed, and what is known of their forces."""
-    found.update(f"contacts: {contacts.frames} {contacts.kind}\n".encode())
-    if any(contacts.against):
-        found.update(f"against: {contacts.against}\n".encode())
-    for name in ("offset", "down", "forces", "force_covariance"):
-        values: Any = getattr(contacts, name)
+def _add(found: Any, of: Samples | ContactSamples, names: Sequence[str]) -> None:
+    """Hash arrays, or that there are none."""
+    for name in names:
+        values: Any = getattr(of, name)
         if values is None:
             found.update(f"{name}: none\n".encode())
             continue

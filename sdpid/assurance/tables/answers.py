@@ -20,11 +20,10 @@ import numpy as np
 
 from sdpid import __version__
 from sdpid._common.files import atomic_write_text
+from sdpid.assurance.certificate.rounding import proven_margin
 from sdpid.errors import CertificateError, DataError
-from sdpid.robot.inertia import margin as margins_of
+from sdpid.robot.inertia import margin
 from sdpid.verifier import realizable, tables
-from sdpid.verifier.bodies import has_margin
-from sdpid.verifier.decimals import rounded
 from sdpid.verifier.reading import MalformedError, digest
 from sdpid.verifier.realizable import Question
 
@@ -39,10 +38,6 @@ _DIGITS = 400
 
 # Digits of decimals that are written as such; all others are fractions.
 _SHORT = 34
-
-# Margins are stated with this many digits, and each is tried so many times a little smaller.
-_MARGIN_DIGITS = 9
-_TRIALS = 8
 
 
 @dataclass(frozen=True)
@@ -214,21 +209,15 @@ def realization(question: Question, theta: Sequence[Fraction]) -> Realization | 
     short = [Fraction(repr(float(x))) for x in theta]
     for candidate in (short, list(theta)):
         if question.is_witness(candidate):
-            margins = tuple(
-                _margin(question, candidate[10 * i : 10 * i + 10]) for i in range(question.n_links)
-            )
+            bodies = [candidate[10 * i : 10 * i + 10] for i in range(question.n_links)]
+            margins = tuple(_margin(question, body) for body in bodies)
             return Realization(question=question, theta=tuple(candidate), margins=margins)
     return None
 
 
 def _margin(question: Question, body: Sequence[Fraction]) -> Fraction:
     """Return a margin that a body has exactly, close to the largest."""
-    found = margins_of(np.array([float(x) for x in body]), question.consistency)
-    largest = Fraction(float(found)) if np.isfinite(found) else question.margin
-    for trial in range(_TRIALS):
-        # From the last digit on, ten times as much less each time.
-        less = abs(largest) * Fraction(10) ** (trial - _MARGIN_DIGITS)
-        margin = rounded(largest - less, _MARGIN_DIGITS, up=False)
-        if margin > question.margin and has_margin(body, margin, question.consistency):
-            return margin
-    return question.margin
+    least, kind = question.margin, question.consistency
+    found = float(margin(np.array(body, dtype=float), kind))
+    found = found if np.isfinite(found) else float(least)
+    return max(Fraction(proven_margin(body, found, float(least), kind)), least)
