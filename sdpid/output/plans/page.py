@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from typing import Any, TypeAlias
 
@@ -21,31 +20,14 @@ from sdpid.output.plans.scene import scene_of
 from sdpid.output.scene.contents import FRAME_RATE
 
 
-@dataclass(frozen=True)
-class Tile:
-    """A number at the head of the page.
-
-    Attributes
-    ----------
-    name, value : str
-        What it is, and the number.
-    level : str
-        ``"good"``, ``"bad"`` or empty.
-    """
-
-    name: str
-    value: str
-    level: str = ""
-
-
-def tiles(plan: Plan) -> Iterator[Tile]:
-    """Yield the numbers at the head of the page."""
-    yield Tile("to run", f"{plan.trajectory.duration:.4g} s")
-    verdict = "held" if plan.limits.ok else "not held"
-    yield Tile("every limit, at every instant", verdict, "good" if plan.limits.ok else "bad")
-    yield Tile("condition number", number(plan.condition_number))
-    yield Tile("log det of the information", number(plan.log_det))
-    yield Tile("base parameters", str(len(plan.names)))
+def tiles(plan: Plan) -> Iterator[tuple[str, str, str]]:
+    """Yield the numbers at the head of the page: what it is, the number, and its level."""
+    yield "to run", f"{plan.trajectory.duration:.4g} s", ""
+    held, level = ("held", "good") if plan.limits.ok else ("not held", "bad")
+    yield "every limit, at every instant", held, level
+    yield "condition number", number(plan.condition_number), ""
+    yield "log det of the information", number(plan.log_det), ""
+    yield "base parameters", str(len(plan.names)), ""
 
 
 def sentences(plan: Plan) -> Iterator[tuple[str, str, str]]:

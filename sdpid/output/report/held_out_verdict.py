@@ -50,13 +50,7 @@ def _held_out(result: Judged) -> Iterator[Finding]:
     numbers = f"relative residual in motion {percent(held)}, on the training data {percent(own)}"
     if held_out.by == "blocks":
         if ratio > FAILS:
-            yield Finding(
-                "bad",
-                f"It does not predict what it has not seen: on blocks held out in turn {numbers}, "
-                f"{ratio:.1f} times as much. Parts of the recording show what the others do not: "
-                "record more of it.",
-                f"trust it on other motion: {ratio:.1f} times the error on blocks not fitted",
-            )
+            yield _not_seen(f"on blocks held out in turn {numbers}", ratio, "blocks")
         else:
             yield Finding(
                 "caution",
@@ -75,6 +69,16 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             "temperature).",
             f"trust it on other motion: {ratio:.1f} times the error on recordings not fitted",
         )
+
+
+def _not_seen(numbers: str, ratio: float, what: str) -> Finding:
+    """Return that what was held out of the recordings is predicted badly."""
+    return Finding(
+        "bad",
+        f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
+        "Parts of the recording show what the others do not: record more of it.",
+        f"trust it on other motion: {ratio:.1f} times the error on {what} not fitted",
+    )
 
 
 def _beaten(result: Judged) -> Iterator[Finding]:
@@ -141,12 +145,7 @@ def _crossed(result: Judged) -> Iterator[Finding]:
         f"{percent(high)}), on the training data {percent(crossed.training)}"
     )
     if ratio > FAILS:
-        yield Finding(
-            "bad",
-            f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
-            "Parts of the recording show what the others do not: record more of it.",
-            f"trust it on other motion: {ratio:.1f} times the error on {what} not fitted",
-        )
+        yield _not_seen(numbers, ratio, what)
     elif blocks:
         yield Finding("caution", f"It predicts blocks of the same motion: {numbers}.")
     elif ratio <= CARRIES:

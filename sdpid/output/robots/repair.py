@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -274,20 +274,10 @@ class _Repair:
                 exact_second_moment(exact), exact_second_moment(entries), Fraction(floor)
             )
         self._set(link, values, None if mass is None else repr(mass))
-        changed = DescribedBody(
-            name=body.name,
-            described=True,
-            moving=body.moving,
-            carrier=body.carrier,
-            mass=new_mass,
-            com=np.zeros(3) if body.com is None else body.com,
-            rotation=body.rotation,
-            entries=entries,
-            placement=body.placement,
-            joint=body.joint,
-            parent=body.parent,
+        com = np.zeros(3) if body.com is None else body.com
+        self.bodies[body.name] = replace(
+            body, described=True, mass=new_mass, com=com, entries=entries, half_digit=0.0
         )
-        self.bodies[body.name] = changed
         self.done[body.name] = RepairedBody(
             link=body.name,
             reason=reason,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def identified_scene(
     for key, own in bodies.items():
         found, lacking = _ellipsoids(robot, own, key, _FAR * reach)
         drawn += found
-        told += list(lacking)
+        told += lacking
     return robot_scene(
         robot,
         motion,
@@ -71,38 +71,32 @@ def identified_scene(
 
 def _ellipsoids(
     robot: RobotModel, bodies: Array, key: str, far: float
-) -> tuple[list[tuple[int, str, Ellipsoid]], Iterator[str]]:
+) -> tuple[list[tuple[int, str, Ellipsoid]], list[str]]:
     """Return the ellipsoids of bodies, and what is told of those that have none."""
-    drawn, bare, wrong, large = [], [], [], []
+    whose = "The description" if key == "described" else "The estimate"
+    drawn = []
+    # Sentences about bodies without one, and whom they are about.
+    bare: tuple[str, list[str]] = "has no inertia of {}.", []
+    wrong: tuple[str, list[str]] = (
+        "has inertias that no body can have of {}: there is no ellipsoid to draw.",
+        [],
+    )
+    large: tuple[str, list[str]] = (
+        f"has ellipsoids that reach farther than {far:.2g} m from their joint, which are not "
+        "drawn: {}.",
+        [],
+    )
     for link, (name, body) in enumerate(zip(robot.link_names, bodies, strict=True)):
         if not np.any(body):
-            bare.append(name)
+            bare[1].append(name)
         elif (found := inertia_ellipsoid(body)) is None:
-            wrong.append(name)
+            wrong[1].append(name)
         elif np.linalg.norm(found.center) + found.lengths[-1] > far:
-            large.append(name)
+            large[1].append(name)
         else:
             drawn.append((link, key, found))
-    return drawn, _lacking(key, bare, wrong, large, far)
-
-
-def _lacking(
-    key: str, bare: Sequence[str], wrong: Sequence[str], large: Sequence[str], far: float
-) -> Iterator[str]:
-    """Yield sentences about bodies without an ellipsoid."""
-    whose = "The description" if key == "described" else "The estimate"
-    if bare:
-        yield f"{whose} has no inertia of {', '.join(bare)}."
-    if wrong:
-        yield (
-            f"{whose} has inertias that no body can have of {', '.join(wrong)}: there is no "
-            "ellipsoid to draw."
-        )
-    if large:
-        yield (
-            f"{whose} has ellipsoids that reach farther than {far:.2g} m from their joint, which "
-            f"are not drawn: {', '.join(large)}."
-        )
+    told = [f"{whose} {text.format(', '.join(n))}" for text, n in (bare, wrong, large) if n]
+    return drawn, told
 
 
 def _label(robot: RobotModel, keys: Sequence[str]) -> str:

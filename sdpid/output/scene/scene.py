@@ -130,10 +130,7 @@ def robot_scene(
         "size": size,
         "eye": [*_EYE, distance],
         "follow": robot.free_flyer,
-        "groups": [
-            {"key": each.key, "color": each.color, "opacity": each.opacity, "filled": each.filled}
-            for each in groups
-        ],
+        "groups": [vars(each) for each in groups],
         "surfaces": [
             {
                 "link": each.link,
