@@ -270,21 +270,15 @@ def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
         For an unknown name, and for what holds no names.
     """
     known = [effect.name for effect in EFFECTS]
+    remedy = f"use 'auto', 'none' or some of {', '.join(known)}"
     try:
         given = effects.split(",") if isinstance(effects, str) else tuple(effects)
     except TypeError:
-        raise DataError(
-            f"effects: is {effects!r}; use 'auto', 'none' or some of {', '.join(known)}."
-        ) from None
+        raise DataError(f"effects: is {effects!r}; {remedy}.") from None
     names = tuple(name.strip() if isinstance(name, str) else name for name in given)
-    if names == ("auto",):
-        return None
-    if names == ("none",):
-        return ()
+    if names in (("auto",), ("none",)):
+        return None if names == ("auto",) else ()
     for name in names:
         if name not in known:
-            raise DataError(
-                f"effects: no effect is called {name!r}; use 'auto', 'none' or some of "
-                f"{', '.join(known)}."
-            )
+            raise DataError(f"effects: no effect is called {name!r}; {remedy}.")
     return names

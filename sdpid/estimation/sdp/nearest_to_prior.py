@@ -8,14 +8,12 @@ pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [le
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.coordinates import Coordinates, Limits
 from sdpid.estimation.problem import Problem
@@ -32,16 +30,12 @@ _IN_OWN_SCALE = (False, True)
 _WEIGHTS = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _REGULARIZATION = 1e-10
 
-T = TypeVar("T")
-
 # Null directions of the scaled base matrix: its singular values are of order one or rounding.
 _NULL = 1e-9
 
 
-def nearest_on_face(
-    problem: Problem, theta: Array, accept: Callable[[Array], T | None]
-) -> tuple[T | None, float]:
-    """Find parameters with theta's base parameters, as near to the reference as will do.
+def nearer_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array | None, float]]:
+    """Yield parameters with theta's base parameters that are nearer to the reference.
 
     Parameters
     ----------
@@ -49,16 +43,14 @@ def nearest_on_face(
         The problem, with a consistency.
     theta : ndarray, shape (p,)
         Feasible parameters.
-    accept : callable
-        Takes parameters (p,) that are nearer than theta and feasible but for rounding; returns what
-        it makes of them, or None where they are not good enough after all.
 
-    Returns
-    -------
-    found : object or None
-        What `accept` made of the first that are good enough.
+    Yields
+    ------
+    point : ndarray, shape (p,), or None
+        Feasible but for rounding, where an attempt found it: the nearest first, then such as are
+        nearer as far as they cost little.
     seconds : float
-        In the solver.
+        In the solver, of this attempt.
     """
     feasible = problem.feasible
     links = 10 * feasible.n_links
@@ -70,39 +62,27 @@ def nearest_on_face(
     rank = int(np.count_nonzero(singular > _NULL * singular[0]))
     null = basis @ rows[rank:].T
     if null.shape[1] == 0:
-        return accept(theta), 0.0
+        yield theta, 0.0
+        return
     goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
     there = np.column_stack([null[:links], (theta - goal)[:links]])
     distance = np.linalg.solve(basis[:links, :links], there)
-
-    def accepted(point: Array) -> tuple[T, float] | None:
-        made = accept(point)
-        return None if made is None else (made, 0.0)
-
-    def step(own_scale: bool) -> ConicSolution:
+    for own_scale in _IN_OWN_SCALE:
         scaling = reference.around(theta) if own_scale else reference
-        return _step(problem, theta, null, distance, scaling)
-
-    def nearer(x: Array, _: ConicSolution) -> tuple[T, float] | None:
-        left = np.linalg.norm(distance[:, :-1] @ x + distance[:, -1])
-        return accepted(theta + null @ x) if left <= np.linalg.norm(distance[:, -1]) else None
-
-    found = solve_with_retries(step, _IN_OWN_SCALE, nearer)
-    if found.value is not None:
-        return found.value, found.seconds
+        step = _step(problem, theta, null, distance, scaling)
+        left = np.inf if step.x is None else np.linalg.norm(distance @ np.append(step.x, 1.0))
+        nearer = left <= np.linalg.norm(distance[:, -1])
+        yield theta + null @ step.x if nearer else None, step.seconds
     scaling = replace(reference, cost=max(reference.cost, problem.cost_of(theta)))
     coordinates = Coordinates.of(problem, basis, goal)
     if coordinates is None:
-        return None, found.seconds
-
-    def weighed(weight: float) -> ConicSolution:
+        return
+    for weight in _WEIGHTS:
         program = SdpProgram.build(
             problem, scaling, coordinates, feasible.bounded, proximal_weight=weight
         )
-        return solve_conic(program.conic, regularization=_REGULARIZATION)
-
-    again = solve_with_retries(weighed, _WEIGHTS, lambda x, _: accepted(coordinates.theta(x)))
-    return again.value, found.seconds + again.seconds
+        found = solve_conic(program.conic, regularization=_REGULARIZATION)
+        yield None if found.x is None else program.theta(found), found.seconds
 
 
 def distance_to_reference(problem: Problem, theta: Array) -> float:

@@ -17,7 +17,7 @@ from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.infeasibility import explained, require_consistent
-from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
+from sdpid.estimation.sdp.nearest_to_prior import nearer_on_face
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.repair import repair
 from sdpid.estimation.wls import solve_wls
@@ -321,18 +321,21 @@ def settled(estimate: Estimate, bound: float) -> Estimate:
         return estimate
     allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
 
-    def moved_to(point: Array) -> Estimate | None:
+    seconds = estimate.solve_time
+    for point, spent in nearer_on_face(problem, np.array(estimate.theta)):
+        seconds += spent
+        if point is None:
+            continue
         theta = repair(problem, point)
         moved = replace(
             estimate,
             theta=frozen(theta),
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
+            solve_time=seconds,
         )
         proven = relative_gap(problem, moved.cost, bound) <= PROVEN
-        return moved if moved.feasible and moved.cost <= allowed and proven else None
-
-    moved, seconds = nearest_on_face(problem, np.array(estimate.theta), moved_to)
-    if moved is None:
-        moved = replace(estimate, message=f"{estimate.message}; any point of the optimal face")
-    return replace(moved, solve_time=estimate.solve_time + seconds)
+        if moved.feasible and moved.cost <= allowed and proven:
+            return moved
+    message = f"{estimate.message}; any point of the optimal face"
+    return replace(estimate, message=message, solve_time=seconds)
