@@ -17,13 +17,19 @@ from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.infeasibility import explained, require_consistent
-from sdpid.estimation.sdp.nearest_to_prior import nearer_on_face
+from sdpid.estimation.sdp.nearest_to_prior import distance_to_reference, nearer_on_face
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.repair import repair
 from sdpid.estimation.wls import solve_wls
 
 # Choosing among the optimal points may cost this share of the cost.
 _FACE = 1e-7
+
+# The nearest point is sought again from the last one as long as that is nearer by this share: far
+# from the description the units of an attempt are not those of the nearest point (UR10 without a
+# prior: 278 at first, then 244 and no less).
+_GAINS = 0.01
+_PASSES = 5
 
 # Statuses that come without a point, and those of them that say that there is none. A numerical
 # error leaves the last point: it is judged by what is recomputed, and the next attempt begins
@@ -320,22 +326,22 @@ def settled(estimate: Estimate, bound: float) -> Estimate:
         # Without matrix inequalities nothing says what is near; with a prior nothing is free.
         return estimate
     allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
-
-    seconds = estimate.solve_time
-    for point, spent in nearer_on_face(problem, np.array(estimate.theta)):
-        seconds += spent
-        if point is None:
-            continue
-        theta = repair(problem, point)
-        moved = replace(
-            estimate,
-            theta=frozen(theta),
-            base=frozen(problem.base_of(theta)),
-            message=f"{estimate.message}; nearest to the description on the optimal face",
-            solve_time=seconds,
-        )
-        proven = relative_gap(problem, moved.cost, bound) <= PROVEN
-        if moved.feasible and moved.cost <= allowed and proven:
-            return moved
+    nearest, far, seconds = estimate, np.inf, estimate.solve_time
     message = f"{estimate.message}; any point of the optimal face"
-    return replace(estimate, message=message, solve_time=seconds)
+    for _ in range(_PASSES):
+        found = None
+        for point, spent in nearer_on_face(problem, np.array(nearest.theta)):
+            seconds += spent
+            if point is None:
+                continue
+            theta = repair(problem, point)
+            moved = replace(estimate, theta=frozen(theta), base=frozen(problem.base_of(theta)))
+            proven = relative_gap(problem, moved.cost, bound) <= PROVEN
+            if moved.feasible and moved.cost <= allowed and proven:
+                found, distance = moved, distance_to_reference(problem, theta)
+                break
+        if found is None or distance > (1.0 - _GAINS) * far:
+            break
+        nearest, far = found, distance
+        message = f"{estimate.message}; nearest to the description on the optimal face"
+    return replace(nearest, message=message, solve_time=seconds)
