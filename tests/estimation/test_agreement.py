@@ -105,6 +105,19 @@ def test_a_prior_that_both_state_cancels(first: Estimate) -> None:
     assert result.rank == 4
 
 
+def test_errors_of_the_same_gains_cancel() -> None:
+    known: Any = {"joint_names": ARM.joint_names, "gains": [10.0, 4.0]}
+
+    def sizes(*variances: float) -> Array:
+        gains = [sdpid.DriveGains(**known, covariance=v * np.eye(2)) for v in variances]
+        one, two = (estimated(replace(drawn(k + 1), gains=g)) for k, g in enumerate(gains))
+        return np.array([each.standard_error for each in one.compare_to(two).differences])
+
+    exact, same, other = sizes(0.0, 0.0), sizes(0.2, 0.2), sizes(0.2, 0.201)
+    assert np.all(same < 1.1 * exact)
+    assert np.max(other / same) > 5.0
+
+
 def test_other_priors_are_told(first: Estimate) -> None:
     base = first.problem.base
     one = estimated(drawn(1), prior=sdpid.Prior(bodies=BODIES), base=base)
@@ -171,6 +184,9 @@ def test_what_cannot_be_compared_is_said(first: Estimate) -> None:
     samples = make_samples(three, theta, np.random.default_rng(0), noise=0.1)
     alien = sdpid.solve_wls(build_problem(three, samples))
     refuses(DataError, "compare estimates of one robot", first.compare_to, alien)
+    base = replace(first.problem.base, matrix=2.0 * first.problem.base.matrix)
+    twice = replace(first, problem=replace(first.problem, base=base))
+    refuses(DataError, "are their kinematics the same", first.compare_to, twice)
     refuses(DataError, "level is 95", first.compare_to, first, level=95)
     bare = sdpid.solve_wls(first.problem.without_rows())
     refuses(DataError, "were not kept", first.compare_to, bare)

@@ -378,21 +378,15 @@ def test_what_the_data_do_not_show_is_left_to_the_prior(clean: Samples) -> None:
     assert second.weak == ()
 
 
-def test_instruments_that_do_not_move_with_the_robot_are_refused(
+def test_weak_instruments_are_named_and_those_of_another_motion_refused(
     shaken_fit: Problem, clean: Samples
 ) -> None:
-    rng = np.random.default_rng(0)
-    names = ("position", "velocity", "acceleration")
-    other = replace(clean, **{name: rng.standard_normal(clean.effort.shape) for name in names})
-    with pytest.raises(IdentifiabilityError, match="does not move with the measured motion"):
-        sdpid.solve_instrumental(shaken_fit, instruments=other)
-
-
-def test_weak_instruments_are_named(shaken_fit: Problem, clean: Samples) -> None:
     noisy = shaken(clean, 7, size=0.6)
     second = sdpid.solve_instrumental(shaken_fit, instruments=noisy, solver=sdpid.solve_wls)
     assert second.weak
     assert "weak for" in second.message
+    other, words = shaken(clean, 0, size=1e6), "not move with the measured motion"
+    refuses(IdentifiabilityError, words, sdpid.solve_instrumental, shaken_fit, instruments=other)
 
 
 def test_other_problems_are_refused_before_a_solve(shaken_fit: Problem, clean: Samples) -> None:

@@ -391,15 +391,6 @@ def test_hidden_convexity_from_many_starts(
     assert converged >= least
 
 
-def test_an_estimate_is_shown_in_short(planar: Problem) -> None:
-    estimate = solve_slsqp(planar, seed=3, max_iterations=5)
-    assert len(repr(estimate)) < 200
-    shown = estimate._repr_html_()
-    assert f"<td>{planar.robot.name}</td>" in shown
-    assert "<td>slsqp</td>" in shown
-    assert all(name in shown for name in planar.base.names)
-
-
 @given(SEEDS, st.sampled_from(BOTH), st.sampled_from([0.0, 0.05]), st.floats(0.001, 5.0))
 @settings(max_examples=20)
 def test_random_starts_are_feasible(

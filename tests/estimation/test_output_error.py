@@ -221,13 +221,10 @@ def test_bad_input_is_told_before_a_solve(options: Any, message: str) -> None:
     refuses(DataError, message, solve, **options)
 
 
-def test_other_problems_are_told() -> None:
+def test_other_problems_and_divergence_are_told() -> None:
     with pytest.raises(DataError, match="not that of the measured samples"):
         sdpid.solve_output_error(solved(), log(), controller=LAW)
     refuses(DataError, "give a Problem", sdpid.solve_output_error, log(), log())
-
-
-def test_divergence_is_told() -> None:
     wild = sdpid.controllers.PD(np.array([8e5, 8e5]), np.array([0.0, 0.0]))
     refuses(SolverError, "diverges under PD", solve, controller=wild, control_hz=50.0)
 
