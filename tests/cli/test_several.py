@@ -125,7 +125,7 @@ def test_validate_says_what_joints_and_base_miss(tmp_path: Path) -> None:
     assert next(iter(found["joints"])) == "FL_HAA"
 
 
-# ``sdpid sample``: robots from the made of a run, or one line and a status.
+# ``sdpid sample``: robots from the folder of a run, or one line and a status.
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_robots_of_a_results_folder(made: Path, tmp_path: Path) -> None:
     assert all(sdpid.audit_urdf(path).passed for path in out.glob("*.urdf"))
     assert set(content["ranges"]["bodies"]) == {"upper", "fore"}
     assert content["number"] == 3
-    # The file of the run names the made of results; nothing is written there.
+    # The file of the run names the folder of results; nothing is written there.
     assert {path.name: path.read_bytes() for path in results.iterdir()} == before
     again = tmp_path / "again"
     done = run("sample", "--config", results / "run.toml", "-n", 3, "--out", again, "-q")

@@ -91,8 +91,11 @@ def test_any_digit_of_any_file(folder: Path, tmp_path_factory: Any, data: st.Dat
     at = data.draw(st.sampled_from(digits))
     new = data.draw(st.sampled_from(sorted({*b"0123456789"} - {text[at]})))
     path = Path(shutil.copytree(folder, tmp_path_factory.mktemp("digit") / "copy"))
-    (path / name).write_bytes(text[:at] + bytes([new]) + text[at + 1 :])
+    changed = text[:at] + bytes([new]) + text[at + 1 :]
+    (path / name).write_bytes(changed)
     try:
+        # The last of seventeen digits may be another of the same number, and so of the same seal.
+        assume(name != "manifest.json" or json.loads(changed) != json.loads(text))
         problems = verified(path).problems
     except (MalformedError, json.JSONDecodeError):  # no JSON has numbers such as 02
         assert name in ("manifest.json", "certificate.json")
