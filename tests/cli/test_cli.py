@@ -540,26 +540,18 @@ def test_names_that_do_not_match(tmp_path: Path, denso: sdpid.RobotModel) -> Non
     assert "joint_6" in shown.stdout
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "word"),
-    [("--margin", "1e6", "the margin of 1000000"), ("--mass-max", "1e-6", "mass_max 1e-06")],
-)
-def test_the_infeasible_ends_with_3(
-    option: str, value: str, word: str, log: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    done = run("identify", log, "--robot", ROBOT, option, value, "--out", out, "--no-figures")
-    refused(done, 3, word)
-    assert not out.exists()
-
-
-def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
+def test_the_infeasible_and_the_unidentifiable_end_with_3(log: Path, tmp_path: Path) -> None:
     motion = wave()
     motion[:, 0] = 0.0
-    path = csv_log(tmp_path / "log.csv", motion)
-    out = tmp_path / "out"
-    refused(run("identify", path, *READ, "--robot", ROBOT, "--out", out), 3, "do not excite")
-    assert not out.exists()
+    path, out = csv_log(tmp_path / "log.csv", motion), tmp_path / "out"
+    for arguments, words in (
+        ((log, "--margin", "1e6"), "the margin of 1000000"),
+        ((log, "--mass-max", "1e-6"), "mass_max 1e-06"),
+        ((path, *READ), "do not excite"),
+    ):
+        done = run("identify", *arguments, "--robot", ROBOT, "--out", out, "--no-figures")
+        refused(done, 3, words)
+        assert not out.exists()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ def identify(folder: Path, *more: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def wait(run: subprocess.Popen[str], begun: Callable[[], bool]) -> None:
+    """Wait until a run has begun, which must not end before."""
+    ends = time.monotonic() + 300.0
+    while not begun():
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < ends
+        time.sleep(0.002)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -50,11 +60,7 @@ def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float
     before = contents(folder / "out")
     # Another margin, so that files of this run would differ.
     run = identify(folder, "--margin", "1e-4")
-    ends = time.monotonic() + 300.0
-    while not any(path.name.startswith(".sdpid-") for path in (folder / "out").iterdir()):
-        assert run.poll() is None, run.communicate()
-        assert time.monotonic() < ends
-        time.sleep(0.002)
+    wait(run, lambda: any((folder / "out").glob(".sdpid-*")))
     time.sleep(delay)
     run.send_signal(number)
     _, stderr = run.communicate(timeout=300)
@@ -66,11 +72,7 @@ def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float
 def test_a_first_run_leaves_nothing(folder: Path) -> None:
     fresh = folder / "fresh"
     run = identify(folder, "--out", "fresh")
-    ends = time.monotonic() + 300.0
-    while not fresh.exists():
-        assert run.poll() is None
-        assert time.monotonic() < ends
-        time.sleep(0.002)
+    wait(run, fresh.exists)
     run.terminate()
     _, stderr = run.communicate(timeout=300)
     assert run.returncode == 128 + signal.SIGTERM
