@@ -261,6 +261,16 @@ def test_uniform_in_a_cone(size: int) -> None:
     assert squares.mean() == pytest.approx(expected, abs=5.0 * squares.std() / np.sqrt(500))
 
 
+def test_a_chain_that_rounding_would_take_out_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = "sdpid.assurance.sampling.walk.drawn_on_lines"
+    monkeypatch.setattr(steps, lambda *_: np.array([1e3, 1e-3]))
+    begin = np.tile(np.einsum("kii->k", symmetric_basis(4)) / 5.0, (2, 1))
+    rng, covariance = np.random.default_rng(0), np.eye(begin.shape[1])
+    (ends,) = hit_and_run(cone(4), begin, covariance=covariance, rng=rng, count=1)
+    assert np.array_equal(ends[0], begin[0])
+    assert not np.any(ends[1] == begin[1])
+
+
 @pytest.mark.parametrize("power", [0.5, 3.0])
 def test_wishart_with_a_power_of_the_determinant(power: float) -> None:
     scale = np.diag([0.1, 0.2, 0.5, 1.0]) + 0.05
