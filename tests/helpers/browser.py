@@ -26,7 +26,7 @@ OPTIONS = (
 )
 
 # Seconds after which the browser is given up.
-PATIENCE = 60.0
+PATIENCE = 300.0
 
 
 class Tab:

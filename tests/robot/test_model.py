@@ -930,7 +930,7 @@ def test_the_random_state_of_the_process_has_no_say(table_iv: BaseParameters) ->
         "print(*b.names)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300
     )
     assert tuple(done.stdout.split()) == table_iv.names
 

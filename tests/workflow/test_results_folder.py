@@ -276,7 +276,7 @@ def test_what_a_living_run_prepares_stays(result: Identification, tmp_path: Path
     with subprocess.Popen([*run, "1"], stdout=subprocess.PIPE, text=True) as living:
         assert living.stdout.readline() == "ready\n"
         result.save(tmp_path, figures=False)
-        assert living.wait(timeout=30) == 0
+        assert living.wait(timeout=300) == 0
     with subprocess.Popen([*run, "60"], stdout=subprocess.PIPE, text=True) as killed:
         assert killed.stdout.readline() == "ready\n"
         killed.kill()
