@@ -675,6 +675,27 @@ def test_joints_that_do_not_match_are_a_finding(slow: Recording, robot: sdpid.Ro
     assert "left_elbow_joint is elbow_joint" in finding.message
 
 
+def test_columns_of_other_joints_and_in_another_order_are_told(
+    slow: Recording, robot: sdpid.RobotModel
+):
+    turned = ordered(REVERSED, *ALL)(replace(slow, joint_names=slow.names[::-1]))
+    (finding,) = inspect_recording(turned, robot).findings
+    assert (finding.severity, finding.kind) == ("note", "joints")
+    assert "taken in the robot's order, the columns are of wrist_3_joint" in finding.message
+    wider = {name: getattr(slow, name)[:, [*range(6), 0]] for name in ALL}
+    more = replace(slow, joint_names=(*slow.names, "gripper"), **wider)
+    (finding,) = inspect_recording(more, robot).findings
+    assert finding.message == "columns of joints that the robot lacks are left out: gripper"
+
+
+def test_a_log_that_is_too_slow_for_a_robot_is_in_another_unit(slow: Recording):
+    creeps = Recording(time=20.0 * SLOW_T, position=0.1 * slow.position, effort=slow.effort)
+    (finding,) = [f for f in inspect_recording(creeps).findings if f.kind == "time_unit"]
+    assert finding.severity == "refuse"
+    assert "time: at 10 Hz no joint is faster than" in finding.message
+    assert finding.numbers["speed"] < finding.numbers["limit"] == 0.02
+
+
 def test_files_and_names_are_read(slow: Recording, robot: sdpid.RobotModel, tmp_path: Path):
     wrong = flipped("effort")(slow)
     path = tmp_path / "run.npz"
@@ -690,6 +711,10 @@ def test_findings_are_data(slow: Recording, robot: sdpid.RobotModel):
     wrong = flipped("effort")(slow)
     first, second = inspect_recordings((slow, wrong), robot), inspect_recordings((wrong,), robot)
     assert [str(each) for each in first] == [f"recording 2: {each}" for each in second]
+    inspection = inspect_recording(wrong, robot)
+    assert repr(inspection) == "Inspection(ok=False, findings: 1 refuse)"
+    assert inspection.to_dict() == {"ok": False, "findings": [second[0].to_dict()]}
+    assert "<td>effort_sign</td>" in inspection._repr_html_()
     entry = second[0].to_dict()
     assert entry["severity"] == "refuse"
     assert entry["numbers"]["unexplained_mended"] < 0.05

@@ -669,7 +669,7 @@ def test_bias_of_a_base_at_rest_may_be_a_tilt() -> None:
     assert "axes that are tilted would show the same" in finding.message
 
 
-def test_mirrored_gyroscope_is_told_from_a_turned_one() -> None:
+def test_mirrored_gyroscope_is_told_from_a_turned_one(monkeypatch: pytest.MonkeyPatch) -> None:
     rates = np.array(go1("trot").base.imu.gyroscope)
     fits = [
         imu_checks.gyroscope_fit(with_imu(go1("trot"), gyroscope=changed))
@@ -677,6 +677,13 @@ def test_mirrored_gyroscope_is_told_from_a_turned_one() -> None:
     ]
     assert [mirrored for *_, mirrored in fits] == [True, False]
     assert set(fits[1][0]) == {"axes"}
+    # An axis that turns little, as none does here, leaves less than half unexplained.
+    monkeypatch.setattr(base_checks, "_WRONG_SHARE", 2.0)
+    told = imu_found(with_imu(go1("trot"), gyroscope=rates * [1.0, 1.0, -1.0]))
+    assert told[0].message.startswith(
+        "axes of the gyroscope are mirrored: no rotation makes it the pose's turning, and x, y, z "
+        "are x, y, -z measured does"
+    )
 
 
 def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
