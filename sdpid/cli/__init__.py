@@ -5,6 +5,7 @@ Heavy libraries are imported inside the commands, so that ``sdpid --help`` answe
 
 from __future__ import annotations
 
+import gc
 import os
 from typing import Annotated
 
@@ -27,6 +28,9 @@ from sdpid.cli.robots import robots
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
+
+# New objects after which cycles of them are looked for; the default is 700.
+_NEW_OBJECTS = 100_000
 
 app = typer.Typer(
     cls=Commands,
@@ -82,6 +86,9 @@ def main() -> None:
     """Run the command."""
     open_standard_streams()
     clean_up_when_ended()
+    # While libraries load, the default looks for cycles hundreds of times, and finds none: a
+    # twentieth of a run.
+    gc.set_threshold(_NEW_OBJECTS)
     # Nothing is drawn by MuJoCo here. Else it imports glfw, which asks child processes for
     # versions; they print a traceback where a signal ends this process before it has asked.
     os.environ["MUJOCO_GL"] = "disable"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.processing.filters import correlated
 from sdpid.experiment.processing.motion import band, spectrum
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import moving
@@ -120,8 +121,6 @@ def _motion(log: Recording, grid: Grid, moves: NDArray[np.bool_]) -> float | Non
 
 def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | None:
     """Return the signals of `Rows` of a piece, (samples, n) each; None if it is too short."""
-    from scipy.ndimage import gaussian_filter1d
-
     count = max(1, int(1.0 / (grid.step * _SAMPLES * cutoff)))
     step = count * grid.step
     width = max(_GAUSSIAN / (cutoff * step), 1.0)
@@ -133,10 +132,7 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | N
         return np.column_stack([_averaged(table[:, j], grid, count) for j in range(log.n)])
 
     def smooth(values: Array, order: int, share: float = 1.0) -> Array:
-        found = gaussian_filter1d(
-            values, max(share * width, 1.0), axis=0, order=order, mode="nearest", truncate=_REACH
-        )
-        return np.asarray(found / step**order)
+        return correlated(values, _gaussian(max(share * width, 1.0), order)) / step**order
 
     position, effort = channels(log.position), channels(log.effort)
     # The sign changes fast: it is taken of a velocity that is filtered less, and then filtered.
@@ -152,6 +148,15 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | N
     if log.velocity is not None:
         signals["recorded_velocity"] = smooth(channels(log.velocity), 0)
     return {name: each[edge:-edge] for name, each in signals.items()}
+
+
+def _gaussian(width: float, order: int) -> Array:
+    """Return weights of a sample's neighbors for its mean, or a derivative, under a Gaussian."""
+    reach = int(_REACH * width + 0.5)
+    place = np.arange(-reach, reach + 1) / width
+    window = np.exp(-0.5 * place**2)
+    shape = (np.ones_like(place), place / width, (place**2 - 1.0) / width**2)[order]
+    return np.asarray(shape * window / window.sum())
 
 
 def _averaged(column: Array, grid: Grid, count: int) -> Array:

@@ -12,6 +12,7 @@ from sdpid.experiment.processing.filters import (
     BAND_OVER_RATE,
     Weights,
     ZeroPhaseFilter,
+    correlated,
     low_pass,
     stencil,
 )
@@ -98,10 +99,7 @@ class Smooth:
 
     def second(self, values: Array) -> Array:
         """Return the second derivative of signals (N, ...)."""
-        from scipy.ndimage import correlate1d
-
-        rate = correlate1d(values, self.weights.second, axis=0, mode="nearest")
-        return np.asarray(rate / self.step**2)
+        return correlated(values, self.weights.second) / self.step**2
 
     def turning(self, base: BaseMotion) -> Array:
         """Return the angular velocity of a base by its orientation, in its axes, (N, 3)."""
