@@ -23,6 +23,7 @@ from .reading import (
     MalformedError,
     digest,
     index,
+    listed,
     names,
     numbers,
     parse,
@@ -223,7 +224,7 @@ def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
     loss = "" if origin["loss"] is None else f", loss {shown(text(origin['loss'], 'loss'))}"
     first = (
         f"Robot {shown(text(origin['robot'], 'robot'))}: {links} links "
-        f"({_listed(proof.link_names)}), {len(joints)} joints, {p} parameters, "
+        f"({listed(proof.link_names, _MOST_NAMES)}), {len(joints)} joints, {p} parameters, "
         f"{p - 10 * links} of them friction and drives, {b} base parameters; "
         f"weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
     )
@@ -234,12 +235,6 @@ def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
     )
     feasible = f"Feasible are parameters with {_constraints(proof)}."
     return first, feasible, *(open_ if b < p else ())
-
-
-def _listed(words: list[str]) -> str:
-    """Return words, of which only some are listed where there are many."""
-    more = f" and {len(words) - _MOST_NAMES} more" if len(words) > _MOST_NAMES else ""
-    return ", ".join(words[:_MOST_NAMES]) + more
 
 
 def _constraints(proof: Proof) -> str:
@@ -253,7 +248,7 @@ def _constraints(proof: Proof) -> str:
         others = [
             f"{n} from {low!r} to {high!r}" for low, high, n in masses if (low, high) != usual
         ]
-        but = f", but {_listed(others)}" if others else ""
+        but = f", but {listed(others, _MOST_NAMES)}" if others else ""
         demands.append(f"masses from {least!r} to {most!r} kg{but}")
     demands.append(_bounds(proof))
     free = [name for low, _, name in ends[10 * links :] if low < 0.0]
@@ -266,7 +261,7 @@ def _constraints(proof: Proof) -> str:
         demands.append("no consistency of the links")
     if further := [shown(each["name"]) for kind in ("rows", "cones") for each in problem[kind]]:
         count = f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"
-        demands.append(f"{count}, {_listed(further)}")
+        demands.append(f"{count}, {listed(further, _MOST_NAMES)}")
     prior = []
     if problem["prior_rhs"]:
         prior.append(f"a prior of {len(problem['prior_rhs'])} rows")

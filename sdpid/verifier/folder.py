@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from . import certificate, manifest
-from .reading import MalformedError, read_bytes
+from .reading import MalformedError, listed, read_bytes, shown
 from .result import Result
 
 CERTIFICATE = "certificate.json"
@@ -53,7 +53,7 @@ def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
     others = sorted(sealed["files"].keys() - {name})
     unchecked = (
         *manifest.given(sealed),
-        f"{manifest.listed(others)}: {ELSEWHERE}",
+        f"{listed(map(shown, others))}: {ELSEWHERE}",
         f"that {manifest.NAME} is the one that the run wrote: compare its digest "
         f"{sealed['sha256']} with one from whom you trust; a digest is no signature",
     )

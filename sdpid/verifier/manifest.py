@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from .reading import (
     digest,
     index,
     items,
+    listed,
     parse,
     require_keys,
     require_schema,
@@ -96,7 +97,7 @@ def check(folder: Path, data: Mapping[str, Any]) -> Result:
             )
     others = sorted({path.name for path in folder.iterdir()} - {NAME, *data["files"]})
     if others:
-        unchecked.append(f"{listed(others)}: not of this run")
+        unchecked.append(f"{listed(map(shown, others))}: not of this run")
     count = len(data["files"])
     said = () if problems else (f"All {count} files have the SHA-256 that {NAME} lists.",)
     return Result(said, tuple(problems), tuple(unchecked))
@@ -108,13 +109,6 @@ def _sha256(path: Path) -> str:
         while block := file.read(_BLOCK):
             found.update(block)
     return found.hexdigest()
-
-
-def listed(names: Iterable[str], most: int = 20) -> str:
-    """Return names, of which only some are shown where there are many."""
-    every = list(names)
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return ", ".join(map(shown, every[:most])) + more
 
 
 def given(data: Mapping[str, Any]) -> tuple[str, ...]:

@@ -33,6 +33,13 @@ def shown(name: str) -> str:
     return f"'{''.join(c if _plain(c) else _escaped(c) for c in cut)}'"
 
 
+def listed(words: Iterable[str], most: int = 20) -> str:
+    """Return words, of which only some are listed where there are many."""
+    every = list(words)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
+
+
 def _plain(c: str) -> bool:
     """Whether a character is what it seems, also between quotes."""
     return c.isprintable() and c not in "'\\"

@@ -19,6 +19,7 @@ from .reading import (
     digest,
     index,
     items,
+    listed,
     names,
     parse,
     require_keys,
@@ -200,11 +201,8 @@ def _about(q: Question) -> str:
 
 def _constraints(q: Question) -> str:
     """Return what bodies must obey in words."""
-    signs = ", ".join(parameter(q.theta_names[j]) for j in sorted(q.nonnegative)[:_MOST_SHOWN])
-    more = (
-        f" and {len(q.nonnegative) - _MOST_SHOWN} more" if len(q.nonnegative) > _MOST_SHOWN else ""
-    )
-    friction = f"; not negative: {signs}{more}" if signs else ""
+    signs = listed((parameter(q.theta_names[j]) for j in sorted(q.nonnegative)), _MOST_SHOWN)
+    friction = f"; not negative: {signs}" if signs else ""
     limit = decimal_text(q.theta_max)
     return (
         f"Constraints: every link's {_MATRICES[q.consistency]} with a margin of at least "
@@ -254,12 +252,11 @@ def _refuted(proof: Refutation) -> Result:
 def _numbers(q: Question, used: Any) -> str:
     """Return the numbers of some parameters in words."""
     given = dict(zip(q.names, zip(q.values, q.halfwidths, strict=True), strict=True))
-    words = [
+    words = (
         f"{parameter(name)} = {decimal_text(given[name][0])} +- {decimal_text(given[name][1])}"
-        for name in list(used)[:_MOST_SHOWN]
-    ]
-    more = len(used) - _MOST_SHOWN
-    return ", ".join(words) + (f" and {more} more" if more > 0 else "")
+        for name in used
+    )
+    return listed(words, _MOST_SHOWN)
 
 
 def _realized(answer: Realization) -> Result:

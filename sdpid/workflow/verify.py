@@ -14,7 +14,7 @@ from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
 from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
-from sdpid.verifier.reading import REFUSED, parse, read_bytes
+from sdpid.verifier.reading import REFUSED, listed, parse, read_bytes, shown
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.workflow.replay.links import told
@@ -245,13 +245,13 @@ def _far(gap: float | None) -> Iterator[str]:
 
 def _covered(sealed: Mapping[str, Any], proof: Mapping[str, Any], log: Replay) -> Iterator[str]:
     """Yield what a folder alone cannot show, and its logs have shown."""
-    shown = log.complete
-    inputs = [e for e in sealed["inputs"] if e["role"] in log.roles and e["role"] in shown]
+    made = log.complete
+    inputs = [e for e in sealed["inputs"] if e["role"] in log.roles and e["role"] in made]
     yield from manifest.given({"inputs": inputs})
     of_rows, of_demands = certificate.unchecked(dict(proof))
-    if shown >= _OF_ROWS:
+    if made >= _OF_ROWS:
         yield f"{CERTIFICATE}: {of_rows}"
-    if "problem" in shown:
+    if "problem" in made:
         yield f"{CERTIFICATE}: {of_demands}"
 
 
@@ -259,7 +259,7 @@ def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
     """Yield what of the files is compared with nothing."""
     robots = [name for name in files if name in (*ROBOTS, *FRICTION_FILES)]
     if robots and not with_log:
-        yield f"{manifest.listed(robots)}: what they hold (--data LOG writes them again)"
+        yield f"{listed(map(shown, robots))}: what they hold (--data LOG writes them again)"
     tables = [name for name in (PARAMETERS, *TABLES) if name in files]
     if tables and not with_log:
         yield (
@@ -271,4 +271,4 @@ def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
             yield f"{name}: {what}"
     compared = {CERTIFICATE, RESULT, *tables, *robots}
     if others := sorted(files.keys() - compared):
-        yield f"{manifest.listed(others)}: sealed, and not derivable"
+        yield f"{listed(map(shown, others))}: sealed, and not derivable"
