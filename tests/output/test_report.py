@@ -395,7 +395,7 @@ def test_cross_validation_and_pieces_are_shown() -> None:
     shown = words(text)
     for part in (
         "2 blocks of time held out in turn",
-        "relative residual of blocks held out in turn",
+        "relative residual in motion of blocks held out in turn",
         "block 2 of 2",
         "pieces, recorded apart",
         f"{found.cross_validation.rmse[0]:#.3g}",
