@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
@@ -19,6 +20,9 @@ FILTERS: tuple[str, ...] = get_args(FilterType)
 # After this many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
 # with the polynomial factors of repeated passes.
 _FORGOTTEN = 45.0
+# Numbers from which on loading `scipy.signal` (0.3 s) pays: it takes 6 ns for each section of each,
+# a triangular system 60 ns.
+_LARGE = 2**21
 # Five time constants, which are cut off the ends of a record, are then the whole memory of a finite
 # filter.
 _CUT_OFF = 5.0
@@ -244,36 +248,34 @@ class ZeroPhaseFilter:
         """
         for _ in range(2):
             # A constant passes as it is: what is added to it starts from rest.
-            start, added = signal[:1], signal - signal[:1]
-            for section in self.sections:
-                added = _passed(section, added)
-            signal = (start + added)[::-1]
+            signal = (signal[:1] + self._passed(signal - signal[:1]))[::-1]
         return signal
+
+    def _passed(self, signal: Array) -> Array:
+        """Return signals (N,) or (N, c) after all sections, which were at rest.
+
+        ``y_k + a1 y_(k-1) + a2 y_(k-2) = b0 x_k + b1 x_(k-1) + b2 x_(k-2)`` is a banded triangular
+        system, for which `scipy.signal` need not be loaded; large ones are solved faster by it.
+        """
+        if signal.size > _LARGE:
+            from scipy.signal import sosfilt
+
+            # SciPy asks for a writable array, though it does not write to it.
+            return np.asarray(sosfilt(np.array(self.sections), signal, axis=0))
+        x = signal.reshape(len(signal), -1)
+        for section in self.sections:
+            driven = section[0] * x
+            driven[1:] += section[1] * x[:-1]
+            driven[2:] += section[2] * x[:-2]
+            x, _ = dtbtrs(np.repeat(section[3:, None], len(x), axis=1), driven, uplo="L")
+        return x.reshape(signal.shape)
 
     def gain(self, frequency_hz: Array | float, rate_hz: float) -> Array:
         """Return the gain of the forward and backward passes together at given frequencies."""
         delay = np.exp(-2j * math.pi * np.atleast_1d(frequency_hz) / rate_hz)
         powers = np.stack([np.ones_like(delay), delay, delay**2])
         response = (self.sections[:, :3] @ powers) / (self.sections[:, 3:] @ powers)
-        gain: Array = np.abs(response.prod(axis=0)) ** 2
-        return gain
-
-
-def _passed(section: Array, signal: Array) -> Array:
-    """Return signals (N, ...) after one section (b0, b1, b2, 1, a1, a2) that was at rest.
-
-    ``y_k + a1 y_(k-1) + a2 y_(k-2) = b0 x_k + b1 x_(k-1) + b2 x_(k-2)`` is a banded triangular
-    system. SciPy's `sosfilt` solves it, too; loading `scipy.signal` takes longer than a run's fit.
-    """
-    from scipy.linalg.lapack import dtbtrs
-
-    x = signal.reshape(len(signal), -1)
-    driven = section[0] * x
-    driven[1:] += section[1] * x[:-1]
-    driven[2:] += section[2] * x[:-2]
-    band = np.repeat(section[3:, None], len(x), axis=1)
-    passed, _ = dtbtrs(band, driven, uplo="L")
-    return np.asarray(passed).reshape(signal.shape)
+        return np.asarray(np.abs(response.prod(axis=0)) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
