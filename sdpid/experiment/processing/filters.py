@@ -20,9 +20,9 @@ FILTERS: tuple[str, ...] = get_args(FilterType)
 # After this many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
 # with the polynomial factors of repeated passes.
 _FORGOTTEN = 45.0
-# Numbers from which on loading `scipy.signal` (0.3 s) pays: it takes 6 ns for each section of each,
-# a triangular system 60 ns.
-_LARGE = 2**21
+# Numbers from which on `scipy.signal` is worth its loading, 0.3 s once: it takes 6 ns for a section
+# of a number, a triangular system 60 ns.
+_LARGE = 2**19
 # Five time constants, which are cut off the ends of a record, are then the whole memory of a finite
 # filter.
 _CUT_OFF = 5.0

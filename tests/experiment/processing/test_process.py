@@ -169,7 +169,7 @@ def test_a_step_through_either_filter(kind: Any, overshoot: float):
     assert np.abs(found[: 4000 - once.reach]).max() < 1e-19
     assert once.gain(10.0, RATE) == pytest.approx(0.5, rel=1e-9)
     # Many numbers are filtered by scipy.signal.
-    assert np.allclose(once.apply(np.repeat(step[:, None], 300, axis=1)).T, found, atol=1e-12)
+    assert np.allclose(once.apply(np.repeat(step[:, None], 70, axis=1)).T, found, atol=1e-12)
 
 
 def test_local_polynomials_lose_less_noise_than_differences_let_pass():
