@@ -21,21 +21,24 @@ from sdpid import Prior, build_problem, certify, solve_sdp, solve_slsqp, solve_w
 from sdpid.assurance.certificate.certificate import GAP, Certificate
 from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite
 from sdpid.assurance.certificate.rows_digest import rows_digest
-from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Fixed
+from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Condition, Fixed
 from sdpid.errors import CertificateError, DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS
 from sdpid.estimation.duality.bound import evaluate
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.friction import Coulomb, Coupling
 from sdpid.robot.inertia import Consistency, matrix_basis
 from sdpid.verifier import certificate as checker
 from sdpid.verifier import command, exact, reading
 from sdpid.verifier.bodies import has_margin
+from sdpid.verifier.manifest import sealed
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.verify import Verification
 from tests.helpers.arm import ARM, BODIES, BOTH, FIRST, LAST, LIGHT, arm_problem
 from tests.helpers.commands import alone
 from tests.helpers.data import make_samples, random_covariance, random_links, random_theta
+from tests.helpers.forged import with_row, written
 from tests.helpers.refusals import refuses
 
 Data = dict[str, Any]
@@ -43,21 +46,26 @@ KINDS = ("pseudo", "spatial", "prior", "entropic")
 Path_ = tuple[Any, ...]
 
 
-@cache
-def stated(kind: str) -> Data:
-    """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
-    others = (
-        LIGHT,
-        CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
-        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
-        Fixed({"Fv1": 0.5}),
-    )
+def problem_of(kind: str, *others: Condition) -> Problem:
+    """Return the problem of a kind of consistency or prior."""
     priors = {"entropic": Prior(kind="entropic", bodies=BODIES), "prior": Prior(bodies=BODIES)}
-    problem = arm_problem(
+    return arm_problem(
         *others,
         margin=0.0 if kind == "entropic" else 1e-3,
         consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
         prior=priors.get(kind),
+    )
+
+
+@cache
+def stated(kind: str) -> Data:
+    """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
+    problem = problem_of(
+        kind,
+        LIGHT,
+        CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
+        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
+        Fixed({"Fv1": 0.5}),
     )
     return certify(solve_sdp(problem)).to_dict()
 
@@ -67,19 +75,9 @@ def made(kind: str) -> Data:
     return copy.deepcopy(stated(kind))
 
 
-def sealed(data: Data) -> Data:
-    """Return a certificate whose digest is right: what a forger would write."""
-    try:
-        return {**data, "sha256": reading.digest(data)}
-    except (ValueError, OverflowError):
-        return data
-
-
 def checked(data: Data, folder: Path) -> Verification:
-    """Verify through a file; NaN is written as Python does."""
-    path = folder / "c.json"
-    path.write_text(json.dumps(data), encoding="utf-8")
-    return verify(path)
+    """Verify through a file."""
+    return verify(written(data, folder))
 
 
 def holds(text: str) -> bool:
@@ -122,9 +120,7 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "c.json"
-    path.write_text(json.dumps(stated(kind)), encoding="utf-8")
-    done = alone(path)
+    done = alone(written(stated(kind), tmp_path))
     assert done.returncode == 0, done.stderr
     claims = stated(kind)["claims"]
     for said in (
@@ -138,16 +134,13 @@ def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
 
 
 def test_status_of_the_script(tmp_path: Path) -> None:
-    path = tmp_path / "c.json"
     data = made("pseudo")
     data["theta"][0] += 1.0
-    path.write_text(json.dumps(data), encoding="utf-8")
-    done = alone(path)
+    done = alone(written(data, tmp_path))
     assert done.returncode == 1
     assert "NOT PROVEN: the digest" in done.stdout
     assert "\nPROVEN" not in done.stdout
-    path.write_text("{}", encoding="utf-8")
-    assert alone(path).returncode == 2
+    assert alone(written({}, tmp_path)).returncode == 2
     assert alone(tmp_path / "none.json").returncode == 2
     assert command.main([]) == 2
 
@@ -177,11 +170,7 @@ def test_margins_cannot_be_better(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
-    problem = arm_problem(
-        LIGHT,
-        consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
-        prior=Prior(kind="entropic", bodies=BODIES) if kind == "entropic" else None,
-    )
+    problem = problem_of(kind, LIGHT)
     estimate = solve_sdp(problem)
     found = certify(estimate)
     assert found.cost == pytest.approx(estimate.cost, rel=1e-13)
@@ -342,12 +331,8 @@ TAMPERED: dict[str, Callable[[Data], None]] = {
     "another bound": change(("claims", "lower_bound"), lambda bound: 1.001 * bound),
 }
 ENTROPIC: dict[str, Callable[[Data], None]] = {
-    "another strength": change(
-        ("problem", "entropic_prior", "strength"), lambda value: 1.01 * value
-    ),
-    "a strength below zero": change(
-        ("problem", "entropic_prior", "strength"), lambda value: -value
-    ),
+    "another strength": change(("problem", "entropic_prior", "strength"), scaled(1.01)),
+    "a strength below zero": change(("problem", "entropic_prior", "strength"), scaled(-1.0)),
     "other beliefs": change(("problem", "entropic_prior", "inverses"), scaled(1.01)),
     "beliefs that no body has": change(("problem", "entropic_prior", "inverses"), scaled(-1.0)),
     "another order": change(("problem", "entropic_prior", "links"), lambda links: links[::-1]),
@@ -432,20 +417,10 @@ def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
 # ---- Rows, cones and names ----------------------------------------------------------------------
 
 
-def with_row(data: Data, name: str, at: int, coefficient: float, least: float, by: float) -> None:
-    """Demand that a number times a parameter is at least something, with a multiplier."""
-    row = [0.0] * len(data["theta"])
-    row[at] = coefficient
-    data["problem"]["rows"].append(
-        {"name": name, "lower": least, "upper": None, "coefficients": row}
-    )
-    data["multipliers"]["rows"].append(by)
-
-
 def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> None:
     """A violation of 1e-10 is allowed for, so a multiplier of 1e30 buys nothing."""
-    data = made("pseudo")
-    with_row(data, "a little more", 0, 1.0, data["theta"][0] * (1.0 + 1e-10), 1e30)
+    mass = stated("pseudo")["theta"][0]
+    data = with_row(stated("pseudo"), mass * (1.0 + 1e-10), 1e30, m_1=1.0)
     data["claims"]["violation"] = 2e-10
     proof = checker.Proof(data)
     # What is left is what any numbers cost.
@@ -458,8 +433,8 @@ def test_the_mass_of_another_link_makes_no_violation_small(tmp_path: Path) -> No
     data = made("pseudo")
     data["problem"]["upper"][0], data["theta"][0] = 1e12, 1e12
     data["problem"]["rows"], data["multipliers"]["rows"] = [], []
-    with_row(data, "heavy", 10, 1.0, 5000.0, 0.0)
-    assert any("'heavy' is violated" in each for each in checked(sealed(data), tmp_path).problems)
+    data = with_row(data, 5000.0, 0.0, m_2=1.0)
+    assert any("'light' is violated" in each for each in checked(sealed(data), tmp_path).problems)
 
 
 def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,15 +169,13 @@ def test_the_base_is_judged_where_it_is_not_held(measured: bool) -> None:
     contacts = ContactSamples(frames=frames, kind=kind, down=down, **known)
     samples = replace(made.samples, contacts=contacts)
     assert base_held(made.robot, samples).tolist() == first.tolist()
-    errors = validate_robot(made.robot, samples).floating
-    assert errors.samples == 30
+    both = validate_robot(made.robot, samples)
+    assert both.floating.samples == 30
     always = replace(contacts, down=np.tile(down[:1], (80, 1)))
     alone = validate_robot(made.robot, replace(samples, contacts=always))
     assert alone.floating is None
     if not measured:
-        printed = errors_table(
-            {"training": alone, "validation": validate_robot(made.robot, samples)}
-        )
+        printed = errors_table({"training": alone, "validation": both})
         told = next(line for line in printed.splitlines() if line.startswith("base, force"))
         assert told.split()[-4:-2] == ["-", "-"]
 
@@ -428,13 +427,16 @@ def slow_motion(seconds: float = 120.0) -> Samples:
 SECOND = ROBOT.joint_names[1]
 
 
-def causes_of(effort: Array, free: Array | None = None) -> dict[str, Cause]:
-    """Return the causes that are found where efforts are measured otherwise than predicted."""
+def judged(effort: Array, *free: Array) -> tuple[Any, ...]:
+    """Return samples with other efforts, and errors of what is predicted, and of other numbers."""
     samples = replace(slow_motion(), effort=effort)
-    fit, *others = (
-        Validation.of_prediction(ROBOT.joint_names, samples, predicted)
-        for predicted in (slow_motion().effort, *(() if free is None else (free,)))
-    )
+    every = (slow_motion().effort, *free)
+    return samples, *(Validation.of_prediction(ROBOT.joint_names, samples, x) for x in every)
+
+
+def causes_of(effort: Array, *free: Array) -> dict[str, Cause]:
+    """Return the causes that are found where efforts are measured otherwise than predicted."""
+    samples, fit, *others = judged(effort, *free)
     return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), *others)
 
 
@@ -473,15 +475,11 @@ def test_what_constraints_hold_back_has_no_shape_of_an_effect() -> None:
     size = 0.5 * slow_motion().effort[:, 1].std()
     effort = np.array(slow_motion().effort)
     effort[:, 1] += size * shape / shape.std()
-    samples = replace(slow_motion(), effort=effort)
     for left, expected in ((0.9, ("acceleration",)), (0.3, ())):
         less = effort + left * (slow_motion().effort - effort)
         found = causes_of(effort, less)
         assert tuple(each.kind for each in found.values()) == expected
-        fit, free = (
-            Validation.of_prediction(ROBOT.joint_names, samples, each)
-            for each in (slow_motion().effort, less)
-        )
+        _, fit, free = judged(effort, less)
         assert held_back(fit, free) == (() if expected else (SECOND,))
     # Nor has an error beside which the mean predicts better.
     effort[:, 1] += 20.0 * slow_motion().effort[:, 1].std()
@@ -631,6 +629,12 @@ def smallest_eigenvalues(estimate: Estimate, q: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(estimate.mass_matrix(q))[:, 0])
 
 
+def least_on_a_grid(estimate: Estimate, bounds: Any, count: int) -> float:
+    grid = np.meshgrid(*[np.linspace(*ends, count) for ends in bounds])
+    points = np.stack(grid, axis=-1).reshape(-1, len(bounds))
+    return float(smallest_eigenvalues(estimate, points).min())
+
+
 @pytest.mark.parametrize("consistency", BOTH)
 @given(q=st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=2))
 def test_constrained_estimates_stay_positive_definite(consistency: str, q: list[float]) -> None:
@@ -642,8 +646,7 @@ def test_constrained_estimates_stay_positive_definite(consistency: str, q: list[
 def test_the_search_finds_the_worst_and_the_bound_is_below(consistency: str) -> None:
     estimate = estimate_of(consistency, 1e-3)
     worst = sdpid.smallest_mass_eigenvalue(estimate)
-    grid = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 181)] * 2), axis=-1).reshape(-1, 2)
-    assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
+    assert worst.value <= least_on_a_grid(estimate, [(-np.pi, np.pi)] * 2, 181) + ROUNDING
     assert smallest_eigenvalues(estimate, worst.q[None])[0] == pytest.approx(worst.value)
     assert 0.0 < worst.lower_bound <= worst.value
     assert worst.positive_definite
@@ -688,10 +691,7 @@ def test_the_box_is_the_description_s_limits() -> None:
     estimate = estimate_from_description(LIMITED.format(upper=6.2, limit=slide))
     worst = sdpid.smallest_mass_eigenvalue(estimate)
     np.testing.assert_array_equal(worst.bounds, [[0.5, 6.2], [0.5, 6.2], [-5.0, -4.0]])
-    grid = np.stack(
-        np.meshgrid(*[np.linspace(low, high, 41) for low, high in worst.bounds]), axis=-1
-    ).reshape(-1, 3)
-    assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
+    assert worst.value <= least_on_a_grid(estimate, worst.bounds, 41) + ROUNDING
     # Where it is least is beyond half a turn.
     half = sdpid.smallest_mass_eigenvalue(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
     assert worst.value < half.value

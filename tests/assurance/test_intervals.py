@@ -89,8 +89,8 @@ def test_a_family_gives_what_its_programs_give() -> None:
         np.testing.assert_allclose(found.x, expected.x, atol=SOLVED)
 
 
-def dense_blocks(problem: Problem) -> tuple[Array, list[Array], list[Array]]:
-    """Return H^(-1), whitened rows and whitened residuals of every block, the long way."""
+def dense_blocks(problem: Problem) -> tuple[Array, Array, list[Array], list[Array]]:
+    """Return H^(-1) and rows, of every block its map to errors and residuals, the long way."""
     W, effort, mask = raw_rows(problem)
     assert mask.all()
     root = np.linalg.inv(np.linalg.cholesky(problem.sigma))
@@ -101,36 +101,30 @@ def dense_blocks(problem: Problem) -> tuple[Array, list[Array], list[Array]]:
     everything = np.vstack(rows)
     fit = np.linalg.lstsq(everything, y.ravel(), rcond=None)[0]
     residuals = [y[part].ravel() - X @ fit for part, X in zip(parts, rows, strict=True)]
-    return np.linalg.inv(everything.T @ everything), rows, residuals
+    inverse, maps = np.linalg.inv(everything.T @ everything), []
+    for X in rows:
+        values, vectors = np.linalg.eigh(np.eye(len(X)) - X @ inverse @ X.T)
+        maps.append(inverse @ X.T @ (vectors / np.sqrt(values)) @ vectors.T)
+    return inverse, everything, maps, residuals
 
 
 def test_leverage_is_corrected_as_the_long_formula_does() -> None:
     problem = relaxed().problem
-    inverse, rows, residuals = dense_blocks(problem)
-    errors = []
-    for X, e in zip(rows, residuals, strict=True):
-        values, vectors = np.linalg.eigh(np.eye(len(X)) - X @ inverse @ X.T)
-        errors.append(inverse @ X.T @ (vectors / np.sqrt(values)) @ vectors.T @ e)
-    expected = np.array(errors).T @ np.array(errors)
+    _, _, maps, residuals = dense_blocks(problem)
+    errors = np.array([own @ e for own, e in zip(maps, residuals, strict=True)])
+    expected = errors.T @ errors
     blocks = ScoreBlocks.of(problem)
     np.testing.assert_allclose(blocks.covariance, expected, rtol=1e-6, atol=1e-12)
 
 
 def test_degrees_of_freedom_are_satterthwaites() -> None:
     problem = relaxed().problem
-    inverse, rows, _ = dense_blocks(problem)
-    starts = np.cumsum([0, *map(len, rows)])
-    everything = np.vstack(rows)
-    left = np.eye(len(everything)) - everything @ inverse @ everything.T
-    c = np.zeros(len(inverse))
-    c[2] = 1.0
-    weights = []
-    for X, start, stop in zip(rows, starts[:-1], starts[1:], strict=True):
-        values, vectors = np.linalg.eigh(np.eye(len(X)) - X @ inverse @ X.T)
-        weights.append(
-            (c @ inverse @ X.T @ (vectors / np.sqrt(values)) @ vectors.T) @ left[start:stop]
-        )
-    gamma = np.array(weights) @ np.array(weights).T
+    inverse, rows, maps, residuals = dense_blocks(problem)
+    left = np.eye(len(rows)) - rows @ inverse @ rows.T
+    c = np.eye(len(inverse))[2]
+    parts = np.split(left, np.cumsum([len(each) for each in residuals])[:-1])
+    weights = np.array([c @ own @ part for own, part in zip(maps, parts, strict=True)])
+    gamma = weights @ weights.T
     expected = np.trace(gamma) ** 2 / np.sum(gamma**2)
     blocks = ScoreBlocks.of(problem)
     assert blocks.freedom(c[None] @ blocks.root)[0] == pytest.approx(expected, rel=1e-6)
@@ -342,15 +336,17 @@ def test_the_data_themselves_give_the_estimate() -> None:
         np.testing.assert_allclose(found, estimate.base, atol=1e-5 * np.abs(estimate.base).max())
 
 
-def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
-    problem = arm_problem(LIGHT)
-    blocks = ScoreBlocks.of(problem)
-    rng = np.random.default_rng(4)
+def drawn_sums(blocks: ScoreBlocks, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Draw as many blocks as there are; return which, and the sums of their equations."""
     drawn = rng.integers(0, blocks.count, blocks.count)
     times = np.bincount(drawn, minlength=blocks.count).astype(float)
-    found, _ = Refit.of(sdpid.solve_sdp(problem)).solve(
-        np.tensordot(times, blocks.information, 1), times @ blocks.target
-    )
+    return drawn, np.tensordot(times, blocks.information, 1), times @ blocks.target
+
+
+def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
+    problem = arm_problem(LIGHT)
+    drawn, H, c = drawn_sums(ScoreBlocks.of(problem), np.random.default_rng(4))
+    found, _ = Refit.of(sdpid.solve_sdp(problem)).solve(H, c)
     names = ("position", "velocity", "acceleration", "effort")
     again = sdpid.Samples(**{name: getattr(problem.samples, name)[drawn] for name in names})
     whole = build_problem(ARM, again, base=problem.base, constraints=problem.constraints)
@@ -438,9 +434,7 @@ def test_draws_that_the_quick_programs_leave_are_solved_from_scratch(
     blocks, again = ScoreBlocks.of(estimate.problem), Refit.of(estimate)
     rng = np.random.default_rng(8)
     for _ in range(20):
-        drawn = rng.integers(0, blocks.count, blocks.count)
-        times = np.bincount(drawn, minlength=blocks.count).astype(float)
-        H, c = np.tensordot(times, blocks.information, 1), times @ blocks.target
+        _, H, c = drawn_sums(blocks, rng)
         root = np.linalg.cholesky(H)
         A = root.T @ estimate.problem.excitation.inverse
         problem = replace(estimate.problem, A=A, rhs=np.linalg.solve(root, c))
@@ -705,12 +699,8 @@ def test_what_nothing_tells_has_no_end() -> None:
     found = link_properties(sdpid.solve_sdp(problem))
     assert found.upper[0, 0] == np.inf
     assert found.lower[0, 0] == 0.0
-
-
-def test_without_standard_parameters_there_are_none() -> None:
-    problem = sdpid.build_problem(ARM, moved(arm_theta(), 1), friction=FRICTION)
-    with pytest.raises(sdpid.errors.DataError, match="no standard parameters"):
-        link_properties(sdpid.solve_wls(problem))
+    # Without standard parameters there are none at all.
+    refuses(DataError, "no standard parameters", link_properties, sdpid.solve_wls(problem))
 
 
 # ---- The same results whoever computes them: one thread, several, or a cluster.

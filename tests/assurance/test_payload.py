@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -48,14 +49,22 @@ def with_payload(theta: Array, payload: Array, link: int = 5) -> Array:
 
 
 def pair(
-    robot: RobotModel, payload: Array, *, seed: int = 0, noise: float = NOISE, count: int = 300
+    robot: RobotModel,
+    payload: Array,
+    *,
+    seed: int = 0,
+    noise: float = NOISE,
+    count: int = 300,
+    link: int = 5,
 ) -> tuple[Samples, Samples, Array]:
     """Return samples with and without a payload, and the arm's own parameters."""
     rng = np.random.default_rng(seed)
     theta = random_theta(robot, rng)
-    full = with_payload(theta, payload)
-    loaded = make_samples(robot, full, rng, count=count, noise=noise, block=5)
-    return loaded, make_samples(robot, theta, rng, count=count, noise=noise, block=5), theta
+    full = with_payload(theta, payload, link)
+    loaded, bare = (
+        make_samples(robot, each, rng, count=count, noise=noise, block=5) for each in (full, theta)
+    )
+    return loaded, bare, theta
 
 
 def holds(found: Payload, payload: Array) -> np.ndarray:
@@ -268,16 +277,10 @@ def test_ends_of_the_center_of_mass_are_fiellers() -> None:
     )
     found, unsolved = PayloadProgram(rows, 100.0, 1.0).intervals(body, 0.95)
     assert not unsolved
-    r2 = norm.ppf(0.975) ** 2
+    squares = body**2 - norm.ppf(0.975) ** 2 * sigma**2
     for k in (1, 2, 3):
         # (h - c·m)² = r²·(var(h) + c²·var(m)), a quadratic equation in c.
-        ends = np.roots(
-            [
-                body[0] ** 2 - r2 * sigma[0] ** 2,
-                -2.0 * body[0] * body[k],
-                body[k] ** 2 - r2 * sigma[k] ** 2,
-            ]
-        )
+        ends = np.roots([squares[0], -2.0 * body[0] * body[k], squares[k]])
         # Iterations end at changes of 1e-5.
         assert found[k] == pytest.approx(sorted(ends), rel=1e-5)
 
@@ -309,20 +312,14 @@ def test_the_frame_of_the_flange(arm: RobotModel) -> None:
     assert "wrist_3_link, in the frame ee_link" in found.describe()
 
 
-def test_directions_that_nothing_shows_are_bounded_by_matter(arm: RobotModel) -> None:
+def test_directions_that_nothing_shows_are_bounded_by_matter() -> None:
     robot = planar_arm()
-    rng = np.random.default_rng(3)
-    theta = random_theta(robot, rng)
-    payload = load()
-    loaded = make_samples(
-        robot, with_payload(theta, payload, 1), rng, count=200, noise=NOISE, block=5
-    )
-    bare = make_samples(robot, theta, rng, count=200, noise=NOISE, block=5)
+    loaded, bare, _ = pair(robot, load(), seed=3, count=200, link=1)
     found = identify_payload(robot, loaded, bare)
     # Mass, two first moments, and the moment about the joints' direction.
     assert found.invisible == 6
     assert "6 of ten directions are invisible" in found.describe()
-    assert holds(found, payload).all()
+    assert holds(found, load()).all()
     assert found.upper[3] - found.lower[3] > 0.5
     assert np.all(np.isfinite(found.lower))
     assert np.all(np.isfinite(found.upper))
@@ -338,11 +335,12 @@ def gen3(folder: Path, run: int, effort: str = "tau") -> Recording:
 
 def test_the_load_of_the_gen3(data_folder: Path) -> None:
     robot = load_robot(data_folder / "kinova_gen3_dynamapp" / "gen3.urdf")
-    found = [
-        identify_payload(robot, gen3(data_folder, 1, effort), frame="end_effector_link")
-        for effort in ("tau", "tau_current")
-    ]
-    for payload in found:
+
+    def found(robot: RobotModel, run: int, effort: str) -> Payload:
+        return identify_payload(robot, gen3(data_folder, run, effort), frame="end_effector_link")
+
+    for effort in ("tau", "tau_current"):
+        payload = found(robot, 1, effort)
         assert payload.shown
         assert 1.1 < payload.mass < 1.45
         # Behind the flange, within the wrist: it is rather the description's masses that are off,
@@ -353,13 +351,10 @@ def test_the_load_of_the_gen3(data_folder: Path) -> None:
     published = np.array([1.3773, 1.1636, 1.1636, 0.9302, 0.6781, 0.6781, 0.5])
     corrected = replace(robot, prior=robot.prior / robot.prior[:, :1] * published[:, None])
     ends = []
-    for run in (1, 2):
-        for effort in ("tau", "tau_current"):
-            payload = identify_payload(
-                corrected, gen3(data_folder, run, effort), frame="end_effector_link"
-            )
-            assert 0.5 < payload.mass < 0.8
-            ends.append((payload.lower[0], payload.upper[0]))
+    for run, effort in product((1, 2), ("tau", "tau_current")):
+        payload = found(corrected, run, effort)
+        assert 0.5 < payload.mass < 0.8
+        ends.append((payload.lower[0], payload.upper[0]))
     # All four agree.
     assert max(low for low, _ in ends) < min(high for _, high in ends)
 
@@ -394,15 +389,14 @@ def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
     gains = DriveGains(
         joint_names=arm.joint_names, gains=np.full(6, 10.0), covariance=np.eye(6) + 0.5
     )
-    columns = slice(50, 60)
 
     def rows(off: Array) -> PayloadRows:
         problems = [
             build_problem(arm, replace(s, effort=s.effort * (1.0 + off), gains=gains))
             for s in (loaded, bare)
         ]
-        link = problems[0].base.matrix[:, columns]
-        return rows_beside(problems[0], problems[1], link, np.zeros(0, dtype=np.intp))
+        link = problems[0].base.matrix[:, 50:60]
+        return rows_beside(*problems, link, np.zeros(0, dtype=np.intp))
 
     here = rows(np.zeros(6))
     (errors,) = here.gains

@@ -42,12 +42,14 @@ from sdpid.robot.inertia import (
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length, structural_base
 from sdpid.verifier import realizable
 from sdpid.verifier.decimals import decimal_text, rounded
-from sdpid.verifier.reading import MalformedError, digest
+from sdpid.verifier.manifest import sealed
+from sdpid.verifier.reading import MalformedError
 from sdpid.verifier.realizable import coefficient_matrices
 from sdpid.verifier.tables import answer_of, check, inequality, load, require_form
 from tests.helpers import world
 from tests.helpers.arm import BOTH
 from tests.helpers.commands import alone, ran, refused, run
+from tests.helpers.forged import written
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, pendulum, small_arm
 from tests.helpers.strategies import SEEDS, bodies, links, random_states
@@ -442,10 +444,6 @@ def proof(kind: str) -> dict[str, Any]:
     return dict(json.loads(stored(kind)))
 
 
-def sealed(data: dict[str, Any]) -> dict[str, Any]:
-    return {**data, "sha256": digest(data)}
-
-
 def holds(data: dict[str, Any]) -> bool:
     """Return whether everything in a changed proof holds, its digest made anew."""
     return check(require_form(sealed(data))).passed
@@ -453,9 +451,7 @@ def holds(data: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("kind", ["refutation", "realization", "paper"])
 def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "proof.json"
-    path.write_text(stored(kind), encoding="utf-8")
-    done = alone(path)
+    done = alone(written(proof(kind), tmp_path))
     assert done.returncode == 0, done.stderr
     said = done.stdout
     assert "robot 'denso_vp6242' (6 links" in said
@@ -468,12 +464,10 @@ def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> No
         assert "needs the links' consistency and the bound on all parameters, the margin" in said
     changed = proof(kind)
     changed["parameters"][0]["value"] = "17"
-    path.write_text(json.dumps(changed), encoding="utf-8")
-    done = alone(path)
+    done = alone(written(changed, tmp_path))
     assert done.returncode == 1
     assert "NOT PROVEN: the digest is another" in done.stdout
-    path.write_text("{}", encoding="utf-8")
-    done = alone(path)
+    done = alone(written({}, tmp_path))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
 
@@ -642,9 +636,7 @@ def test_long_inequalities_are_cut() -> None:
 
 
 def verified(tmp_path: Path, data: dict[str, Any], robot: str = "denso_vp6242") -> Any:
-    path = tmp_path / "proof.json"
-    path.write_text(json.dumps(sealed(data)), encoding="utf-8")
-    return sdpid.verify(path, robot=robot)
+    return sdpid.verify(written(sealed(data), tmp_path), robot=robot)
 
 
 @pytest.mark.parametrize("kind", ["refutation", "realization", "paper"])
@@ -653,7 +645,7 @@ def test_coefficients_are_those_of_the_robot(kind: str, tmp_path: Path) -> None:
     assert found.passed
     assert "are those of robot 'denso_vp6242', computed anew" in found.statements[-1]
     assert not any("coefficients" in each for each in found.unchecked)
-    ran("verify", tmp_path / "proof.json", "--robot", "denso_vp6242")
+    ran("verify", tmp_path / "c.json", "--robot", "denso_vp6242")
 
 
 def test_other_coefficients_are_named(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
-"""Folders of results that were changed and sealed again, as any forger can."""
+"""Certificates and folders of results that were changed and sealed again, as any forger can."""
 
+import copy
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,26 @@ from typing import Any
 from sdpid._common.staging import digest
 from sdpid.verifier.manifest import sealed
 from sdpid.verifier.reading import digest as digest_of
+
+
+def written(data: Any, folder: Path) -> Path:
+    """Write data as a proof, and return the file; NaN is written as Python does."""
+    path = folder / "c.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return path
+
+
+def with_row(data: Any, lower: float, multiplier: float, **coefficients: float) -> Any:
+    """Return a certificate with one row more; keys are names of theta."""
+    forged = copy.deepcopy(data)
+    names = forged["origin"]["theta_names"]
+    row = [coefficients.pop(name, 0.0) for name in names]
+    assert not coefficients
+    forged["problem"]["rows"].append(
+        {"name": "light", "lower": lower, "upper": None, "coefficients": row}
+    )
+    forged["multipliers"]["rows"].append(multiplier)
+    return forged
 
 
 def edit(path: Path, change: Callable[[str], str]) -> None:

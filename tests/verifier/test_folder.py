@@ -24,7 +24,7 @@ from sdpid.verifier.reading import MalformedError
 from sdpid.verifier.result import Result
 from tests.helpers import world
 from tests.helpers.commands import VERIFIER, alone
-from tests.helpers.forged import reseal
+from tests.helpers.forged import edit_json, reseal
 from tests.helpers.refusals import refuses
 
 
@@ -50,7 +50,6 @@ def test_files_of_any_size_are_not_hashed(copy: Path, sizes: dict[str, int]) -> 
         with (copy / name).open("wb") as file:
             file.truncate(size)
         data["files"][name] = {"bytes": size, "sha256": "0" * 64}
-    del data["sha256"]
     (copy / "manifest.json").write_text(json.dumps(sealed(data)))
     refuses(MalformedError, r"bytes, and less than|not an integer from 0", verified, copy)
 
@@ -121,9 +120,8 @@ def test_files_of_others_are_told(copy: Path) -> None:
 
 
 def test_a_certificate_that_does_not_hold(copy: Path) -> None:
-    data = json.loads((copy / "certificate.json").read_text())
-    data["claims"]["lower_bound"] = data["claims"]["cost"]
-    (copy / "certificate.json").write_text(json.dumps(data))
+    path = copy / "certificate.json"
+    edit_json(path, lambda data: data["claims"].update(lower_bound=data["claims"]["cost"]))
     reseal(copy)
     problems = verified(copy).problems
     assert any(problem.startswith("certificate.json: ") for problem in problems)
@@ -154,9 +152,7 @@ NO_FILES = ("../x", "../run.csv", "/etc/passwd", "a\\b", "", ".", "manifest.json
     ],
 )
 def test_a_manifest_that_is_none(copy: Path, change: Callable[[Any], Any]) -> None:
-    data = json.loads((copy / "manifest.json").read_text())
-    change(data)
-    (copy / "manifest.json").write_text(json.dumps(data))
+    edit_json(copy / "manifest.json", change)
     with pytest.raises(MalformedError):
         verified(copy)
 

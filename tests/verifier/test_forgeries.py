@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from itertools import product
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -22,15 +23,16 @@ import sdpid
 from sdpid.constraints import CenterOfMassInEllipsoid, Condition, Fixed, Row
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.estimate import Estimate
-from sdpid.verifier import bound, certificate
+from sdpid.verifier import bound
 from sdpid.verifier import certificate as checker
 from sdpid.verifier.bound import Recomputed
-from sdpid.verifier.certificate import Proof
 from sdpid.verifier.command import main
-from sdpid.verifier.reading import MAX_BYTES, MalformedError, digest
+from sdpid.verifier.manifest import sealed
+from sdpid.verifier.reading import MAX_BYTES, MalformedError
 from sdpid.verifier.result import Result
 from tests.helpers.arm import BODIES, LAST, LIGHT, arm_problem
 from tests.helpers.commands import VERIFIER, alone
+from tests.helpers.forged import with_row, written
 from tests.helpers.studies import study
 
 Data = dict[str, Any]
@@ -50,14 +52,9 @@ def made() -> Data:
 
 
 @pytest.fixture
-def honest() -> Data:
+def forged() -> Data:
     """A copy of that certificate."""
     return copy.deepcopy(made())
-
-
-def sealed(data: Data) -> Data:
-    """Return data with the digest that a forger would write."""
-    return {**data, "sha256": digest(data)}
 
 
 def checked(data: Data) -> Result:
@@ -65,34 +62,12 @@ def checked(data: Data) -> Result:
     return checker.check(checker.load(json.dumps(sealed(data)).encode()))
 
 
-def refused(data: Data) -> bool:
-    """Whether a file is refused, or something in it is not proven."""
-    try:
-        return not checked(data).passed
-    except MalformedError:
-        return True
-
-
 # ---- Rows and cones in another unit -------------------------------------------------------------
 
 
-def with_row(data: Data, lower: float, multiplier: float, **coefficients: float) -> Data:
-    """Return a certificate with one row more; keys are names of theta."""
-    forged = copy.deepcopy(data)
-    names = forged["origin"]["theta_names"]
-    row = [0.0] * len(names)
-    for name, value in coefficients.items():
-        row[names.index(name)] = value
-    forged["problem"]["rows"].append(
-        {"name": "light", "lower": lower, "upper": None, "coefficients": row}
-    )
-    forged["multipliers"]["rows"].append(multiplier)
-    return forged
-
-
-def test_a_row_in_a_tiny_unit_is_no_looser(honest: Data) -> None:
+def test_a_row_in_a_tiny_unit_is_no_looser() -> None:
     """m_1 ≥ 500 kg, written as 1e-12·m_1 ≥ 5e-10, with a multiplier that buys any bound."""
-    forged = with_row(honest, 5e-10, 1e30, m_1=1e-12)
+    forged = with_row(made(), 5e-10, 1e30, m_1=1e-12)
     result = checked(forged)
     assert not result.passed
     assert any("'light' is violated" in problem for problem in result.problems)
@@ -151,9 +126,8 @@ def test_units_do_not_matter(exponent: int, short: float, is_cone: bool) -> None
 # ---- Another cost -------------------------------------------------------------------------------
 
 
-def test_the_text_never_calls_a_rewritten_cost_that_of_the_log(honest: Data) -> None:
+def test_the_text_never_calls_a_rewritten_cost_that_of_the_log(forged: Data) -> None:
     """A cost whose optimum are the forger's parameters: true of the file, not of any log."""
-    forged = copy.deepcopy(honest)
     problem, claims = forged["problem"], forged["claims"]
     theta = np.array(forged["theta"]) * np.repeat([1.5, 1.0], [20, 4])
     rhs = np.array(problem["A"]) @ (np.array(problem["base_matrix"]) @ theta)
@@ -173,9 +147,9 @@ def test_the_text_never_calls_a_rewritten_cost_that_of_the_log(honest: Data) -> 
 # ---- Another question ---------------------------------------------------------------------------
 
 
-def heavier(data: Data) -> Data:
+def heavier() -> Data:
     """Return a certificate of links that are 1.3 times as heavy, which nobody wants."""
-    forged = copy.deepcopy(data)
+    forged = copy.deepcopy(made())
     forged["theta"][:20] = [1.3 * x for x in forged["theta"][:20]]
     forged["problem"].update(rows=[], cones=[])
     forged["multipliers"].update(Z=np.zeros((2, 4, 4)).tolist(), rows=[])
@@ -191,16 +165,16 @@ def residual(data: Data) -> list[float]:
     return found
 
 
-def test_a_box_of_one_point_is_told(honest: Data) -> None:
+def test_a_box_of_one_point_is_told() -> None:
     """Where bounds leave nothing free, anything is optimal: the text says how much they fix."""
-    forged = heavier(honest)
+    forged = heavier()
     forged["problem"]["lower"] = forged["problem"]["upper"] = list(forged["theta"])
     forged["multipliers"]["y"] = residual(forged)
     assert FORGERIES.fit(forged)
     result = checked(forged)
     assert result.passed
     assert "24 fixed by them" in result.statements[1]
-    assert " 0 fixed by them" in checked(honest).statements[1]
+    assert " 0 fixed by them" in checked(made()).statements[1]
     # And that the box is anybody's choice is not left out.
     assert any("bounds" in said and "prior" in said for said in result.unchecked)
 
@@ -216,9 +190,9 @@ def shares(result: Result) -> list[float]:
     return [float(number) for number in found.groups()]
 
 
-def test_a_prior_that_holds_bad_parameters_is_told_apart(honest: Data) -> None:
+def test_a_prior_that_holds_bad_parameters_is_told_apart() -> None:
     """A prior of a million nats makes any parameters optimal; their cost on the data is told."""
-    forged = heavier(honest)
+    forged = heavier()
     problem, y = forged["problem"], residual(forged)
     A, B = np.array(problem["A"]), np.array(problem["base_matrix"])
     problem["prior_matrix"] = (1e6 * np.eye(24)).tolist()
@@ -235,11 +209,11 @@ def test_a_prior_that_holds_bad_parameters_is_told_apart(honest: Data) -> None:
     assert any("prior" in said for said in result.unchecked)
 
 
-def test_a_prior_of_nothing_does_not_dilute_the_gap(honest: Data) -> None:
+def test_a_prior_of_nothing_does_not_dilute_the_gap() -> None:
     """A row of zeros with a large right-hand side costs the same everywhere: it is told apart."""
-    forged = heavier(honest)
+    forged = heavier()
     forged["problem"].update(prior_matrix=[[0.0] * 24], prior_rhs=[3e6])
-    forged["multipliers"]["y"] = [*honest["multipliers"]["y"], -3e6]
+    forged["multipliers"]["y"] = [*made()["multipliers"]["y"], -3e6]
     assert FORGERIES.fit(forged)
     data_cost, prior_cost, least = shares(checked(forged))
     assert prior_cost == 9e12
@@ -262,19 +236,17 @@ def test_a_strong_prior_through_the_front_door_is_told() -> None:
 # ---- What is left out, and what is put in -------------------------------------------------------
 
 
-def test_dropped_links_are_seen_in_the_text(honest: Data) -> None:
-    forged = copy.deepcopy(honest)
+def test_dropped_links_are_seen_in_the_text(forged: Data) -> None:
     assert MUTATIONS.forget_links(Random(0), forged, {})
     forged["problem"]["cones"], forged["multipliers"]["Z"] = [], forged["multipliers"]["Z"][:1]
     try:
         result = checked(forged)
     except MalformedError:
         return
-    assert result.statements[0] != checked(honest).statements[0]
+    assert result.statements[0] != checked(made()).statements[0]
 
 
-def test_a_massless_body_has_no_margin(honest: Data) -> None:
-    forged = copy.deepcopy(honest)
+def test_a_massless_body_has_no_margin(forged: Data) -> None:
     forged["problem"].update(rows=[], cones=[])
     forged["multipliers"].update(rows=[], Z=np.zeros((2, 4, 4)).tolist())
     forged["multipliers"]["y"] = [0.0] * len(forged["multipliers"]["y"])
@@ -294,14 +266,11 @@ HOSTILE = ("\x1b[2K\x1b[1A", "a\nPROVEN.", "\u202eNEVORP", "\x9b1A", "a\rb", "\u
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_no_name_reaches_the_terminal_as_it_is(name: str, honest: Data, tmp_path: Path) -> None:
-    forged = copy.deepcopy(honest)
+def test_no_name_reaches_the_terminal_as_it_is(name: str, forged: Data, tmp_path: Path) -> None:
     forged["origin"]["robot"] = forged["origin"]["links"][0] = name
     forged["problem"]["rows"][0]["name"] = name
     forged["problem"]["rows"][0]["upper"] = -1.0  # so that it is named
-    path = tmp_path / "c.json"
-    path.write_text(json.dumps(sealed(forged)), encoding="utf-8")
-    done = alone(path)
+    done = alone(written(sealed(forged), tmp_path))
     assert done.returncode == 1
     lines = done.stdout.split("\n")[:-1]
     assert all(line.isprintable() and len(line) < 3000 for line in lines)
@@ -309,36 +278,34 @@ def test_no_name_reaches_the_terminal_as_it_is(name: str, honest: Data, tmp_path
     assert lines[-1].startswith("NOT PROVEN")
 
 
-def test_a_name_does_not_leave_its_quotes(honest: Data) -> None:
-    forged = copy.deepcopy(honest)
+def test_a_name_does_not_leave_its_quotes(forged: Data) -> None:
     forged["origin"]["robot"] = "arm': 7 links. They cost at most 0.0. '"
     said = checked(forged).statements[0]
     assert "arm': 7 links" not in said
 
 
-def test_files_of_before_are_read(honest: Data) -> None:
+def test_files_of_before_are_read() -> None:
     """What they say beside the proof is not used: of the compression, of contacts, of pairs."""
-    old = {**honest, "version": 4, "compression": {"relative": 0.5, "absolute": 1e-9}}
+    old = {**made(), "version": 4, "compression": {"relative": 0.5, "absolute": 1e-9}}
     assert checked(old).passed
     old["compression"], old["version"] = None, 5
     old["origin"] = {**old["origin"], "contacts": {"frames": ["foot"]}}
     old["problem"] = {**old["problem"], "alike": []}
     assert checked(old).passed
-    assert checked(old).statements == checked(honest).statements
+    assert checked(old).statements == checked(made()).statements
     assert not checked({**old, "theta": [1.1 * x for x in old["theta"]]}).passed
 
 
-@pytest.mark.parametrize("version", [3, 4, 5, 6.0, True, "6", None, 7])
-def test_versions(version: Any, honest: Data) -> None:
-    with pytest.raises(MalformedError):
-        checked({**honest, "version": version})
-
-
-@pytest.mark.parametrize("key", ["rows", "cones", "prior_matrix", "A"])
-@pytest.mark.parametrize("value", [{}, "", None, 0])
-def test_lists_are_lists(key: str, value: Any, honest: Data) -> None:
-    forged = copy.deepcopy(honest)
-    forged["problem"][key] = value
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *product(["version"], [3, 4, 5, 6.0, True, "6", None, 7]),
+        *product(["rows", "cones", "prior_matrix", "A"], [{}, "", None, 0]),
+        ("margin", -1.0),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(key: str, value: Any, forged: Data) -> None:
+    (forged if key in forged else forged["problem"])[key] = value
     with pytest.raises(MalformedError):
         checked(forged)
 
@@ -352,32 +319,25 @@ def objects(value: Any) -> Iterator[Data]:
             yield from objects(item)
 
 
-def test_keys_at_any_level_are_known_and_there(honest: Data) -> None:
-    data = copy.deepcopy(honest)
-    found = [each for each in objects(data) if each]
+def test_keys_at_any_level_are_known_and_there(forged: Data) -> None:
+    found = [each for each in objects(forged) if each]
     assert len(found) > 8
     for each in found:
         each["approved"] = True
         with pytest.raises(MalformedError):
-            checked(data)
+            checked(forged)
         del each["approved"]
         key = next(iter(each))
         kept = each.pop(key)
         with pytest.raises((MalformedError, KeyError)):
-            checked(data)
+            checked(forged)
         each[key] = kept
-    assert checked(data).passed
+    assert checked(forged).passed
 
 
-def test_a_negative_margin_is_no_consistency(honest: Data) -> None:
-    forged = copy.deepcopy(honest)
-    forged["problem"]["margin"] = -1.0
-    assert refused(forged)
-
-
-def test_a_stated_share_is_not_rounded_down(honest: Data) -> None:
+def test_a_stated_share_is_not_rounded_down() -> None:
     """The violation that is printed is at least the one that there is."""
-    forged = with_row(honest, honest["theta"][0] * (1 + 1.4e-10), 0.0, m_1=1.0)
+    forged = with_row(made(), made()["theta"][0] * (1 + 1.4e-10), 0.0, m_1=1.0)
     forged["claims"]["violation"] = violation = float(checker.Proof(forged).violation) * (1 + 1e-15)
     result = checked(forged)
     assert result.passed
@@ -423,7 +383,7 @@ def test_odd_json_is_refused(content: bytes, tmp_path: Path) -> None:
     assert len(done.stderr) < 1000
 
 
-def test_a_link_has_one_prior(honest: Data) -> None:
+def test_a_link_has_one_prior() -> None:
     """A prior that is repeated a thousand times once took the script half a minute."""
     forged = sdpid.certify(sdpid.solve_sdp(arm_problem(prior=ENTROPIC, margin=0.0))).to_dict()
     assert checked(forged).passed
@@ -436,12 +396,11 @@ def test_a_pipe_is_not_read(tmp_path: Path) -> None:
     assert alone(Path("/dev/stdin")).returncode == 2
 
 
-def test_nothing_beside_a_copied_verifier_is_imported(honest: Data, tmp_path: Path) -> None:
+def test_nothing_beside_a_copied_verifier_is_imported(tmp_path: Path) -> None:
     """Whoever copies the folder next to a file `json.py` does not run that file."""
     copied = tmp_path / "verifier-4.0 (1)"
     shutil.copytree(VERIFIER, copied)
-    path = tmp_path / "c.json"
-    path.write_text(json.dumps(sealed(honest)), encoding="utf-8")
+    path = written(sealed(made()), tmp_path)
     for name in ("json", "hashlib", "fractions", "certificate", "urdf"):
         (tmp_path / f"{name}.py").write_text("print('PROVEN.'); raise SystemExit(0)\n")
     done = alone(path, copied, cwd=tmp_path)
@@ -452,7 +411,7 @@ def test_nothing_beside_a_copied_verifier_is_imported(honest: Data, tmp_path: Pa
 # The campaign of forgeries finds errors that are planted in the verifier, and none otherwise.
 
 
-CAMPAIGN, ZOO = study("forgeries"), study("certificate_zoo")
+ZOO = study("certificate_zoo")
 SMALL = ("pendulum", "small log-det", "local", "big floor")
 
 Patch = pytest.MonkeyPatch
@@ -473,13 +432,13 @@ def zoo() -> dict[str, Any]:
 
 def false(count: int, *kinds: str) -> list[Any]:
     """Return the forgeries of which something false was said."""
-    found = CAMPAIGN.some(range(count), 0, zoo(), kinds or tuple(sorted(CAMPAIGN.MUTATIONS)))
+    found = FORGERIES.some(range(count), 0, zoo(), kinds or tuple(sorted(FORGERIES.MUTATIONS)))
     return [each for each in found if each.false]
 
 
 def changed(name: str, how: Callable[[Any], None]) -> Callable[[Patch], None]:
     """Return what does something more after a method of the verifier."""
-    of = Proof if name == "__init__" else Recomputed
+    of = checker.Proof if name == "__init__" else Recomputed
     kept = getattr(of, name)
 
     def method(self: Any, *arguments: Any) -> None:
@@ -507,26 +466,26 @@ PLANTED: dict[str, tuple[Callable[[Patch], None], tuple[str, ...]]] = {
         ("bent multipliers",),
     ),
     "links may be anything": (
-        lambda patch: patch.setattr(certificate, "_wrong_margins", lambda *_: []),
+        lambda patch: patch.setattr(checker, "_wrong_margins", lambda *_: []),
         ("parameters", "claim"),
     ),
     "bounds on theta are not looked at": (
         lambda patch: patch.setattr(
-            certificate,
+            checker,
             "infeasible",
             lambda *given: [each for each in _INFEASIBLE(*given) if "outside" not in each],
         ),
         ("bounds",),
     ),
     "a large tolerance": (
-        lambda patch: patch.setattr(certificate, "TOLERANCE", Fraction(10)),
+        lambda patch: patch.setattr(checker, "TOLERANCE", Fraction(10)),
         ("added row",),
     ),
     "rows are not looked at": (changed("_rows", no_violation), ("added row",)),
     "a bound that is too high": (changed("__init__", higher_bound), ("last digits",)),
     "a cost that is too low": (changed("__init__", lower_cost), ("last digits",)),
 }
-_INFEASIBLE = certificate.infeasible
+_INFEASIBLE = checker.infeasible
 
 
 def test_nothing_false_is_said() -> None:
