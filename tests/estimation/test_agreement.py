@@ -15,14 +15,12 @@ from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import beliefs_in_common, shared_parameters
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import prior_rows
-from tests.helpers.arm import ARM
-from tests.helpers.data import make_samples, random_links
+from tests.helpers import world
+from tests.helpers.arm import ARM, BODIES, THETA
+from tests.helpers.data import make_samples
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
-RNG = np.random.default_rng(4)
-BODIES = random_links(RNG, 2)
-THETA = np.concatenate([BODIES.ravel(), RNG.uniform(0.5, 2.0, 4)])
 HEAVIER = THETA * np.repeat([1.0, 1.2, 1.0], [10, 10, 4])
 PRIORS = {"no prior": None, "prior": sdpid.Prior(bodies=BODIES, strength=100.0)}
 
@@ -179,10 +177,7 @@ def test_given_parameters_are_exact(first: Estimate) -> None:
 
 def test_what_cannot_be_compared_is_said(first: Estimate) -> None:
     refuses(DataError, r"other is str 'b'; give an Estimate", first.compare_to, "b")
-    three = small_arm(3)
-    theta = np.concatenate([random_links(RNG, 3).ravel(), np.ones(6)])
-    samples = make_samples(three, theta, np.random.default_rng(0), noise=0.1)
-    alien = sdpid.solve_wls(build_problem(three, samples))
+    alien = sdpid.solve_wls(world.problem(small_arm(3), noise=0.1))
     refuses(DataError, "compare estimates of one robot", first.compare_to, alien)
     base = replace(first.problem.base, matrix=2.0 * first.problem.base.matrix)
     twice = replace(first, problem=replace(first.problem, base=base))

@@ -23,6 +23,7 @@ from sdpid.estimation.conic.solve import (
     solve_conic,
 )
 from sdpid.estimation.conic.standard_form import symmetric_basis
+from tests.helpers.data import random_covariance
 
 # Solutions of problems of order one: an interior-point method ends at some 1e-9, and where the
 # optimum is flat at its square root.
@@ -63,22 +64,25 @@ def symmetric(rng: np.random.Generator, size: int) -> Array:
     return root + root.T
 
 
-def positive(rng: np.random.Generator, size: int) -> Array:
-    root = rng.standard_normal((size, size))
-    return root @ root.T + np.eye(size)
+def nearest(goal: Array, constant: Array | float = 0.0) -> Array:
+    """Return what plus a constant is positive semidefinite, nearest to a goal."""
+    values, vectors = np.linalg.eigh(goal + constant)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T - constant)
+
+
+def projection(h: Array, size: int) -> ConicProgram:
+    """Return the projection of symmetric matrices, as vectors, onto the semidefinite ones."""
+    return program(np.eye(len(h)), -h, blocks=(whole(size),))
 
 
 @pytest.mark.parametrize("size", [2, 3, 4, 6])
 def test_the_nearest_positive_semidefinite_matrix(size: int) -> None:
     """Every entry has its place and its weight, in the point and in the multiplier."""
     A = symmetric(np.random.default_rng(size), size)
-    count = len(symmetric_basis(size))
-    found = solve_conic(program(np.eye(count), -coordinates(A), blocks=(whole(size),)))
-    values, vectors = np.linalg.eigh(A)
-    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    np.testing.assert_allclose(matrix_of(found.x, size), nearest, atol=SOLVED)
+    found = solve_conic(projection(coordinates(A), size))
+    np.testing.assert_allclose(matrix_of(found.x, size), nearest(A), atol=SOLVED)
     # The gradient 2·(X − A) is the multiplier.
-    np.testing.assert_allclose(found.blocks[0], 2.0 * (nearest - A), atol=SOLVED)
+    np.testing.assert_allclose(found.blocks[0], 2.0 * (nearest(A) - A), atol=SOLVED)
 
 
 def test_constants_and_several_blocks() -> None:
@@ -89,11 +93,6 @@ def test_constants_and_several_blocks() -> None:
     second = Matrix(np.arange(3), symmetric_basis(2), E)
     target = np.concatenate([coordinates(B), coordinates(A)])
     found = solve_conic(program(np.eye(9), -target, blocks=(first, second)))
-
-    def nearest(goal: Array, constant: Array) -> Array:
-        values, vectors = np.linalg.eigh(goal + constant)
-        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T - constant)
-
     np.testing.assert_allclose(matrix_of(found.x[3:], 3), nearest(A, D), atol=SOLVED)
     np.testing.assert_allclose(matrix_of(found.x[:3], 2), nearest(B, E), atol=SOLVED)
     for dual, goal, constant in zip(found.blocks, (A, B), (D, E), strict=True):
@@ -136,7 +135,7 @@ def test_multipliers_are_derivatives() -> None:
 @pytest.mark.parametrize(("size", "weight"), [(1, 0.7), (2, 3.0), (4, 0.2)])
 def test_log_det(size: int, weight: float) -> None:
     """``⟨C, X⟩ − w·log det X`` is least at ``w·C^(-1)``."""
-    C = positive(np.random.default_rng(size), size)
+    C = random_covariance(np.random.default_rng(size), size)
     count = len(symmetric_basis(size))
     cost, log_dets = coordinates(C), (whole(size),)
     nothing = np.zeros((0, count)), np.zeros(0)
@@ -333,20 +332,10 @@ def test_a_program_is_solved_at_the_first_regularization() -> None:
     assert found.value == pytest.approx([2.0, 1.0], abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("status", "solved"),
-    [
-        ("Solved", True),
-        ("AlmostSolved", True),
-        ("solved", True),
-        ("Unsolved", False),
-        ("MaxIterations", False),
-        ("PrimalInfeasible", False),
-        ("unfinished", False),
-    ],
-)
-def test_what_a_solver_calls_solved(status: str, solved: bool) -> None:
-    assert ConicSolution(status, np.zeros(1)).solved is solved
+def test_what_a_solver_calls_solved() -> None:
+    solved = ("Solved", "AlmostSolved", "solved")
+    for status in (*solved, "Unsolved", "MaxIterations", "PrimalInfeasible", "unfinished"):
+        assert ConicSolution(status, np.zeros(1)).solved is (status in solved)
 
 
 # ---- The derivative of a constrained fit against differences, and projections whose own is known.
@@ -361,11 +350,6 @@ DIFFERENCES = 1e-3
 STEP = 1e-4
 
 
-def projection(h: Array, size: int) -> ConicProgram:
-    """Return the projection of symmetric matrices, as vectors, onto the semidefinite ones."""
-    return program(np.eye(len(h)), -h, blocks=(whole(size),))
-
-
 def response(program: ConicProgram) -> Array:
     """Return the derivative at the optimum."""
     found = solve_conic(program)
@@ -378,12 +362,12 @@ def test_the_trace_is_that_of_the_projection_onto_semidefinite_matrices(
 ) -> None:
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     matrix = turn @ np.diag(eigenvalues) @ turn.T
-    h = np.einsum("kij,ij->k", symmetric_basis(3), matrix)
     # A pair of eigenvalues moves with the share of the positive one in their distance.
     up = [value for value in eigenvalues if value > 0.0]
     down = [-value for value in eigenvalues if value < 0.0]
     expected = len(up) * (len(up) + 1) / 2 + sum(a / (a + b) for a in up for b in down)
-    assert np.trace(response(projection(h, 3))) == pytest.approx(expected, abs=EXACT)
+    found = response(projection(coordinates(matrix), 3))
+    assert np.trace(found) == pytest.approx(expected, abs=EXACT)
 
 
 @settings(max_examples=15, deadline=None)
@@ -397,14 +381,12 @@ def test_the_derivative_is_that_of_differences(seed: int) -> None:
         own = program(M, -h, C=np.eye(3)[:1], lower=-0.2, upper=0.5, blocks=(matrix,))
         return own, M @ solve_conic(own).x
 
-    numbers = [
-        (fitted(h + STEP * unit)[1] - fitted(h - STEP * unit)[1]) / (2.0 * STEP)
-        for unit in np.eye(4)
-    ]
+    ends = [[fitted(h + side * unit)[1] for unit in STEP * np.eye(4)] for side in (1.0, -1.0)]
+    numbers = (np.array(ends[0]) - ends[1]) / (2.0 * STEP)
     found = response(fitted(h)[0])
     # Where the active constraints change within the step there is no derivative to compare with.
-    if np.abs(np.array(numbers) - np.array(numbers).T).max() < DIFFERENCES:
-        assert np.abs(found - np.array(numbers).T).max() < 30.0 * DIFFERENCES
+    if np.abs(numbers - numbers.T).max() < DIFFERENCES:
+        assert np.abs(found - numbers.T).max() < 30.0 * DIFFERENCES
     values = np.linalg.eigvalsh(found)
     assert values[0] > -EXACT
     assert values[-1] < 1.0 + EXACT

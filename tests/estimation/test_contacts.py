@@ -20,18 +20,16 @@ from sdpid.assurance.diagnostics.blocks import Block, predicted_by
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import compress, weights_and_shares, weights_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
 from sdpid.output.report.efforts_verdict import _forces
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.legs.find import find_legs
-from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages
+from tests.helpers.data import row_source
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
@@ -39,9 +37,9 @@ from tests.helpers.studies import study
 SIGMA = np.diag(NOISE**2)
 
 
-def problem(samples: Samples, **given: Any) -> Problem:
+def problem(samples: Samples, robot: RobotModel | None = None, **given: Any) -> Problem:
     settings: dict[str, Any] = {"friction": (), "weighting": "gls", "check_excitation": False}
-    return sdpid.build_problem(quadruped(), samples, **{**settings, **given})
+    return sdpid.build_problem(robot or quadruped(), samples, **{**settings, **given})
 
 
 def gram(found: Problem) -> Array:
@@ -406,17 +404,14 @@ def test_what_a_kind_transmits_leaves_nothing_and_more_does(kind: Kind, moments:
         mujoco.mj_forward(built.model, data)
         a[k, :3] = turn.inv().apply(data.qacc[:3]) - np.cross(v[k, 3:6], v[k, :3])
         a[k, 3:6], a[k, 6:] = data.qacc[3:6], data.qacc[built.dof]
-    friction = FrictionModel.from_terms((), robot.joint_names, first=6)
-    base = structural_base(robot, friction)
     for said in get_args(Kind):
         contacts = ContactSamples(
             frames=FEET[:2], kind=said, offset=RADIUS, down=np.ones((K, 2), dtype=bool)
         )
         states = {"position": q, "velocity": v, "acceleration": a, "effort": np.zeros((K, 18))}
-        samples = sdpid.Samples(**states, contacts=contacts)
-        rows = RowSource(robot, friction, base, samples)
+        rows = row_source(robot, sdpid.Samples(**states, contacts=contacts), ())
         T, index = weights_of(rows, slice(None), np.eye(18))
-        needed = rows.regressor(slice(None)) @ (base.matrix @ theta[:130])
+        needed = rows.regressor(slice(None)) @ (rows.base.matrix @ theta[:130])
         left, size = (
             np.linalg.norm(T[index] @ each[..., None]) for each in (needed, np.ones((K, 18)))
         )
@@ -480,14 +475,13 @@ def linkage(tmp_path_factory: pytest.TempPathFactory) -> tuple[RobotModel, Sampl
 
 def test_truth_leaves_nothing_where_the_loop_is_told(linkage: tuple[RobotModel, Samples]) -> None:
     robot, samples = linkage
-    settings: dict[str, Any] = {"friction": (), "weighting": "gls", "check_excitation": False}
-    found = sdpid.build_problem(robot, samples, **settings)
+    found = problem(samples, robot)
     # The pin bears two forces in the plane; across it no joint can move.
     assert found.n_rows == len(samples.effort)
     base = found.base_of(robot.prior.ravel())
     size = float(np.sum(samples.effort**2))
     assert found.cost(base) < 1e-16 * size
-    open_chain = sdpid.build_problem(robot, replace(samples, contacts=None), **settings)
+    open_chain = problem(replace(samples, contacts=None), robot)
     assert open_chain.cost(base) > 0.1 * size
     np.testing.assert_allclose(found.predict(base), samples.effort, atol=1e-7)
 

@@ -15,7 +15,6 @@ from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_s
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.factor import Factor
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.effects.choose import close_terms
 from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
@@ -41,7 +40,8 @@ from sdpid.robot.friction.terms import (
     Stribeck,
     Viscous,
 )
-from sdpid.robot.model.base_parameters import generic_states, structural_base
+from sdpid.robot.model.base_parameters import generic_states
+from tests.helpers import world
 from tests.helpers.arm import ARM
 from tests.helpers.data import (
     friction_model,
@@ -50,6 +50,8 @@ from tests.helpers.data import (
     random_covariance,
     random_links,
     random_theta,
+    row_source,
+    whitened,
 )
 from tests.helpers.motions import slow_motion
 from tests.helpers.refusals import refuses
@@ -118,17 +120,12 @@ def search_of(samples: Samples, terms: tuple[FrictionTerm | str, ...], sigma: Ar
     """Return a search at the middle of the limits, and its rows."""
     model = friction_model(ARM3, terms)
     speeds = list(np.abs(samples.velocity).T)
-    opened = [
-        OpenTerm(k, t, p)
-        for k, t in enumerate(model.terms)
-        if (p := t.open_parameters(speeds, NAMES))
-    ]
+    numbers = [term.open_parameters(speeds, NAMES) for term in model.terms]
+    opened = [OpenTerm(k, model.terms[k], own) for k, own in enumerate(numbers) if own]
     closed = list(model.terms)
     for each in opened:
         closed[each.place] = each.closed
-    model = replace(model, terms=tuple(closed))
-    rows = RowSource(ARM3, model, structural_base(ARM3, model), samples)
-    return VariableProjection(rows, sigma, opened), opened, model
+    return VariableProjection(row_source(ARM3, samples, closed), sigma, opened), opened
 
 
 @pytest.mark.parametrize("kind", ["one", "each"])
@@ -140,18 +137,12 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool) -> None:
     samples = made(*terms, noise=0.1, mask=mask)
     sigma = random_covariance(rng, 3, None if kind == "one" else 400)
     asked = (Coulomb(width=None), Stribeck(), "viscous")
-    search, opened, _ = search_of(samples, asked, sigma)
+    search, opened = search_of(samples, asked, sigma)
     search.run()
     closed = (opened[0].closed, opened[1].closed, "viscous")
     W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
-    stacked, target = [], []
-    for k in range(400):
-        used = np.flatnonzero(np.ones(3) if mask is None else mask[k])
-        if used.size:
-            L = np.linalg.cholesky((sigma if kind == "one" else sigma[k])[np.ix_(used, used)])
-            stacked.append(np.linalg.solve(L, W[k][used]))
-            target.append(np.linalg.solve(L, samples.effort[k][used]))
-    matrix, rhs = np.concatenate(stacked), np.concatenate(target)
+    rows, effort = whitened(W, samples.effort, samples.used, sigma)
+    matrix, rhs = rows.reshape(1200, -1), effort.ravel()
     best = np.linalg.lstsq(matrix, rhs, rcond=1e-10)[0]
     assert search.cost == pytest.approx(float(np.sum((matrix @ best - rhs) ** 2)), rel=1e-6)
 
@@ -160,9 +151,9 @@ def test_a_negative_peak_does_not_imitate_a_smooth_sign() -> None:
     """Unsigned, the peak would be the difference between an exact and a smooth sign."""
     samples = made(Coulomb(width=0.4), "viscous")
     rows = ("coulomb", "viscous", Stribeck())
-    search, _, _ = search_of(samples, rows, np.eye(3))
+    search, _ = search_of(samples, rows, np.eye(3))
     search.run()
-    without, _, _ = search_of(samples, ("coulomb", "viscous", Flat()), np.eye(3))
+    without, _ = search_of(samples, ("coulomb", "viscous", Flat()), np.eye(3))
     assert search.cost == pytest.approx(without.cost, rel=1e-6)
 
 
@@ -222,17 +213,15 @@ def test_every_weighting(weighting: Any) -> None:
     truth = Coulomb(width=(0.3, 0.6, 1.0))
     sigma = random_covariance(np.random.default_rng(2), 3, 400)
     samples = made(truth, "viscous", noise=0.01, covariance=sigma)
-    problem = build_problem(
-        ARM3, samples, friction=(Coulomb(width=None), "viscous"), weighting=weighting
-    )
+    asked = (Coulomb(width=None), "viscous")
+    problem = build_problem(ARM3, samples, friction=asked, weighting=weighting)
     np.testing.assert_allclose([p.value for p in problem.origin.profiled], truth.width, rtol=0.1)
 
 
 def test_only_rows_in_use_count() -> None:
     """Nobody measured the last joint, nor the efforts of a floating base."""
     samples = made(Coulomb(width=0.5), "viscous")
-    mask = np.ones((400, 3), dtype=bool)
-    mask[:, 2] = False
+    mask = np.tile([True, True, False], (400, 1))
     wrong = samples.effort.copy()
     wrong[:, 2] = 1e3
     model = friction_model(ARM3, (Coulomb(width=None), "viscous"))
@@ -246,11 +235,9 @@ def test_a_floating_base() -> None:
     robot = load_robot(TREE, root="free_flyer")
     rng = np.random.default_rng(4)
     terms = (Coulomb(width=2.0), "viscous")
-    q, v, a = generic_states(robot, 300, 9)
-    effort = full_regressor(robot, (q, v, a), terms) @ random_theta(robot, rng, terms)
-    mask = np.ones(effort.shape, dtype=bool)
-    mask[:, :6] = False
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort, mask=mask)
+    theta, mask = random_theta(robot, rng, terms), np.tile(np.arange(robot.n) >= 6, (300, 1))
+    moved: dict[str, Any] = {"states": generic_states(robot, 300, 9), "friction": terms}
+    samples = make_samples(robot, theta, rng, mask=mask, **moved)
     model = friction_model(robot, (Coulomb(width=None), "viscous"))
     _, chosen = close_terms(model, robot, samples, lambda _: np.eye(robot.n))
     np.testing.assert_allclose([p.value for p in chosen], 2.0, rtol=FOUND)
@@ -296,7 +283,7 @@ def test_the_signed_fit_is_scipys(seed: int) -> None:
     # Efforts that pull both ways, so that signs matter.
     samples = replace(made("viscous", seed=seed), effort=rng.normal(size=(400, 3)))
     asked = (Coulomb(width=None), Stribeck(), SigmoidFriction(), "viscous", "offset")
-    search, opened, _ = search_of(samples, asked, np.eye(3))
+    search, opened = search_of(samples, asked, np.eye(3))
     closed = (*(each.closed for each in opened), "viscous", "offset")
     W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
     matrix = W.reshape(-1, W.shape[2])
@@ -322,10 +309,8 @@ def simulated(rng: np.random.Generator, count: int = 400) -> tuple[Problem, np.n
     """Return a problem whose friction saturates at some speeds, and the truth."""
     terms = (sdpid.friction.SigmoidFriction(velocity=tuple(SPEEDS)), *CHOSEN[1:])
     theta = random_theta(ARM, np.random.default_rng(0), terms)
-    q, v, a = slow_motion(count)
-    effort = full_regressor(ARM, (q, v, a), terms) @ theta
-    effort += 0.05 * rng.standard_normal(effort.shape)
-    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    moved: dict[str, Any] = {"states": slow_motion(count), "noise": 0.05, "friction": terms}
+    samples = make_samples(ARM, theta, rng, **moved)
     return build_problem(ARM, samples, friction=CHOSEN), theta
 
 
@@ -393,14 +378,13 @@ def test_the_load_rubs_where_the_joint_does() -> None:
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_every_effect_says_what_it_is(effect: object) -> None:
-    (found,) = [each for each in EFFECTS if each is effect]
-    assert 0.0 < found.least_fall < 1.0
-    assert found.title
-    assert found.meaning
+def test_every_effect_says_what_it_is(effect: Any) -> None:
+    assert 0.0 < effect.least_fall < 1.0
+    assert effect.title
+    assert effect.meaning
     parameters = {"Gx": 0.01, "Gy": -0.02, "Fl1": 0.05, "Fl2": 0.1}
     words = {"tilt": "0.57° about x and -1.15° about y", "load": "5.0 to 10.0 % of the load"}
-    assert words.get(found.name, "") in found.size(parameters)
+    assert words.get(effect.name, "") in effect.size(parameters)
 
 
 # ---- Effects are chosen where the data hold them, and not where they do not.
@@ -546,19 +530,16 @@ def test_a_coupling_by_name_brings_rotor_inertia_along() -> None:
 
 def test_an_effect_without_a_place_is_refused_by_name() -> None:
     robot = small_arm(1)
-    q, v, a = random_states(np.random.default_rng(0), 1, 50)
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=q)
-    build = builder(samples, robot)
+    build = builder(world.samples(robot)[0], robot)
     words = r"coupling has no place on 'arm1'.*two joints"
     refuses(DataError, words, with_effects, build(TERMS), TERMS, ("coupling",), build)
 
 
 def test_an_effect_has_no_place_twice_or_on_a_floating_base() -> None:
     floating = load_robot(TREE, root="free_flyer")
-    for name in ("tilt", "load"):
-        (effect,) = [each for each in EFFECTS if each.name == name]
-        assert effect.term(floating, ()) is None
     for effect in EFFECTS:
+        if effect.name in ("tilt", "load"):
+            assert effect.term(floating, ()) is None
         first = effect.term(ARM4, (RotorInertia(),) if effect.name == "coupling" else ())
         assert first is not None
         assert effect.term(ARM4, (RotorInertia(), first)) is None

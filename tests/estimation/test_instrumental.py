@@ -315,13 +315,9 @@ def test_two_halves_correct_least_squares_for_their_difference(
     shaken_fit: Problem, clean: Samples
 ) -> None:
     halves = shaken(clean, 5), replace(shaken(clean, 6), effort=clean.effort[::-1])
-    mean = replace(
-        clean,
-        **{
-            name: 0.5 * (getattr(halves[0], name) + getattr(halves[1], name))
-            for name in ("position", "velocity", "acceleration", "effort")
-        },
-    )
+    names = ("position", "velocity", "acceleration", "effort")
+    means = {name: np.mean([getattr(half, name) for half in halves], axis=0) for name in names}
+    mean = replace(clean, **means)
     whole = sdpid.build_problem(ARM, mean, friction=FRICTION, base=shaken_fit.base)
     found = second_stage(FirstStage.of(whole, (halves, halves[::-1])), "of a test")
     A, B = (dense(shaken_fit, half) for half in halves)

@@ -553,12 +553,6 @@ def physical(theta: Array, links: int) -> Array:
     return np.concatenate([each.ravel(), theta[10 * links :]])
 
 
-def derivative(x: Array, links: int) -> Array:
-    """Return DPhi: central differences are exact, as no variable enters beyond its square."""
-    steps = np.eye(len(x))
-    return np.stack([0.5 * (phi(x + e, links) - phi(x - e, links)) for e in steps], axis=1)
-
-
 def along(problem: Problem, theta: Array, link: int, u: Array) -> float:
     """Return ``u^T·(N − margin·E)·u`` of a link."""
     inertia = split(theta, problem.robot.n_links)[2][link]
@@ -572,21 +566,15 @@ def explained(problem: Problem, theta: Array, best: Array) -> float:
     """Return the right side of (*)."""
     links, feasible = problem.robot.n_links, problem.feasible
     x = physical(theta, links)
-    D = derivative(x, links)
+    # Central differences are exact, as no variable enters beyond its square.
+    D = np.stack(list(differences(lambda x: phi(x, links), x, 1.0)), axis=1)
     np.testing.assert_allclose(phi(x, links), theta, atol=1e-12 * np.abs(theta).max())
     w = np.linalg.solve(D, best - theta)
     G, h = problem.squared.matrix, problem.squared.rhs
     gradient = D.T @ (2.0 * G.T @ (G @ theta - h))
 
-    slopes: list[Array] = []
-    here: list[float] = []
-    there: list[float] = []
-
-    def add(slope: Array, value: float, other: float) -> None:
-        slopes.append(slope)
-        here.append(value)
-        there.append(other)
-
+    # Of each constraint: its slope, its value here, and its value at the other point.
+    found: list[tuple[Array, float, float]] = []
     for link in range(links):
         inertia = split(theta, links)[2][link]
         asked = inertia_tensor(gradient[10 * link : 10 * link + 10])
@@ -597,35 +585,36 @@ def explained(problem: Problem, theta: Array, best: Array) -> float:
                 outer = np.array([0.5, 0.0, 0.5, 0.0, 0.0, 0.5]) - outer
             slope = np.zeros(len(x))
             slope[10 * link + 4 : 10 * link + 10] = outer
-            add(slope, along(problem, theta, link, u), along(problem, best, link, u))
+            values = (along(problem, point, link, u) for point in (theta, best))
+            found.append((slope, *values))
     identity = np.eye(len(x))
     for j in np.flatnonzero(feasible.bounded):
         for sign, limit in ((1.0, feasible.lower[j]), (-1.0, feasible.upper[j])):
-            add(sign * identity[j] @ D, sign * (theta[j] - limit), sign * (best[j] - limit))
+            values = (sign * (point[j] - limit) for point in (theta, best))
+            found.append((sign * identity[j] @ D, *values))
     for row, low, high in zip(feasible.rows, feasible.row_lower, feasible.row_upper, strict=True):
         for sign, limit in ((1.0, low), (-1.0, high)):
             if np.isfinite(limit):
                 values = (sign * (float(row @ point) - limit) for point in (theta, best))
-                add(sign * row @ D, *values)
-    rooms, best_rooms = feasible.slacks(theta), feasible.slacks(best)
-    for k, room in enumerate(rooms):
+                found.append((sign * row @ D, *values))
+    for k, rooms in enumerate(zip(feasible.slacks(theta), feasible.slacks(best), strict=True)):
         F = feasible.block_basis[feasible.n_own + k]
         link = int(feasible.block_links[feasible.n_own + k])
         own = slice(10 * link, 10 * link + 10)
         v = theta[own] @ F[:, -1, :3]
         slope = np.zeros(len(x))
         slope[own] = F[:, -1, -1] - F[:, -1, :3] @ v / np.linalg.norm(v)
-        add(slope @ D, float(room), float(best_rooms[k]))
+        found.append((slope @ D, *rooms))
 
-    A, values = np.array(slopes), np.array(here)
+    A, here, there = (np.array(each) for each in zip(*found, strict=True))
     size = np.sqrt(problem.cost_of(theta) + cost_scale(problem))
     curvature = np.linalg.norm(G @ D, axis=0)
     weights = 1.0 / np.maximum(curvature, 1e-3 * curvature.max())
     # Least squares of the residual, and of what slacks cost; (*) holds whatever it finds.
-    system = np.vstack([weights[:, None] * A.T, np.abs(values) / size])
+    system = np.vstack([weights[:, None] * A.T, np.abs(here) / size])
     multipliers, _ = nnls(system, np.concatenate([weights * gradient, [0.0]]))
     residual = gradient - A.T @ multipliers
-    return abs(float(residual @ w)) + float(multipliers @ (values - np.array(there)))
+    return abs(float(residual @ w)) + float(multipliers @ (here - there))
 
 
 @given(

@@ -24,12 +24,12 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.for_robot import prepare
-from tests.helpers.arm import ARM
-from tests.helpers.data import full_regressor, random_links, random_theta
+from tests.helpers.arm import ARM, BODIES
+from tests.helpers.data import make_samples, random_theta
+from tests.helpers.legged import quadruped
 from tests.helpers.motions import sines
 from tests.helpers.world import gauss_markov
 
-BODIES = random_links(np.random.default_rng(4), 2)
 PROCESSING = sdpid.Processing(
     cutoff_hz=25.0, filter="finite", decimation=None, reversal_time=None, derivative="central4"
 )
@@ -141,12 +141,13 @@ LEGGED = sdpid.Processing(
 FRICTION = (sdpid.friction.Coulomb(width=0.02), "viscous", "rotor_inertia")
 
 
-def legged_problem(
-    robot: sdpid.RobotModel, log: sdpid.Recording, processing: sdpid.Processing
-) -> Problem:
-    problem = sdpid.build_problem(
-        robot, [log], processing=processing, friction=FRICTION, weighting="residual"
-    )
+def simulated(gait: str) -> LeggedRun:
+    return sdpid.simulate_legged(quadruped(), gait, duration=2.0, seed=1, sensors=Sensors.exact())
+
+
+def legged_problem(log: sdpid.Recording, processing: sdpid.Processing) -> Problem:
+    given = {"processing": processing, "friction": FRICTION, "weighting": "residual"}
+    problem = sdpid.build_problem(quadruped(), [log], **given)
     return with_motion_bias(problem, [log], processing)
 
 
@@ -175,27 +176,26 @@ def counted_bias(problem: Problem, run: LeggedRun, name: str, alike: float) -> I
 
 
 def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
-    robot = sdpid.load_robot("solo12", root="free_flyer")
-    run = sdpid.simulate_legged(robot, "trot", duration=2.0, seed=1, sensors=Sensors.exact())
-    problem = legged_problem(robot, run.recording, LEGGED)
+    run = simulated("trot")
+    problem = legged_problem(run.recording, LEGGED)
     honest = counted_bias(problem, run, "landing", 0.5)
     assert "from landings, %" in honest.table()
     words = honest.noise_in_words()
     assert honest.names[int(np.argmax(honest.shares["landing"]))] in words
     # Where landings are left out there is nothing to count.
-    apart = legged_problem(robot, run.recording, replace(LEGGED, impact_s=0.0))
+    apart = legged_problem(run.recording, replace(LEGGED, impact_s=0.0))
     assert moved_by(apart, "landing") is None
     assert not landings_used(apart, [run.recording], replace(LEGGED, impact_s=0.0))
     # Where too few samples would stay they are used after all, and counted as much.
     kept = replace(LEGGED, impact_s=0.0, kept_share=0.9)
-    again = legged_problem(robot, run.recording, kept)
+    again = legged_problem(run.recording, kept)
     assert landings_used(again, [run.recording], kept)
     assert moved_by(again, "filter") is None
     moved = [moved_by(each, "landing") for each in (again, problem)]
     np.testing.assert_allclose(*moved, rtol=1e-9)
     # No sample is two seconds away from a landing: what they do is not known.
     wide = replace(LEGGED, impact_s=2.0, kept_share=0.1)
-    unknown = legged_problem(robot, run.recording, wide)
+    unknown = legged_problem(run.recording, wide)
     assert moved_by(unknown, "landing") is None
     assert landings_used(unknown, [run.recording], wide)
 
@@ -203,13 +203,10 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
 def counted(rng: np.random.Generator, wrong: float) -> float:
     """Return the share of two fits' difference that is counted; some samples have wrong efforts."""
     motion = tuple(rng.standard_normal((600, ARM.n)) for _ in range(3))
-    effort = full_regressor(ARM, motion, ()) @ random_theta(ARM, np.random.default_rng(0), ())
-    effort += 0.1 * rng.standard_normal(effort.shape)
-    near = np.arange(600) % 6 < 2
-    effort[near] += wrong * motion[2][near]
-    samples = sdpid.Samples(
-        position=motion[0], velocity=motion[1], acceleration=motion[2], effort=effort
-    )
+    noise, near = 0.1 * rng.standard_normal((600, ARM.n)), np.arange(600) % 6 < 2
+    noise[near] += wrong * motion[2][near]
+    theta = random_theta(ARM, np.random.default_rng(0), ())
+    samples = make_samples(ARM, theta, rng, states=motion, noise=noise, friction=())
     away = replace(samples, mask=np.tile(~near[:, None], ARM.n))
     problems = [
         sdpid.build_problem(ARM, each, friction=(), weighting="residual")
@@ -236,32 +233,23 @@ SLOW = replace(LEGGED, cutoff_hz=12.0)
 
 
 @pytest.fixture(scope="module")
-def stand() -> tuple[sdpid.RobotModel, LeggedRun]:
-    robot = sdpid.load_robot("solo12", root="free_flyer")
-    return robot, sdpid.simulate_legged(
-        robot, "stand", duration=2.0, seed=1, sensors=Sensors.exact()
-    )
+def stand() -> LeggedRun:
+    return simulated("stand")
 
 
-def test_intervals_of_a_stand_count_what_the_filter_does(
-    stand: tuple[sdpid.RobotModel, LeggedRun],
-) -> None:
-    robot, run = stand
-    problem = legged_problem(robot, run.recording, SLOW)
+def test_intervals_of_a_stand_count_what_the_filter_does(stand: LeggedRun) -> None:
+    problem = legged_problem(stand.recording, SLOW)
     assert moved_by(problem, "landing") is None
-    honest = counted_bias(problem, run, "filter", 0.8)
+    honest = counted_bias(problem, stand, "filter", 0.8)
     assert "from the filter, %" in honest.table()
     words = replace(honest, shares={"filter": np.full(len(honest), 0.9)}).noise_in_words()
     assert "what the filter takes away moves" in words
 
 
-def test_what_no_other_filter_tells_is_not_counted(
-    stand: tuple[sdpid.RobotModel, LeggedRun],
-) -> None:
-    robot, run = stand
+def test_what_no_other_filter_tells_is_not_counted(stand: LeggedRun) -> None:
     # Between these and half the rate there is no room for a higher one.
-    fast = replace(SLOW, cutoff_hz=0.4 / run.recording.step)
-    assert moved_by(legged_problem(robot, run.recording, fast), "filter") is None
+    fast = replace(SLOW, cutoff_hz=0.4 / stand.recording.step)
+    assert moved_by(legged_problem(stand.recording, fast), "filter") is None
 
 
 # ---- What a law of friction that is not the robot's does to a fit whose speeds the data chose.
@@ -277,10 +265,9 @@ def peaked(peak: float, friction: tuple[object, ...] = CHOSEN) -> tuple[Problem,
     q, v, a = (size * rng.standard_normal((1500, ARM.n)) for size in (1.0, 0.5, 1.0))
     a += 0.5 * np.tanh(v / 0.3)
     theta = random_theta(ARM, np.random.default_rng(0), ())
-    effort = full_regressor(ARM, (q, v, a), ()) @ theta + 0.3 * v
-    effort += 2.0 * (1.0 + peak * np.exp(-((v / 0.3) ** 2))) * np.tanh(v / 0.1)
-    effort += 0.05 * rng.standard_normal(effort.shape)
-    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    rest = 2.0 * (1.0 + peak * np.exp(-((v / 0.3) ** 2))) * np.tanh(v / 0.1) + 0.3 * v
+    rest += 0.05 * rng.standard_normal(v.shape)
+    samples = make_samples(ARM, theta, rng, states=(q, v, a), noise=rest, friction=())
     problem = sdpid.build_problem(ARM, samples, friction=friction, weighting="residual")  # type: ignore[arg-type]
     return problem, theta
 

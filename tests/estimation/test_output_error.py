@@ -120,10 +120,8 @@ def test_costs_of_iterations_are_comparable() -> None:
 
 def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> None:
     wrong = sdpid.controllers.PD(1.05 * LAW.kp, 1.05 * LAW.kd)
-    with pytest.raises(
-        DataError, match=r"not that of this log: measured efforts of joint . are 0\.9"
-    ):
-        solve(method="closed_loop", controller=wrong)
+    words = r"not that of this log: measured efforts of joint . are 0\.9"
+    refuses(DataError, words, solve, method="closed_loop", controller=wrong)
     shifted = solve(method="closed_loop", controller=wrong, controller_tolerance=np.inf)
     exact = solved("closed_loop")
     np.testing.assert_allclose(shifted.base, 1.05 * exact.base, rtol=5e-3, atol=1e-4)

@@ -28,7 +28,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia, transform
 from sdpid.workflow.verify import verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
-from tests.helpers.data import random_links, row_source
+from tests.helpers.data import make_samples, random_links, row_source
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFT
 from tests.helpers.strategies import SEEDS, random_states
@@ -61,15 +61,9 @@ def samples_of(
     robot, truth: np.ndarray, seed: int = 0, *, count: int = 300, noise: float = 0.05, **fields
 ) -> Samples:
     rng = np.random.default_rng(seed)
-    q, v, a = (rng.normal(size=(count, robot.n)) for _ in range(3))
-    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + noise * rng.normal(size=q.shape)
-    return Samples(position=q, velocity=v, acceleration=a, effort=effort, **fields)
-
-
-def described(seed: int):
-    """Return a robot, and the bodies that are believed of it."""
-    robot = robot_of(bodies_of(seed))
-    return robot, repaired(robot.prior)[0]
+    states = tuple(rng.normal(size=(count, robot.n)) for _ in range(3))
+    given = {"states": states, "noise": noise, "friction": (), **fields}
+    return make_samples(robot, truth.ravel(), rng, **given)
 
 
 def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
@@ -80,15 +74,15 @@ def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
 
 
 def divergence(P: np.ndarray, P0: np.ndarray) -> float:
-    """Log-det divergence of 4x4 matrices, by its definition."""
+    """Log-det divergences of 4x4 matrices, by their definition: no factor of P0, no eigenvalue."""
     ratio = np.linalg.solve(P0, P)
-    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4.0)
+    return float(np.sum(np.trace(ratio, axis1=1, axis2=2) - np.linalg.slogdet(ratio)[1] - 4.0))
 
 
 @given(st.integers(0, 2**31), st.floats(0.1, 10.0))
 def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
-    robot, believed = described(seed)
-    moved = bodies_of(seed + 1)
+    robot, moved = robot_of(bodies_of(seed)), bodies_of(seed + 1)
+    believed = repaired(robot.prior)[0]
     raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
     assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
     scaled = 0.0
@@ -128,8 +122,8 @@ def test_entropic_kind_is_the_divergence(seed: int, strength: float):
     assert np.array_equal(squared.rhs, quadratic_squared.rhs[20:])
     assert found.strength == quadratic.strength == strength
     theta = np.concatenate([bodies_of(seed + 1).ravel(), np.ones(4)])
-    pairs = zip(*map(pseudo_inertia, (theta[:20].reshape(2, 10), repaired(bodies)[0])), strict=True)
-    exact = 2.0 * strength * sum(divergence(P, P0) for P, P0 in pairs)
+    P, P0 = map(pseudo_inertia, (theta[:20].reshape(2, 10), repaired(bodies)[0]))
+    exact = 2.0 * strength * divergence(P, P0)
     assert entropic.value(theta) == pytest.approx(exact, rel=1e-6)
     alone = prior_terms(Prior(kind="entropic", friction=False), rows)
     assert alone.terms[0].matrix.shape == (0, 24)
@@ -141,9 +135,8 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
     bodies = bodies_of(0, 3)
     bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]
     bodies[2] = 0.0
-    found = prior_terms(
-        Prior(kind=kind, bodies=bodies, friction=False), rows_of(robot_of(bodies_of(1, 3)))
-    )
+    prior = Prior(kind=kind, bodies=bodies, friction=False)
+    found = prior_terms(prior, rows_of(robot_of(bodies_of(1, 3))))
     assert any("link_2 could not exist as described" in note for note in found.notes)
     assert any("next to no information about link_3" in note for note in found.notes)
     squared, *others = found.terms
@@ -168,6 +161,13 @@ def test_a_description_without_masses_is_no_prior():
     for strength in (0.0, -1.0, np.inf, np.nan, "often", True):
         refuses(DataError, "strength", Prior, strength=strength)
     refuses(DataError, "kind", Prior, kind="flat")
+    for bodies, words in (
+        (np.full((2, 10), np.nan), "20 of 20 values are not finite"),
+        (np.ones((2, 9)), r"shape \(2, 9\)"),
+        (np.ones(10), "1 axes"),
+        ([["heavy"] * 10], "not a rectangular array of real numbers"),
+    ):
+        refuses(DataError, words, Prior, bodies=bodies)
 
 
 @pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
@@ -179,8 +179,7 @@ def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
     samples = Samples(
         position=np.tile([0.1, 0.2, 0.3], (count, 1)), velocity=rest, acceleration=rest, effort=rest
     )
-    with pytest.raises(IdentifiabilityError):
-        build_problem(robot, samples)
+    refuses(IdentifiabilityError, "do not excite", build_problem, robot, samples)
     problem = build_problem(robot, samples, prior=Prior(), consistency=consistency)
     estimate = solve_sdp(problem)
     certificate = certify(estimate)
@@ -228,13 +227,6 @@ def test_thin_bodies_are_widened_and_named():
     assert repaired(repaired(bodies)[0])[1:] == ((), ())
 
 
-@pytest.mark.parametrize("weighting", ["eq9", "eq18"])
-def test_costs_that_are_no_likelihood_take_no_prior(weighting):
-    robot = robot_of(bodies_of(0))
-    with pytest.raises(DataError, match=f"'{weighting}' is no likelihood.*no prior"):
-        build_problem(robot, rows_of(robot).samples, weighting=weighting, prior=Prior())
-
-
 def test_a_likelihood_without_a_covariance_says_its_unit():
     robot = robot_of(bodies_of(0))
     samples = rows_of(robot, 200).samples
@@ -257,19 +249,6 @@ def test_a_prior_is_a_value():
     assert prior == same
     with pytest.raises(ValueError, match="read-only"):
         prior.bodies[0, 0] = 7.0
-
-
-@pytest.mark.parametrize(
-    ("bodies", "says"),
-    [
-        (np.full((2, 10), np.nan), "20 of 20 values are not finite"),
-        (np.ones((2, 9)), r"shape \(2, 9\)"),
-        (np.ones(10), "1 axes"),
-        ([["heavy"] * 10], "not a rectangular array of real numbers"),
-    ],
-)
-def test_bodies_that_are_none(bodies, says):
-    refuses(DataError, says, Prior, bodies=bodies)
 
 
 @given(st.integers(0, 2**31), st.floats(0.01, 100.0), st.booleans())
@@ -353,17 +332,15 @@ def test_what_nobody_knows_does_not_matter(seed: int):
 def test_the_strength_that_made_the_parameters_is_recovered(strength):
     rng = np.random.default_rng(3)
     links = 60
-    R = np.eye(links)
     theta = rng.normal(size=links) / np.sqrt(strength)
     G = 10.0 * rng.normal(size=(200, links))
-    h = G @ theta + rng.normal(size=200)
-    found = strength_by_evidence((G, h), (R, np.zeros(links)), (np.zeros((0, links)), np.zeros(0)))
+    data = G, G @ theta + rng.normal(size=200)
+    beliefs = (np.eye(links), np.zeros(links)), (np.zeros((0, links)), np.zeros(0))
+    found = strength_by_evidence(data, *beliefs)
     # A variance from 60 draws is known to sqrt(2/60), 18 %; three times that.
     assert abs(np.log(found / strength)) < 0.55
     grid = np.geomspace(WEAKEST, STRONGEST, 400)
-    values = negative_log_evidence(
-        (G, h), (R, np.zeros(links)), (np.zeros((0, links)), np.zeros(0)), grid
-    )
+    values = negative_log_evidence(data, *beliefs, grid)
     assert found == pytest.approx(grid[np.argmin(values)], rel=0.03)
 
 
@@ -401,19 +378,19 @@ def test_good_descriptions_are_believed_more_than_bad_ones():
         found.append(problem.prior.strength)
     assert found[0] > 3.0 * found[1]
     assert found[0] > 0.9 * STRONGEST
-    bad = build_problem(
-        robot, samples_of(robot, 50.0 * truth), prior=prior, weighting="residual"
-    ).prior
+    heavy = samples_of(robot, 50.0 * truth)
+    bad = build_problem(robot, heavy, prior=prior, weighting="residual").prior
     assert "the least that is tried" in bad.notes[-1]
 
 
-def test_it_needs_a_likelihood():
-    robot = robot_of(bodies_of(0))
-    prior = Prior(strength="evidence")
+def test_costs_that_are_no_likelihood_take_no_prior():
+    robot, prior = robot_of(bodies_of(0)), Prior(strength="evidence")
     samples = samples_of(robot, bodies_of(1))
-    for weighting in ("gls", "eq9", "eq18"):
-        with pytest.raises(DataError, match="likelihood"):
-            build_problem(robot, samples, prior=prior, weighting=weighting)
+    for weighting in ("eq9", "eq18"):
+        for given_prior in (Prior(), prior):
+            words, given = f"'{weighting}' is no likelihood.*no prior", {"prior": given_prior}
+            refuses(DataError, words, build_problem, robot, samples, weighting=weighting, **given)
+    refuses(DataError, "likelihood", build_problem, robot, samples, prior=prior, weighting="gls")
     known = samples_of(robot, bodies_of(1), covariance=0.05**2 * np.eye(2))
     by_covariance = build_problem(robot, known, prior=prior, weighting="gls")
     assert by_covariance.prior.strength > 0.0
@@ -492,19 +469,16 @@ def test_an_offset_may_be_of_the_size_of_the_weight(weight: float) -> None:
 # ---- Friction in both directions is believed to be alike: one direction must not ruin the other.
 
 
-LINKS = random_links(np.random.default_rng(3), 2)
-
-
 def moved(low: float, forwards: float, backwards: float) -> Estimate:
     """Return an estimate from a motion whose second joint moves at speeds of low to 2 rad/s."""
     rng = np.random.default_rng(1)
     q, v, a = random_states(rng, 2, 300)
     v[:, 1] = rng.uniform(low, 2.0, 300)
-    effort = ARM.inverse_dynamics(LINKS.ravel(), q, v, a) + 0.5 * v
+    effort = ARM.inverse_dynamics(BODIES.ravel(), q, v, a) + 0.5 * v
     effort += np.where(v > 0.0, forwards, -backwards) + 0.01 * rng.standard_normal(v.shape)
     samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
     terms = ("asymmetric_coulomb", "viscous")
-    prior = Prior(bodies=LINKS)
+    prior = Prior(bodies=BODIES)
     return solve_sdp(build_problem(ARM, samples, friction=terms, weighting="residual", prior=prior))
 
 
@@ -546,12 +520,7 @@ def make(seed: int, *, strength: float = 1.0) -> tuple[LogDetTerm, np.ndarray, n
 @given(SEEDS, st.floats(0.01, 100.0))
 def test_it_is_its_definition(seed: int, strength: float):
     entropy, P0, theta = make(seed, strength=strength)
-    P = pseudo_inertia(theta[:30].reshape(3, 10))[[0, 2]]
-    total = 0.0
-    for p, p0 in zip(P, P0, strict=True):
-        ratio = np.linalg.solve(p0, p)
-        # log det as written: no factor of P0, no eigenvalue.
-        total += np.trace(ratio) - np.log(np.linalg.det(p) / np.linalg.det(p0)) - 4.0
+    total = divergence(pseudo_inertia(theta[:30].reshape(3, 10))[[0, 2]], P0)
     assert entropy.value(theta) == pytest.approx(2.0 * strength * total, rel=FORMULA)
     assert entropy.value(theta[:30].reshape(3, 10)) == entropy.value(theta)
 

@@ -1,6 +1,7 @@
 """Recursive estimates against those of all samples, and against a robot that changes."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -40,15 +41,7 @@ def measured(theta: Array = THETA, count: int = 90, **fields: Any) -> sdpid.Samp
 
 
 def pieces(samples: sdpid.Samples, *cuts: int) -> list[sdpid.Samples]:
-    names = ("position", "velocity", "acceleration", "effort", "mask", "time")
-    out = []
-    for start, stop in zip((0, *cuts), (*cuts, samples.n_samples), strict=True):
-        own = {n: v[start:stop] for n in names if (v := getattr(samples, n)) is not None}
-        covariance = samples.covariance
-        if covariance is not None and covariance.ndim == 3:
-            covariance = covariance[start:stop]
-        out.append(sdpid.Samples(**own, covariance=covariance))
-    return out
+    return [samples.between(*ends) for ends in pairwise((0, *cuts, samples.n_samples))]
 
 
 def same_cost(found: Problem, expected: Problem) -> None:

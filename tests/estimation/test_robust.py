@@ -23,15 +23,16 @@ from sdpid.estimation.robust.huber import HuberLoss
 from sdpid.estimation.robust.solve import RobustEstimate, solve_robust
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from tests.helpers import world
 from tests.helpers.arm import BOTH
 from tests.helpers.data import (
     brute_force_cost,
     flat_links,
     make_samples,
-    matrix_power,
     random_covariance,
     random_theta,
     raw_rows,
+    whitened,
 )
 from tests.helpers.independent import Second
 from tests.helpers.legged import FEET, NOISE, RADIUS, Gait, gait, quadruped
@@ -74,22 +75,9 @@ def spoiled(
     return build_problem(robot, samples, **options), theta
 
 
-def whitened(problem: Problem) -> tuple[Array, Array]:
-    """Return the rows (K, n, b) and efforts (K, n) whitened sample by sample, masked ones zero."""
-    W, effort, mask = raw_rows(problem)
-    rows, efforts = np.zeros_like(W), np.zeros_like(effort)
-    for k in range(len(W)):
-        used = np.flatnonzero(mask[k])
-        if used.size:
-            sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[k]
-            root = matrix_power(sigma[np.ix_(used, used)], -0.5)
-            rows[k, used], efforts[k, used] = root @ W[k, used], root @ effort[k, used]
-    return rows, efforts
-
-
 def independent_optimum(problem: Problem, thresholds: Array) -> float:
     """Return the least Huber cost, from whitened raw rows and the problem written down again."""
-    rows, efforts = whitened(problem)
+    rows, efforts = whitened(*raw_rows(problem), problem.sigma)
     second = Second(problem)
     base = problem.base.matrix @ second.theta
     cost = sum(
@@ -242,9 +230,8 @@ def test_thresholds_are_in_deviations_of_single_residuals() -> None:
 
 
 def test_exact_data_need_no_deviation() -> None:
-    rng = np.random.default_rng(11)
-    theta = random_theta(ARM3, rng)
-    problem = build_problem(ARM3, make_samples(ARM3, theta, rng))
+    samples, theta = world.samples(ARM3, 11)
+    problem = build_problem(ARM3, samples)
     found = solve_robust(problem, solver=solve_wls)
     np.testing.assert_allclose(found.base, problem.base_of(theta), atol=1e-6)
 
@@ -297,10 +284,9 @@ def test_standard_errors_are_those_of_repeated_estimates() -> None:
 def test_what_has_not_settled_is_no_result() -> None:
     problem, _ = spoiled(ARM3, 1)
     assert solve_robust(problem).rounds > 1
-    with pytest.raises(SolverError, match="not settled after 1 rounds") as info:
-        solve_robust(problem, max_rounds=1)
-    assert info.value.problem is problem
-    assert isinstance(info.value.found, RobustEstimate)
+    error = refuses(SolverError, "not settled after 1 rounds", solve_robust, problem, max_rounds=1)
+    assert error.problem is problem
+    assert isinstance(error.found, RobustEstimate)
 
 
 def test_options_that_are_none() -> None:

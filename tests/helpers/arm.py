@@ -20,6 +20,7 @@ FIRST, LAST = ARM.link_names
 MASS = 0.6
 
 BODIES = random_links(np.random.default_rng(1), 2)
+THETA = np.concatenate([BODIES.ravel(), np.random.default_rng(4).uniform(0.5, 2.0, 4)])
 CUBE = np.stack(np.meshgrid(*[[-0.02, 0.01]] * 3), axis=-1).reshape(-1, 3)
 TURNED = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
 REFLECTION = np.diag([1.0, -1.0, 1.0, 1.0])

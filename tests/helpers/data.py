@@ -78,10 +78,14 @@ def make_samples(
     count: int = 60,
     noise: float | Array = 0.0,
     friction: Iterable[str | FrictionTerm] = FRICTION,
+    states: tuple[Array, Array, Array] | None = None,
     **fields: Any,
 ) -> sdpid.Samples:
-    """Return samples at generic states: exact efforts plus noise (a deviation, or an array)."""
-    q, v, a = random_states(rng, robot.n, count)
+    """Return samples at states, by default generic ones, that count.
+
+    Efforts are exact but for noise (a deviation, or an array).
+    """
+    q, v, a = states or random_states(rng, robot.n, count)
     effort = full_regressor(robot, (q, v, a), friction) @ theta
     error = noise * rng.standard_normal(effort.shape) if np.ndim(noise) == 0 else noise
     return sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort + error, **fields)
@@ -94,7 +98,7 @@ def random_covariance(rng: np.random.Generator, n: int, count: int | None = None
     return np.asarray(0.2 * root @ np.swapaxes(root, -1, -2) + 0.5 * np.eye(n))
 
 
-def raw_rows(problem: Problem) -> tuple[Array, Array, np.ndarray]:
+def raw_rows(problem: Problem | RowSource) -> tuple[Array, Array, np.ndarray]:
     """Return the base regressor (K, n, b), efforts (K, n) and mask, from the standard columns."""
     s = problem.samples
     full = np.concatenate(
@@ -106,6 +110,18 @@ def raw_rows(problem: Problem) -> tuple[Array, Array, np.ndarray]:
     )
     mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else np.asarray(s.mask)
     return full[:, :, problem.base.kept], s.effort, mask
+
+
+def whitened(W: Array, effort: Array, mask: np.ndarray, sigma: Array) -> tuple[Array, Array]:
+    """Return rows (K, n, b) and efforts (K, n) whitened sample by sample, masked ones zero."""
+    rows, efforts = np.zeros_like(W), np.zeros_like(effort)
+    for k in range(len(W)):
+        used = np.flatnonzero(mask[k])
+        if used.size:
+            own = sigma if sigma.ndim == 2 else sigma[k]
+            root = matrix_power(own[np.ix_(used, used)], -0.5)
+            rows[k, used], efforts[k, used] = root @ W[k, used], root @ effort[k, used]
+    return rows, efforts
 
 
 def matrix_power(matrix: Array, exponent: float) -> Array:

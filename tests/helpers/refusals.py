@@ -13,7 +13,8 @@ def refuses(
     /,
     *given: Any,
     **named: Any,
-) -> None:
-    """Assert that a call raises an error whose message holds words, a regular expression."""
-    with pytest.raises(error, match=words):
+) -> Any:
+    """Return the error that a call raises; its message holds words, a regular expression."""
+    with pytest.raises(error, match=words) as caught:
         call(*given, **named)
+    return caught.value
