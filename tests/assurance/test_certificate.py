@@ -448,10 +448,9 @@ def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
 
 def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
     """The same numbers with fewer demands are another statement."""
-    data = made("pseudo")
-    told = checked(data, tmp_path).statements
+    told = checked(stated("pseudo"), tmp_path).statements
     assert "2 links" in told[1]
-    fewer = copy.deepcopy(data)
+    fewer = made("pseudo")
     fewer["problem"]["rows"], fewer["multipliers"]["rows"] = [], []
     assert checked(sealed(fewer), tmp_path).statements[2] != told[2]
     assert "6 rows and 1 cones" in told[2]
@@ -468,8 +467,7 @@ def test_a_local_result_is_certified_by_the_bound_of_another(tmp_path: Path) -> 
     found = certify(early, bound=best)
     assert not found.passed
     assert found.gap == pytest.approx(1.0 - best.cost / early.cost, rel=1e-3)
-    found.to_json(tmp_path / "c.json")
-    again = verify(tmp_path / "c.json")
+    again = checked(found.to_dict(), tmp_path)
     # It does not claim to be optimal, and what it claims is true.
     assert again.passed == found.feasible
     assert again.gap == found.gap
@@ -483,8 +481,7 @@ def test_without_standard_parameters_only_the_bound_is_proven(tmp_path: Path) ->
     assert found.margins is None
     assert found.gap < 0.0
     assert "not feasible" in found.summary()
-    found.to_json(tmp_path / "c.json")
-    again = verify(tmp_path / "c.json")
+    again = checked(found.to_dict(), tmp_path)
     assert not again.passed
     assert again.cost is None
     assert again.statements[-1] == f"No feasible parameters cost less than {found.lower_bound!r}."
@@ -508,8 +505,7 @@ def test_without_a_consistency(tmp_path: Path) -> None:
     problem = arm_problem(consistency="none")
     found = certify(solve_sdp(problem))
     assert found.margins is None
-    found.to_json(tmp_path / "c.json")
-    again = verify(tmp_path / "c.json")
+    again = checked(found.to_dict(), tmp_path)
     assert again.passed == (not again.problems)
     assert again.margin is None
 

@@ -40,7 +40,7 @@ from tests.helpers.data import full_regressor, make_samples, random_links, rando
 from tests.helpers.identified import FRICTION, arm_theta, moved
 from tests.helpers.motions import slow_motion
 from tests.helpers.refusals import refuses
-from tests.helpers.strategies import random_states
+from tests.helpers.strategies import SEEDS, random_states
 from tests.helpers.world import gauss_markov
 
 # Interior-point solutions of problems of order one.
@@ -266,6 +266,8 @@ def test_text_and_plain_values() -> None:
         ({"parameters": ["m_1"], "method": "gauss_markov"}, "m_1"),
         ({"method": "gauss_markov", "groups": "periods"}, "periods"),
         ({"method": "bootstrap", "groups": "frequencies"}, "blocks"),
+        ({"method": "bootstrap", "resamples": 79}, "at least 80"),
+        ({"method": "bootstrap", "resamples": 80, "kind": "bca"}, "kind"),
     ],
 )
 def test_arguments_that_make_no_sense_are_named(arguments: dict[str, object], said: str) -> None:
@@ -412,15 +414,7 @@ def test_a_generator_is_a_seed() -> None:
     )
     np.testing.assert_array_equal(first, second)
     assert not np.array_equal(first, third)
-
-
-def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
-    estimate = sdpid.solve_wls(arm_problem())
-    with pytest.raises(DataError, match="at least 80"):
-        sdpid.confidence_intervals(estimate, method="bootstrap", resamples=79)
     refuses(DataError, "resamples", resample, estimate, resamples=0)
-    options = {"method": "bootstrap", "resamples": 80, "kind": "bca"}
-    refuses(DataError, "kind", sdpid.confidence_intervals, estimate, **options)
 
 
 @pytest.mark.parametrize("accurate", [1e-8, 0.0])
@@ -641,9 +635,6 @@ def test_a_bias_of_the_fit_is_in_the_band() -> None:
 
 
 # ---- Mass, center of mass and principal inertias of links, and their intervals.
-
-
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 def body(seed: int) -> np.ndarray:

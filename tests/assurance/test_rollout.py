@@ -32,17 +32,16 @@ OURS = "this estimate"
 
 
 @cache
-def arm() -> sdpid.RobotModel:
+def truth() -> RobotDynamics:
     bare = small_arm(2)
     theta = random_theta(bare, np.random.default_rng(7), TERMS)
-    return replace(bare, prior=theta[:20].reshape(2, 10))
+    robot = replace(bare, prior=theta[:20].reshape(2, 10))
+    terms = FrictionModel.from_terms(TERMS, robot.joint_names)
+    return RobotDynamics(robot=robot, terms=terms, theta=theta)
 
 
-@cache
-def truth() -> RobotDynamics:
-    theta = random_theta(small_arm(2), np.random.default_rng(7), TERMS)
-    terms = FrictionModel.from_terms(TERMS, arm().joint_names)
-    return RobotDynamics(robot=arm(), terms=terms, theta=theta)
+def arm() -> sdpid.RobotModel:
+    return truth().robot
 
 
 def motion(seed: int, seconds: float = 12.0, rate: float = 200.0) -> tuple[Array, ...]:

@@ -239,7 +239,6 @@ def cone(size: int, scale: Array | None = None, power: float = 0.0) -> Density:
 def matrices_of(density: Density, start: Array, covariance: Array) -> Array:
     """Return matrices (k, s, s) drawn from a density."""
     x = np.einsum("kij,ij->k", symmetric_basis(len(start)), start)
-    rng = np.random.default_rng(5)
     begin = np.tile(x, (WALKS, 1))
     rng = np.random.default_rng(5)
     points = hit_and_run(density, begin, covariance=covariance, rng=rng, count=EACH + 5, sweeps=4)

@@ -33,10 +33,10 @@ from sdpid.workflow.certify_parameters import certify_parameters
 from sdpid.workflow.given_parameters import GivenParameters, read_given
 from sdpid.workflow.replay.compare import text_differences
 from sdpid.workflow.verify import Verification
-from tests.helpers import commands
+from tests.helpers import commands, world
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.data import make_samples, random_theta
-from tests.helpers.forged import edit, edit_json, reseal
+from tests.helpers.forged import edit, edit_json, reseal, written
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFTED, small_arm
 from tests.helpers.runs import arm, recorded
@@ -640,10 +640,8 @@ SAME = 1e-6
 @cache
 def solved_arm() -> tuple[Problem, Array, Estimate]:
     """Return a problem, the parameters that made its data, and its optimum."""
-    rng = np.random.default_rng(7)
     robot = small_arm(2)
-    theta = random_theta(robot, rng)
-    samples = make_samples(robot, theta, rng, noise=0.1)
+    samples, theta = world.samples(robot, 7, noise=0.1)
     constraints = sdpid.Constraints(margin=1e-4)
     problem = sdpid.build_problem(robot, samples, constraints=constraints)
     return problem, theta, sdpid.solve_sdp(problem)
@@ -677,8 +675,7 @@ def test_worse_parameters_state_their_own_gap(tmp_path: Path) -> None:
     assert found.cost == pytest.approx(problem.cost_of(1.2 * theta), rel=1e-9)
     assert found.gap == pytest.approx(1.0 - best.cost / found.cost, rel=SAME)
     assert found.residuals["given"] > found.residuals["optimum"]
-    found.certificate.to_json(tmp_path / "proof.json")
-    checked = sdpid.verify(tmp_path / "proof.json")
+    checked = sdpid.verify(written(found.certificate.to_dict(), tmp_path))
     assert checked.passed
     assert checked.gap == found.gap
 
@@ -700,8 +697,7 @@ def test_broken_constraints_are_named_with_number_and_limit(tmp_path: Path) -> N
     assert "Fs1 at least 0: is -0.5" in words
     assert found.summary().splitlines()[1].startswith("not feasible: ")
     # The bound is proven all the same, and the file says what is not.
-    found.certificate.to_json(tmp_path / "proof.json")
-    checked = sdpid.verify(tmp_path / "proof.json")
+    checked = sdpid.verify(written(found.certificate.to_dict(), tmp_path))
     assert not checked.passed
     assert any(f"cost less than {found.certificate.lower_bound!r}" in s for s in checked.statements)
 

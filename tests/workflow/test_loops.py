@@ -17,15 +17,15 @@ from tests.helpers.linkages import mjcf, run, urdf
 
 mujoco = pytest.importorskip("mujoco")
 
+# What was found of which log, and the file of the robot.
+Run = tuple[Identification, sdpid.Recording, Path]
 STARTS = {"four_bar": (1.0, 0.0, 0.0), "five_bar": (2.0, 0.0, 1.14, 0.0)}
 # Friction is none in the plant; the prior is that of the description, which is 15 % off.
 SETTINGS: dict[str, Any] = {"friction": (), "effects": "none", "intervals": False}
 
 
 @pytest.fixture(scope="module", params=["four_bar", "five_bar"])
-def identified(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Identification, sdpid.Recording, Path]:
+def identified(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
     name = request.param
     path = tmp_path_factory.mktemp("loop") / f"{name}.urdf"
     # A ball in a plane, and a pin, are the same.
@@ -41,9 +41,7 @@ def identified(
     return sdpid.identify(path, log, validation=other, **SETTINGS), log, path
 
 
-def test_motors_alone_identify_a_linkage(
-    identified: tuple[Identification, sdpid.Recording, Path],
-) -> None:
+def test_motors_alone_identify_a_linkage(identified: Run) -> None:
     result, _, _ = identified
     assert result.certificate.passed
     assert result.certificate.gap < 1e-6
@@ -56,9 +54,7 @@ def test_motors_alone_identify_a_linkage(
     assert any("are those that close the loops" in note for note in result.problem.samples.notes)
 
 
-def test_a_loop_is_proven_from_the_log(
-    identified: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
-) -> None:
+def test_a_loop_is_proven_from_the_log(identified: Run, tmp_path: Path) -> None:
     result, log, path = identified
     result.save(tmp_path / "run", figures=False)
     whole = sdpid.verify(tmp_path / "run", data=log)
@@ -74,9 +70,7 @@ def test_a_loop_is_proven_from_the_log(
     assert not other.passed
 
 
-def test_an_mjcf_of_the_result_closes(
-    identified: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
-) -> None:
+def test_an_mjcf_of_the_result_closes(identified: Run, tmp_path: Path) -> None:
     result, _, path = identified
     sdpid.write_mjcf(result.estimate, target=tmp_path / "out.xml")
     described = sdpid.load_robot(path)
@@ -131,9 +125,7 @@ CASES = (("ankle", False), ("ankle", True), ("leg", True))
 
 
 @pytest.fixture(scope="module", params=CASES, ids=("fixed ankle", "hanging ankle", "hanging leg"))
-def chained(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Identification, sdpid.Recording, Path]:
+def chained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
     name, floating = request.param
     path = tmp_path_factory.mktemp("chain") / f"{name}.xml"
     path.write_text(chain_mjcf(name, floating=floating))
@@ -142,9 +134,7 @@ def chained(
     return sdpid.identify(path, log, validation=other, **SETTINGS), log, path
 
 
-def test_motors_alone_identify_a_chain(
-    chained: tuple[Identification, sdpid.Recording, Path],
-) -> None:
+def test_motors_alone_identify_a_chain(chained: Run) -> None:
     result, log, _ = chained
     gap = result.certificate.gap
     assert result.certificate.passed
@@ -165,9 +155,7 @@ def test_motors_alone_identify_a_chain(
     assert not any(finding.kind == "joint_at_rest" for finding in result.findings)
 
 
-def test_a_chain_is_proven_from_the_log(
-    chained: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
-) -> None:
+def test_a_chain_is_proven_from_the_log(chained: Run, tmp_path: Path) -> None:
     result, log, path = chained
     result.save(tmp_path / "run_chain", figures=False)
     found = sdpid.verify(tmp_path / "run_chain", data=log, robot=sdpid.load_robot(path))
@@ -175,9 +163,7 @@ def test_a_chain_is_proven_from_the_log(
     assert {"robot", "contacts", "weights", "rows"} <= found.log.complete
 
 
-def test_an_mjcf_of_a_chain_closes(
-    chained: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
-) -> None:
+def test_an_mjcf_of_a_chain_closes(chained: Run, tmp_path: Path) -> None:
     result, log, path = chained
     sdpid.write_mjcf(result.estimate, target=tmp_path / "out.xml")
     described, again = sdpid.load_robot(path), sdpid.load_robot(tmp_path / "out.xml")

@@ -96,26 +96,15 @@ def text_of(proof: Replay, name: str) -> str:
 
 
 def test_everything_is_made_again(run: Path) -> None:
-    proof = replay(run / "results", run / "run.csv", robot=run / "arm.urdf")
+    proof = replay(run / "results", [run / "run.csv"], robot=run / "arm.urdf")
     assert tuple(link.name for link in proof.links)[: len(LINKS)] == LINKS
     named = {name for link in proof.links for name in link.name.split(", ")}
     written = {path.name for path in (run / "results").iterdir()}
     assert written - named == {"certificate.json", "manifest.json", "report.html"}
     assert {*states(proof).values()} == {"made again"}, wrong(proof)
     assert proof.distance <= 1e-12
-    assert proof.gap == pytest.approx(claims(run)["gap"], abs=1e-11)
-
-
-def claims(run: Path) -> dict[str, float]:
-    """Return what the certificate claims."""
-    content: dict[str, dict[str, float]] = json.loads(
-        (run / "results" / "certificate.json").read_text()
-    )
-    return content["claims"]
-
-
-def test_the_robots_description_counts_where_it_is_given(run: Path) -> None:
-    proof = replay(run / "results", [run / "run.csv"], robot=run / "arm.urdf")
+    certificate = json.loads((run / "results" / "certificate.json").read_text())
+    assert proof.gap == pytest.approx(certificate["claims"]["gap"], abs=1e-11)
     assert "number for number those of the run" in text_of(proof, "samples")
     assert "has the SHA-256 of the manifest" in text_of(proof, "robot")
     assert "the defaults for this robot" in text_of(proof, "problem")
@@ -514,12 +503,7 @@ def test_a_recipe_that_was_json_is_the_same_recipe(
     assert np.array_equal(again.sigma, recipe.sigma)
 
 
-@pytest.fixture(scope="module")
-def robot() -> sdpid.RobotModel:
-    return arm()
-
-
-def test_the_rows_of_a_file_are_made_again(tmp_path: Path, robot: sdpid.RobotModel) -> None:
+def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
     log = recorded(1)
     table = np.column_stack([1e3 * log.time, np.degrees(log.position), log.effort / 50.0])
     header = "stamp,p1,p2,i1,i2"
@@ -552,14 +536,14 @@ def test_the_rows_of_a_file_are_made_again(tmp_path: Path, robot: sdpid.RobotMod
     assert kinds == [("log", "run.csv"), ("robot", "arm.urdf")]
 
 
-def test_a_recording_in_memory_is_known_by_its_numbers(robot: sdpid.RobotModel) -> None:
+def test_a_recording_in_memory_is_known_by_its_numbers() -> None:
     log = recorded(1)
     effort = np.array(log.effort)
     effort[7, 1] = np.nextafter(effort[7, 1], np.inf)
     assert recording_digest(log) == recording_digest(replace(log))
     assert recording_digest(log) != recording_digest(replace(log, effort=effort))
     assert recording_digest(log) != recording_digest(replace(log, joint_names=("b", "a")))
-    result = sdpid.identify(robot, [log, recorded(2)], intervals=False, effects="none")
+    result = sdpid.identify(arm(), [log, recorded(2)], intervals=False, effects="none")
     assert [each["sha256"] for each in result.inputs[:2]] == [
         recording_digest(log),
         recording_digest(recorded(2)),
@@ -572,10 +556,8 @@ class _Own(Coulomb):
     """A term that no file can hold."""
 
 
-def test_a_term_of_ones_own_has_no_recipe_and_says_so(robot: sdpid.RobotModel) -> None:
-    result = sdpid.identify(
-        robot, recorded(1), friction=(_Own(), "viscous"), effects="none", intervals=False
-    )
+def test_a_term_of_ones_own_has_no_recipe_and_says_so() -> None:
+    result = world.result(friction=(_Own(), "viscous"), effects="none")
     assert result.recipe is None
     assert "_Own is a class of your own" in str(result.recipe_note)
 

@@ -22,6 +22,7 @@ from sdpid.experiment.preparation.several import (
     prepare_recordings,
 )
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.report import report_html
 from sdpid.plots.lines import TimeLine
 from sdpid.plots.reconstruction import plot_fit
@@ -85,10 +86,7 @@ def test_settings_may_be_changed_one_by_one(logs: list[sdpid.Recording]) -> None
     assert processing.order == 2
     assert processing.cutoff_hz == default_processing(logs[1]).cutoff_hz
     assert why is not None
-    with pytest.raises(sdpid.errors.DataError, match="no setting color"):
-        sdpid.identify(arm(), logs[0], processing={"color": "red"})
-    with pytest.raises(sdpid.errors.DataError, match="order"):
-        sdpid.identify(arm(), logs[0], processing={"order": 0})
+    refuses(DataError, "order", sdpid.identify, arm(), logs[0], processing={"order": 0})
 
 
 def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
@@ -174,24 +172,7 @@ def test_why_there_are_none_is_said(tmp_path: Path) -> None:
     header = (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
     assert "lower" not in header
     assert sdpid.identify(arm(), short, intervals=False).intervals_note is None
-    with pytest.raises(sdpid.errors.DataError, match="'guess'"):
-        sdpid.identify(arm(), short, intervals="guess")  # type: ignore[arg-type]
-
-
-def test_why_there_is_no_mjcf_is_said(
-    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from sdpid.output.robots import mjcf
-
-    def fail(*_: object, **__: object) -> None:
-        raise sdpid.errors.ExportError("MuJoCo cannot hold it.")
-
-    monkeypatch.setattr(mjcf, "write_mjcf", fail)
-    notes: list[str] = []
-    files = {file.name for file in result.save(tmp_path, figures=False, report=notes.append)}
-    assert "identified.urdf" in files
-    assert "identified.xml" not in files
-    assert any("no identified.xml" in text and "cannot hold it" in text for text in notes)
+    refuses(DataError, "'guess'", sdpid.identify, arm(), short, intervals="guess")
 
 
 def test_no_line_is_drawn_across_a_join(logs: list[sdpid.Recording]) -> None:
@@ -290,20 +271,15 @@ def crossed(log: sdpid.Recording) -> CrossValidation:
     return sdpid.cross_validate(arm(), log, folds=FOLDS)
 
 
-def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
-    rows = slice(first, last)
-    return replace(log, time=log.time[rows], position=log.position[rows], effort=log.effort[rows])
-
-
 def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) -> None:
     """The second fold, made by hand."""
     a, b = log.n_samples // FOLDS, 2 * log.n_samples // FOLDS
-    kept = [part(log, 0, a), part(log, b, log.n_samples)]
+    kept = [rows_of(log, slice(0, a)), rows_of(log, slice(b, log.n_samples))]
     processing = min((default_processing(each) for each in kept), key=lambda p: p.cutoff_hz)
     problem = formulate(arm(), kept, processing=processing)
     assert len(problem.samples.starts) == 2
     estimate = sdpid.solve_sdp(problem)
-    fresh = prepare(arm(), part(log, a, b), processing)
+    fresh = prepare(arm(), rows_of(log, slice(a, b)), processing)
     fold = crossed.folds[1]
     assert fold.name == "block 2 of 4"
     assert fold.processing == processing
@@ -388,8 +364,7 @@ def test_folds_that_make_no_sense(log: sdpid.Recording, folds: int) -> None:
 def test_what_cannot_be_cross_validated(log: sdpid.Recording) -> None:
     refuses(DataError, "repeats one motion", sdpid.cross_validate, arm(), recorded(1, period=10.0))
     refuses(DataError, "at least two recordings", sdpid.cross_validate, arm(), log, by="recording")
-    with pytest.raises(DataError, match="by is 'luck'"):
-        sdpid.cross_validate(arm(), log, by="luck")  # type: ignore[arg-type]
+    refuses(DataError, "by is 'luck'", sdpid.cross_validate, arm(), log, by="luck")
     with pytest.raises(DataError, match=r"without block 1 of 200.*fewer folds"):
         sdpid.cross_validate(arm(), log, folds=200)
 
@@ -405,50 +380,26 @@ def frame_of(log: sdpid.Recording) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-@pytest.fixture(scope="module")
-def arm_log() -> sdpid.Recording:
-    return recorded(1)
-
-
-def test_a_data_frame_is_one_log(arm_log: sdpid.Recording) -> None:
-    frame = frame_of(arm_log)
-    plain = formulate(arm(), arm_log).samples
+def test_a_data_frame_is_one_log() -> None:
+    frame = frame_of(recorded(1))
+    plain = formulate(arm(), recorded(1)).samples
     for given in (frame, [frame]):
         np.testing.assert_array_equal(formulate(arm(), given).samples.effort, plain.effort)
 
 
-def test_a_joint_left_out_may_lack_every_effort(arm_log: sdpid.Recording) -> None:
-    last = arm_log.names[-1]
-    frame = frame_of(arm_log)
+def test_a_joint_left_out_may_lack_every_effort() -> None:
+    first, last = arm().joint_names
+    frame = frame_of(recorded(1))
     frame[f"effort_{last}"] = np.nan
     with pytest.raises(DataError, match=r"no value in any row; leave .* with without_effort="):
         sdpid.read_recording(frame)
-    with pytest.raises(DataError, match="no value in any row"):
-        formulate(arm(), frame, without_effort=[arm_log.names[0]])
+    refuses(DataError, "no value in any row", formulate, arm(), frame, without_effort=[first])
     problem = formulate(arm(), frame, without_effort=[last])
-    expected = formulate(arm(), arm_log, without_effort=[last])
+    expected = formulate(arm(), recorded(1), without_effort=[last])
     assert not problem.samples.mask[:, -1].any()
     np.testing.assert_array_equal(problem.samples.effort[:, :-1], expected.samples.effort[:, :-1])
     read = sdpid.read_recording(frame, without_effort=[last])
     assert not read.effort[:, -1].any()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("constraints", 3),
-        ("prior", "yes"),
-        ("validation", 3),
-        ("log", 3),
-        ("log", None),
-        ("without_effort", 3),
-    ],
-)
-def test_arguments_of_another_kind_are_refused_by_name(
-    arm_log: sdpid.Recording, name: str, value: Any
-) -> None:
-    arguments: dict[str, Any] = {"log": arm_log, name: value}
-    refuses(DataError, f"^{name}: is ", sdpid.identify, arm(), **arguments)
 
 
 def test_process_takes_recordings_only() -> None:

@@ -1,6 +1,7 @@
 """The whole way: a recording in, certified parameters and a URDF out, also of real robots."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,7 +11,6 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
-from typer.testing import CliRunner
 
 import sdpid
 from sdpid.assurance.certificate.certificate import Certificate
@@ -18,8 +18,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.diagnostics.validation import validate_robot
-from sdpid.cli import app
-from sdpid.errors import CertificateError, DataError, ModelError
+from sdpid.errors import CertificateError, DataError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
@@ -36,6 +35,7 @@ from sdpid.workflow.result import Identification
 from tests.common.test_common import Terminal
 from tests.experiment.processing.floating.crawl import crawl
 from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.commands import printed
 from tests.helpers.forged import edit_json, reseal
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
@@ -120,19 +120,16 @@ def test_nothing_is_left_behind_when_saving_fails(
     result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
-        raise sdpid.errors.ExportError("no")
+        raise ExportError("no")
 
     monkeypatch.setattr(Certificate, "to_json", fail)
-    with pytest.raises(sdpid.errors.ExportError):
-        result.save(tmp_path / "new", figures=False)
+    refuses(ExportError, "^no$", result.save, tmp_path / "new", figures=False)
     assert not (tmp_path / "new").exists()
     (tmp_path / "old").mkdir()
-    with pytest.raises(sdpid.errors.ExportError):
-        result.save(tmp_path / "old", figures=False)
+    refuses(ExportError, "^no$", result.save, tmp_path / "old", figures=False)
     assert list((tmp_path / "old").iterdir()) == []
     (tmp_path / "file").write_text("")
-    with pytest.raises(sdpid.errors.ExportError, match="name a folder"):
-        result.save(tmp_path / "file", figures=False)
+    refuses(ExportError, "name a folder", result.save, tmp_path / "file", figures=False)
 
 
 def test_it_says_what_it_is_doing(
@@ -264,11 +261,19 @@ def test_files_that_cannot_be_read(denso: RobotModel, tmp_path: Path, name: str)
         ({"processing": {"order": "2"}}, "order: is '2'"),
         ({"processing": {"cutoff": 10.0, "order": 2}}, "has no setting cutoff;.*cutoff_hz"),
         ({"processing": "fast"}, "processing: is 'fast'"),
+        ({"effects": True}, "effects: is .*'auto', 'none' or some of tilt"),
+        ({"effects": None}, "effects: is .*'auto', 'none' or some of tilt"),
+        ({"effects": 3}, "effects: is .*'auto', 'none' or some of tilt"),
+        ({"constraints": 3}, "^constraints: is "),
+        ({"prior": "yes"}, "^prior: is "),
+        ({"validation": 3}, "^validation: is "),
+        ({"log": 3}, "^log: is "),
+        ({"log": None}, "^log: is "),
+        ({"without_effort": 3}, "^without_effort: is "),
     ],
 )
 def test_arguments_of_a_wrong_kind(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(sdpid.errors.SdpidError, match=words):
-        sdpid.identify(arm(), recorded(1), **arguments)  # type: ignore[arg-type]
+    refuses(DataError, words, sdpid.identify, arm(), **{"log": recorded(1), **arguments})
 
 
 def test_formulate_takes_what_identify_takes(tmp_path: Path) -> None:
@@ -411,18 +416,13 @@ def test_a_robot_that_hangs_is_a_fixed_one(tmp_path: Path) -> None:
     """What refuses a floating base takes the result's URDF, and a recording without a base."""
     sdpid.write_urdf(identified().estimate, target=tmp_path / "identified.urdf")
     hung = sdpid.simulate_legged("solo12", "hang", duration=1.0, seed=1).recording
-    path = str(tmp_path / "hanging.csv")
+    path, floating = tmp_path / "hanging.csv", tmp_path / "floating.csv"
     replace(hung, base=None, contacts=None).to_csv(path)
-    robot = ["--robot", str(tmp_path / "identified.urdf")]
-    rolled = CliRunner().invoke(app, ["validate", path, *robot, "--rollout", "--json"])
-    assert rolled.exit_code == 0, rolled.output
-    assert json.loads(rolled.stdout)["rollouts"]
-    floating = str(tmp_path / "floating.csv")
+    robot = ["--robot", tmp_path / "identified.urdf"]
+    assert json.loads(printed("validate", path, *robot, "--rollout", "--json"))["rollouts"]
     hung.to_csv(floating)
     for command in (["validate", floating, *robot, "--rollout"], ["payload", floating, *robot]):
-        refused = CliRunner().invoke(app, command)
-        assert refused.exit_code == 2
-        assert "floating base" in refused.output
+        assert "floating base" in printed(*command, status=2)
 
 
 def data() -> sdpid.Recording:
@@ -437,22 +437,14 @@ def test_a_log_with_contacts_is_made_again(tmp_path: Path) -> None:
     assert found.log.gap < 1e-6  # type: ignore[operator]
     assert any("flags are widened by" in each for each in found.made_again)
     # Other flags make other rows, and a scale of forces is positive.
-    for key, value, words in (
-        ("contact_margin_s", 0.01, "rows: A, rhs and floor"),
-        ("force_scale", 2.0, "weights: the scale of measured forces is 2.0"),
-    ):
-        recipe = tmp_path / "manifest.json"
-        kept = recipe.read_text(encoding="utf-8")
-
-        def change(data: Any, key: str = key, value: float = value) -> None:
-            place = (
-                data["recipe"]["processing"]
-                if key in data["recipe"]["processing"]
-                else data["recipe"]
-            )
-            place[key] = value
-
-        edit_json(recipe, change)
+    recipe = tmp_path / "manifest.json"
+    kept = recipe.read_text(encoding="utf-8")
+    changes: dict[str, Callable[[Any], object]] = {
+        "rows: A, rhs and floor": lambda given: given["processing"].update(contact_margin_s=0.01),
+        "weights: the scale of measured forces is 2.0": lambda given: given.update(force_scale=2.0),
+    }
+    for words, change in changes.items():
+        edit_json(recipe, lambda data, change=change: change(data["recipe"]))
         reseal(tmp_path)
         problems = sdpid.verify(tmp_path, data=data()).problems
         assert any(each.startswith(words) for each in problems), problems
