@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
@@ -262,6 +261,8 @@ class ZeroPhaseFilter:
 
             # SciPy asks for a writable array, though it does not write to it.
             return np.asarray(sosfilt(np.array(self.sections), signal, axis=0))
+        from scipy.linalg.lapack import dtbtrs
+
         x = signal.reshape(len(signal), -1)
         for section in self.sections:
             driven = section[0] * x
