@@ -31,7 +31,6 @@ from sdpid.estimation.compression.covariance import (
 from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights_and_shares
-from sdpid.estimation.information import fitted
 
 # Samples that the variances come from, evenly spread: of 4096 with six independent rows each a
 # joint's variance is known to some 2 %, and another pass over all samples costs as much as a fit.
@@ -227,9 +226,10 @@ class _Left:
             for start in range(0, len(X), size):
                 own = slice(start, start + size)
                 triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
-        base, rank = fitted(triangle.R[:, :-1], triangle.R[:, -1])
+        # Along directions that rows without the forces do not show, the shortest in SI units.
+        base, _, rank, _ = np.linalg.lstsq(triangle.R[:, :-1], triangle.R[:, -1], rcond=None)
         residual = [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
-        return base, residual, count / max(count - rank, 1.0)
+        return np.asarray(base), residual, count / max(count - int(rank), 1.0)
 
     def settled(
         self,
