@@ -286,7 +286,7 @@ class Search:
             own = max(row.keys() - taken, key=lambda j: abs(row[j]), default=None)
             taken.update(row)
             miss = sum((x * out[j] for j, x in row.items()), -value)
-            if own is not None and abs(miss) > half:
+            if own is not None and row[own] and abs(miss) > half:
                 inside = half * (1 - Fraction(_INSIDE))
                 out[own] -= (miss - inside if miss > 0 else miss + inside) / row[own]
         return out
