@@ -303,8 +303,8 @@ def _left(mine: Array, other: Array, pieces: tuple[slice, ...], shift: int) -> f
 
 def lag_words(lag: float) -> str:
     """Return a lag in words: 'the measured motion lags 40 ms behind it'."""
-    how = "lags {} behind it" if lag > 0.0 else "runs {} ahead of it"
-    return "the measured motion " + how.format(f"{1e3 * abs(lag):.3g} ms")
+    how = ("the measured motion runs {} ahead of it", "the measured motion lags {} behind it")
+    return how[lag > 0.0].format(f"{1e3 * abs(lag):.3g} ms")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
