@@ -325,12 +325,7 @@ class ProfileLikelihood:
         Z = clip_psd(share * found.Z)
         if np.any(feasible.equations):
             left = self._left(c, u, Z, np.where(feasible.equations, 0.0, rows))
-            basis = program.scaling.basis()
-            equations = feasible.rows[feasible.equations] @ basis
-            at_limits = left - share * found.bounds
-            rows[feasible.equations] = np.linalg.lstsq(
-                equations.T, basis.T @ at_limits, rcond=None
-            )[0]
+            rows[feasible.equations] = program.of_equations(left - share * found.bounds)
         moved = problem.squared.residual(theta) - self.residual
         width = max(abs(float(c @ (theta - self.theta))), 1e-300)
         # What an end would move by, were all limits that theta is at twice as far.

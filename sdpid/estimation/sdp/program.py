@@ -154,9 +154,7 @@ class SdpProgram:
         if np.any(feasible.equations):
             # What the others leave of the gradient.
             left = problem.gradient(theta) - feasible.adjoint(Z) - bounds - rows @ feasible.rows
-            basis = scaling.basis()
-            equations = feasible.rows[feasible.equations] @ basis
-            rows[feasible.equations] = np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0]
+            rows[feasible.equations] = self.of_equations(left)
         return Multipliers(
             y=frozen(y),
             Z=frozen(Z),
@@ -165,6 +163,12 @@ class SdpProgram:
             bounds=frozen(bounds),
             bounds_included=np.isin(np.arange(problem.n_theta), self.limits.chosen),
         )
+
+    def of_equations(self, left: Array) -> Array:
+        """Return the multipliers of the equations that leave least of a gradient (p,)."""
+        feasible, basis = self.problem.feasible, self.scaling.basis()
+        equations = feasible.rows[feasible.equations] @ basis
+        return np.asarray(np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False)
