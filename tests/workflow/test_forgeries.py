@@ -25,8 +25,8 @@ from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.recording.recording import Recording
+from sdpid.output.robots import friction_files
 from sdpid.output.robots.friction_files import WRITERS
-from sdpid.output.robots.friction_terms import Language
 from sdpid.output.tables.parameter_tables import base_table, theta_table
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.workflow.certify_parameters import certify_parameters
@@ -380,8 +380,8 @@ def test_friction_of_a_writer_that_is_wrong(
     run: Path, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The check is not the writer: it computes friction by the terms of the recipe."""
-    sign = Language.sign
-    monkeypatch.setattr(Language, "sign", lambda *args: f"-{sign(*args)}")
+    sign = friction_files.sign
+    monkeypatch.setattr(friction_files, "sign", lambda *args: f"-{sign(*args)}")
     write_friction(results, lambda data: None)
     refused(run, results, "identified_friction")
 

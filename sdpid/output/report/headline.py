@@ -37,7 +37,7 @@ from sdpid.output.report.prediction_verdict import (
 )
 from sdpid.output.report.sections.motion import least_eigenvalues
 from sdpid.output.report.verdict import findings
-from sdpid.output.robots.friction_terms import KINDS
+from sdpid.output.robots.friction_files import KINDS
 from sdpid.robot.description.level import LINK
 
 # Beside the two that have all terms in one.

@@ -12,8 +12,9 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,155 +22,191 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.robots.friction_terms import KINDS, PARTS, SCHEMA, VERSION, Language, summands
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.stored import term_to_dict
-from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.verifier.reading import MalformedError, parse, require_schema
 
-_PYTHON = Language("_", "..., ")
-_CPP = Language("detail::", "")
+SCHEMA, VERSION = "sdpid-friction", 1
+
+
+class Kind(NamedTuple):
+    """The efforts of a term's parameters of one, by their symbols, and settings of each joint.
+
+    Efforts are formulas of the joint's velocity `v`, acceleration `a` and load `load`, of the sign
+    of its velocity `sign`, and of settings; the functions in them stand in the written files.
+    """
+
+    efforts: Mapping[str, str]
+    settings: tuple[str, ...] = ()
+
+
+COUPLING = "Coupling"
+KINDS = {
+    "Coulomb": Kind({"Fs": "{sign}"}, ("width", "dead_zone")),
+    "AsymmetricCoulomb": Kind(
+        {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}, ("width", "dead_zone")
+    ),
+    "Viscous": Kind({"Fv": "{v}"}),
+    "Offset": Kind({"Fo": ""}),
+    "RotorInertia": Kind({"Ia": "{a}"}),
+    "SquareRootFriction": Kind({"Fq": "root({v})"}),
+    "Stribeck": Kind(
+        {"Fst": "peak({v} / {velocity!r}, {exponent!r}) * {sign}"},
+        ("velocity", "exponent", "width"),
+    ),
+    "SigmoidFriction": Kind({"Fsg": "tanh({v} / {velocity!r})"}, ("velocity",)),
+    "LoadFriction": Kind({"Fl": "size({load}) * {sign}"}, ("width", "share", "velocity")),
+    COUPLING: Kind({"Ia": "{a}", "Fv": "{v}", "Fs": "{sign}"}, ("width",)),
+}
+
+# Far out a power may overflow; the Stribeck peak is zero long before.
+_STEEPEST = 50.0
+
+# The functions of the files: arguments by their short names, and what is returned.
+_FUNCTIONS: dict[str, tuple[dict[str, str], str]] = {
+    "friction": ({"v": "velocity"}, "friction and offsets"),
+    "drive_inertia": ({"a": "acceleration"}, "the efforts that accelerate the rotors"),
+    "load_friction": ({"v": "velocity", "load": "load"}, "friction that grows with load"),
+}
 
 # The line that has the numbers as JSON, after the mark of a comment.
-MARK = "sdpid-friction: "
+_MARK = "sdpid-friction: "
 
 # Characters that stand for themselves in any literal.
 _PLAIN = re.compile(r"[A-Za-z0-9_ .-]")
 
-# What the functions of the files return.
-_RETURNED = {
-    "friction": "friction and offsets",
-    "drives": "the efforts that accelerate the rotors",
-    "load": "friction that grows with load",
-}
+# Of each function and joint, summands and the parameters that they are of.
+_Sums = dict[str, list[list[tuple[str, str]]]]
 
-_ABOUT = (
-    "Joint friction as sdpid identified it; made by a program, not to be edited.",
-    "",
-    "To be added to the efforts of the rigid links, such as those of the URDF beside it.",
-    "Velocities in rad/s, accelerations in rad/s^2, efforts in N.m; of sliding joints in m/s,",
-    "m/s^2 and N. A load is the effort that moves and carries the rigid links at the joint.",
-)
-_TILT = (
-    "",
-    "Not in it is the tilt of the base that was identified: turn gravity to have it.",
-)
+# A function's name, and a place in an array.
+_NAME, _PLACE = re.compile(r"[a-z]+(?=\()"), re.compile(r"(?<=\[)\d+(?=\])")
 
 
-def _about(data: Mapping[str, Any]) -> tuple[str, ...]:
-    return (*_ABOUT, *(_TILT if "Tilt" in data["left_out"] else ()))
+def sign(v: str, width: float, dead_zone: float) -> str:
+    """Return the sign of a velocity, smooth where it has a width, zero in the dead zone."""
+    found = f"tanh({v} / {width!r})" if width else f"sign({v})"
+    return f"outside({v}, {dead_zone!r}, {found})" if dead_zone else found
+
+
+def _effort(formula: str, k: int, v: str, settings: Mapping[str, float]) -> str:
+    """Return the effort of a formula at joint k, with the sign of a velocity."""
+    chosen: dict[str, Any] = dict(settings)
+    chosen["sign"] = sign(v, chosen.get("width", 0.0), chosen.get("dead_zone", 0.0))
+    if share := chosen.get("share"):
+        slow = f"tanh({v} / {chosen['velocity']!r})"
+        chosen["sign"] = f"({1.0 - share!r} * {chosen['sign']} + {share!r} * {slow})"
+    if "exponent" in chosen:
+        chosen["exponent"] = min(chosen["exponent"], _STEEPEST)
+    return formula.format(v=f"v[{k}]", a=f"a[{k}]", load=f"load[{k}]", **chosen)
+
+
+def _sums(data: Mapping[str, Any], name: str, place: str) -> _Sums:
+    """Return what each parameter adds to which joint in which function.
+
+    `name` is how a language writes the functions of formulas, `place` a place in an array.
+    """
+    n = len(data["joints"])
+    sums: _Sums = {function: [[] for _ in range(n)] for function in _FUNCTIONS}
+    for term in data["terms"]:
+        kind = KINDS[term["term"]]
+        # Where friction acts: its parameters' ending, the joints that feel and make it, its speed.
+        places: list[Any] = [(f"{k + 1}", ((k, k),), f"v[{k}]") for k in range(n)]
+        if term["term"] == COUPLING:
+            i, j = term["joints"]
+            places = [(f"{i + 1}_{j + 1}", ((i, j), (j, i)), f"(v[{i}] + v[{j}])")]
+        every = product(kind.efforts.items(), enumerate(places))
+        for ((symbol, formula), (at, (ending, joints, v))), value in zip(
+            every, term["values"], strict=True
+        ):
+            settings = {key: term[key][at] for key in kind.settings}
+            # Parameters that are zero add nothing.
+            for own, other in joints if value != 0.0 else ():
+                effort = _PLACE.sub(place, _NAME.sub(name, _effort(formula, other, v, settings)))
+                text = f"{value!r} * {effort}" if effort else repr(value)
+                sums[_function(formula)][own].append((text, symbol + ending))
+    return sums
+
+
+def _function(formula: str) -> str:
+    """Return the function of the files that a formula belongs to."""
+    if "{a}" in formula:
+        return "drive_inertia"
+    return "load_friction" if "{load}" in formula else "friction"
 
 
 def _json(data: Mapping[str, Any]) -> str:
     """Return the numbers in one line of ASCII, which no language reads across."""
-    return MARK + json.dumps(data, allow_nan=False)
+    return _MARK + json.dumps(data, allow_nan=False)
 
 
-def _sums(data: Mapping[str, Any], language: Language) -> dict[tuple[str, int], list[list[str]]]:
-    """Return of every part and joint the summands and the parameters that they are of."""
-    found: dict[tuple[str, int], list[list[str]]] = {}
-    for part, joint, parameter, expression in summands(data, language):
-        found.setdefault((part, joint), []).append([expression, parameter])
-    return found
+_ABOUT = """\
+Joint friction as sdpid identified it; made by a program, not to be edited.
+
+To be added to the efforts of the rigid links, such as those of the URDF beside it.
+Velocities in rad/s, accelerations in rad/s^2, efforts in N.m; of sliding joints in m/s,
+m/s^2 and N. A load is the effort that moves and carries the rigid links at the joint.
+"""
+_TILT = """
+Not in it is the tilt of the base that was identified: turn gravity to have it.
+"""
+
+
+def _about(data: Mapping[str, Any], more: str) -> list[str]:
+    """Return the lines of what a file is."""
+    return f"{_ABOUT}{_TILT if 'Tilt' in data['left_out'] else ''}\n{more}".splitlines()
 
 
 def python(data: Mapping[str, Any]) -> str:
     """Return the file as Python, which needs NumPy."""
-    sums, n = _sums(data, _PYTHON), len(data["joints"])
-    lines = [f'"""{_ABOUT[0]}', *_about(data)[1:]]
-    lines += ["", "Arrays hold one state, (n,), or many, (K, n), in the order of JOINTS.", '"""']
-    lines += ["", "import numpy as np", ""]
+    more = "Arrays hold one state, (n,), or many, (K, n), in the order of JOINTS."
+    about = "\n".join(_about(data, more))
+    lines = [f'"""{about}\n"""', "", "import numpy as np", ""]
     lines += [f"ROBOT = {data['robot']!a}", f"CERTIFICATE = {data['certificate']!a}"]
     lines += ["JOINTS = (", *(f"    {name!a}," for name in data["joints"]), ")", ""]
-
-    def of(part: str, arguments: str, first: str) -> None:
-        lines.extend(["", f"def {_NAMES[part]}({arguments}):"])
-        lines.append(f'    """Return {_RETURNED[part]} of all joints."""')
-        for argument in arguments.split(", "):
-            lines.append(f"    {_SHORT[argument]} = _states({argument})")
-        lines.append(f"    effort = np.zeros({first}.shape)")
-        for k in range(n):
-            if (summed := sums.get((part, k))) is not None:
-                lines.append(f"    effort[..., {k}] = (")
-                lines.extend(f"        {_plus(i)}{x}  # {p}" for i, (x, p) in enumerate(summed))
-                lines.append("    )")
-        lines.extend(["    return effort", ""])
-
-    of("friction", "velocity", "v")
-    of("drives", "acceleration", "a")
-    of("load", "velocity, load", "v")
-    return "\n".join([*lines, *_PYTHON_REST, "", f"# {_json(data)}", ""])
+    for function, sums in _sums(data, r"_\g<0>", r"..., \g<0>").items():
+        arguments, returned = _FUNCTIONS[function]
+        lines += ["", f"def {function}({', '.join(arguments.values())}):"]
+        lines.append(f'    """Return {returned} of all joints."""')
+        lines += [f"    {short} = _states({given})" for short, given in arguments.items()]
+        lines.append(f"    effort = np.zeros({next(iter(arguments))}.shape)")
+        for k, summed in enumerate(sums):
+            if summed:
+                added = "\n        + ".join(f"{text}  # {name}" for text, name in summed)
+                lines += [f"    effort[..., {k}] = (", f"        {added}", "    )"]
+        lines += ["    return effort", ""]
+    return "\n".join([*lines, _PYTHON_REST, f"# {_json(data)}", ""])
 
 
 def cpp(data: Mapping[str, Any]) -> str:
     """Return the file as a C++11 header: no dependencies, no allocation."""
-    sums, n = _sums(data, _CPP), len(data["joints"])
     numbers = _json(data)
     guard = f"SDPID_FRICTION_{hashlib.sha256(numbers.encode('ascii')).hexdigest()[:16].upper()}"
-    lines = [f"// {line}".rstrip() for line in _about(data)]
-    lines += [
-        "//",
-        "// Arrays have one entry a joint, in the order of joint_names; `effort` must not",
-    ]
-    lines += ["// overlap the others. For C++11 and later."]
-    lines += [f"#ifndef {guard}", f"#define {guard}", "", *_CPP_FIRST]
-    lines += ["", f"constexpr int joints = {n};"]
+    lines = [f"// {line}".rstrip() for line in _about(data, _CPP_ARRAYS)]
+    lines += [f"#ifndef {guard}", f"#define {guard}", "", _CPP_FIRST]
+    lines += [f"constexpr int joints = {len(data['joints'])};"]
     lines += [f"constexpr const char* robot = {_literal(data['robot'])};"]
     lines += [f"constexpr const char* certificate = {_literal(data['certificate'] or '')};"]
     lines += ["constexpr const char* joint_names[joints] = {"]
-    lines += [f"    {_literal(name)}," for name in data["joints"]]
-    lines += ["};", "", *_CPP_DETAIL]
-
-    def of(part: str, arguments: str) -> None:
-        given = [_SHORT[each] for each in arguments.split(", ")]
-        signature = ", ".join(f"const double* {each}" for each in given)
-        lines.extend(["", f"// Writes {_RETURNED[part]} of all joints."])
-        lines.append(f"inline void {_NAMES[part]}({signature}, double* effort) noexcept {{")
+    lines += [*(f"    {_literal(name)}," for name in data["joints"]), "};", "", _CPP_DETAIL]
+    for function, sums in _sums(data, r"detail::\g<0>", r"\g<0>").items():
+        arguments, returned = _FUNCTIONS[function]
+        signature = ", ".join(f"const double* {each}" for each in arguments)
+        lines += ["", f"// Writes {returned} of all joints."]
+        lines.append(f"inline void {function}({signature}, double* effort) noexcept {{")
         body: list[str] = []
-        for k in range(n):
-            summed = sums.get((part, k))
-            if summed is None:
-                body.append(f"  effort[{k}] = 0.0;")
-                continue
-            body.append(f"  effort[{k}] = 0.0")
-            body.extend(f"      + {x}  // {p}" for x, p in summed)
+        for k, summed in enumerate(sums):
+            body.append(f"  effort[{k}] = 0.0" + ("" if summed else ";"))
+            body += [f"      + {text}  // {parameter}" for text, parameter in summed]
             body[-1] = body[-1].replace("  // ", ";  // ")
-        unused = [each for each in given if not any(f"{each}[" in line for line in body)]
-        lines.extend([*(f"  (void){each};" for each in unused), *body, "}"])
+        unused = [each for each in arguments if not any(f"{each}[" in line for line in body)]
+        lines += [*(f"  (void){each};" for each in unused), *body, "}"]
+    return "\n".join([*lines, _CPP_LAST, f"// {numbers}", "", f"#endif  // {guard}", ""])
 
-    of("friction", "velocity")
-    of("drives", "acceleration")
-    of("load", "velocity, load")
-    lines += _CPP_LAST
-    lines += ["", f"// {numbers}", "", f"#endif  // {guard}"]
-    return "\n".join([*lines, ""])
-
-
-# The functions of the files by part of the effort, and their arguments in short.
-_NAMES = dict(zip(PARTS, ("friction", "drive_inertia", "load_friction"), strict=True))
-_SHORT = {"velocity": "v", "acceleration": "a", "load": "load"}
 
 WRITERS: dict[str, Callable[[Mapping[str, Any]], str]] = {".py": python, ".hpp": cpp}
 NAMES: dict[str, str] = {f"identified_friction{suffix}": suffix for suffix in WRITERS}
-
-
-def described(content: bytes) -> dict[str, Any]:
-    """Return the object that stands in a line of a file as JSON, of which nothing is known."""
-    mark = MARK.encode("ascii")
-    marks = tuple(sign + mark for sign in (b"# ", b"// "))
-    lines = [line for line in content.splitlines() if line.startswith(marks)]
-    if len(lines) != 1:
-        raise MalformedError(f"{len(lines)} of its lines have its numbers, expected one")
-    data = parse(lines[0].partition(mark)[2])
-    require_schema(data, SCHEMA, VERSION)
-    return data
-
-
-def _plus(place: int) -> str:
-    return "+ " if place else ""
 
 
 def _literal(name: str) -> str:
@@ -215,7 +252,11 @@ def _root(v):
 def _peak(ratio, exponent):
     """Return the Stribeck peak about standstill."""
     return np.exp(-(np.minimum(np.abs(ratio), 1e3) ** exponent))
-'''.splitlines()
+'''
+
+_CPP_ARRAYS = """\
+Arrays have one entry a joint, in the order of joint_names; `effort` must not
+overlap the others. For C++11 and later."""
 
 _CPP_FIRST = """#include <cmath>
 
@@ -225,11 +266,7 @@ _CPP_FIRST = """#include <cmath>
 #endif
 
 namespace SDPID_FRICTION_NAMESPACE {
-""".splitlines()
-
-_CPP_LAST = """
-}  // namespace SDPID_FRICTION_NAMESPACE
-#undef SDPID_FRICTION_NAMESPACE""".splitlines()
+"""
 
 _CPP_DETAIL = """namespace detail {
 
@@ -247,7 +284,12 @@ inline double peak(double ratio, double exponent) {
   return std::exp(-std::pow(speed > 1e3 ? 1e3 : speed, exponent));
 }
 
-}  // namespace detail""".splitlines()
+}  // namespace detail"""
+
+_CPP_LAST = """
+}  // namespace SDPID_FRICTION_NAMESPACE
+#undef SDPID_FRICTION_NAMESPACE
+"""
 
 
 def write_friction(
@@ -329,31 +371,26 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
     ExportError
         For a term that the files have no form of.
     """
-    names, terms, left_out = model.joint_names, [], []
+    names, n, terms = model.joint_names, len(model.joint_names), []
     for term, own in model.placed:
+        kind = type(term).__name__
         if type(term) is Tilt:
-            left_out.append(type(term).__name__)
-        else:
-            terms.append(_plain(term, names, values[own]))
+            continue
+        try:
+            settings = term_to_dict(term)
+        except ModelError as cause:
+            raise ExportError(
+                f"friction: {kind} is a term of your own, and no file has its code; leave it out, "
+                "or use estimate.model().friction."
+            ) from cause
+        found: dict[str, Any] = {"term": kind}
+        count = n
+        if isinstance(term, Coupling):
+            found["joints"], count = [names.index(term.first), names.index(term.second)], 1
+        if isinstance(term, LoadFriction) and not term.share:
+            settings |= {"share": 0.0, "velocity": 1.0}
+        for key in KINDS[kind].settings:
+            found[key] = np.broadcast_to(np.asarray(settings[key], float), (count,)).tolist()
+        terms.append({**found, "values": values[own]})
+    left_out = [Tilt.__name__ for term in model.terms if type(term) is Tilt]
     return {"joints": list(names), "terms": terms, "left_out": left_out}
-
-
-def _plain(term: FrictionTerm, names: tuple[str, ...], values: list[float]) -> dict[str, Any]:
-    """Return a term with one of each setting a joint."""
-    kind = type(term).__name__
-    try:
-        settings = term_to_dict(term)
-    except ModelError as cause:
-        raise ExportError(
-            f"friction: {kind} is a term of your own, and no file has its code; leave it out, or "
-            "use estimate.model().friction."
-        ) from cause
-    found: dict[str, Any] = {"term": kind}
-    count = len(names)
-    if isinstance(term, Coupling):
-        found["joints"], count = [names.index(term.first), names.index(term.second)], 1
-    if isinstance(term, LoadFriction) and not term.share:
-        settings |= {"share": 0.0, "velocity": 1.0}
-    for key in KINDS[kind].settings:
-        found[key] = np.broadcast_to(np.asarray(settings[key], float), (count,)).tolist()
-    return {**found, "values": values}

@@ -21,8 +21,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.output.robots.export_report import ExportReport
-from sdpid.output.robots.friction_files import NAMES, WRITERS, terms_data
-from sdpid.output.robots.friction_terms import SCHEMA, VERSION
+from sdpid.output.robots.friction_files import NAMES, SCHEMA, VERSION, WRITERS, terms_data
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.output.tables.parameter_tables import base_table, intervals_dict, theta_table
