@@ -24,7 +24,7 @@ from sdpid.estimation.duality.bound import TINY_COST
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem, check_samples
-from sdpid.estimation.sdp.program import ReusableProgram, SdpProgram
+from sdpid.estimation.sdp.program import ReusableProgram
 from sdpid.estimation.sdp.solve import Search, solve_sdp
 from sdpid.experiment.processing.samples import Samples
 
@@ -206,8 +206,8 @@ class RecursiveEstimator(Shown):
             # The weight of its logarithms is in units of the cost, which changes.
             return
         theta = np.array(estimate.theta)
-        program = SdpProgram.about(problem, theta, estimate.cost, self._bounds_included)
-        self._about, self._program = estimate, ReusableProgram.of(program)
+        self._about = estimate
+        self._program = ReusableProgram.about(problem, theta, estimate.cost, self._bounds_included)
 
     def _quick(self, problem: Problem) -> Estimate | None:
         """Return what is found without starting from scratch; None where nothing is proven so."""
@@ -221,7 +221,7 @@ class RecursiveEstimator(Shown):
             program = self._program.program
             scaling = replace(program.scaling, cost=cost)
             start = scaling, program.coordinates.origin
-            search = Search(problem, False, (start, start), self._bounds_included)
+            search = Search(problem, start, self._bounds_included)
             search.take(replace(program, problem=problem, scaling=scaling), solution)
             if search.bounds_included is self._bounds_included:
                 if not search.proven:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.conic.solve import symmetric_basis
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.robot.consistent import raise_second_moments

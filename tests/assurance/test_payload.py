@@ -156,7 +156,7 @@ def test_a_payload_that_is_not_solved_is_solved_again(
     loaded, bare, _ = pair(arm, load())
     expected = identify_payload(arm, loaded, bare, friction=TERMS)
 
-    def far(program: ConicProgram, *, regularization: float) -> ConicSolution:
+    def far(program: ConicProgram, regularization: float) -> ConicSolution:
         found = solve_conic(program, regularization=regularization)
         if regularization > 1e-9:
             return found

@@ -17,7 +17,7 @@ from sdpid.assurance.sampling.draw import Draws, draw
 from sdpid.assurance.sampling.mixing import effective_sizes, split_r_hat
 from sdpid.assurance.sampling.walk import drawn_on_lines, hit_and_run, relative_eigenvalues
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.conic.solve import symmetric_basis
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.robot.inertia import Consistency, margin

@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from sdpid._common.arrays import Array
 from sdpid.estimation.conic import solve as conic
 from sdpid.estimation.conic.fit_response import FitResponse
-from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import (
     ConicFamily,
     ConicProgram,
     ConicSolution,
     Matrix,
     solve_conic,
+    solve_with_retries,
+    symmetric_basis,
 )
-from sdpid.estimation.conic.standard_form import symmetric_basis
 from tests.helpers.data import random_covariance
 
 # Solutions of problems of order one: an interior-point method ends at some 1e-9, and where the
@@ -313,23 +313,6 @@ def test_all_attempts_are_made_where_none_is_ever_enough() -> None:
     solutions = scripted([0.5, 0.0, 0.25])
     found = solve_with_retries(solutions.__getitem__, range(3), by_error, enough=-np.inf)
     assert (found.value, found.accepted, found.solves) == (1, False, 3)
-
-
-def test_a_program_is_solved_at_the_first_regularization() -> None:
-    nearest = program(np.eye(2), -np.array([3.0, 1.0]), C=np.eye(2), upper=2.0)
-    tried = []
-
-    def solve(regularization: float) -> ConicSolution:
-        tried.append(regularization)
-        return solve_conic(nearest, regularization=regularization)
-
-    found = solve_with_retries(
-        solve, (1e-10, 1e-8), lambda x, solution: (x, 0.0 if solution.solved else solution.error)
-    )
-    assert found.accepted
-    assert tried == [1e-10]
-    # An interior-point method ends at some 1e-9 for a problem of order one.
-    assert found.value == pytest.approx([2.0, 1.0], abs=1e-6)
 
 
 def test_what_a_solver_calls_solved() -> None:

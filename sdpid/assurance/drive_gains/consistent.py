@@ -12,8 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.drive_gains.fit import Found, GainFit
-from sdpid.estimation.conic.retry import solve_with_retries
-from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, Matrix, solve_conic
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
 from sdpid.robot.inertia import matrix_basis
 
 # What the currents do not show of the bodies: this pull, beside rows of variance one, chooses it.
@@ -90,7 +89,7 @@ class ConsistentFit:
             )
             # The point of least cost, or the nearest to it that the solver came to.
             found = solve_with_retries(
-                functools.partial(_solved, program),
+                functools.partial(solve_conic, program),
                 _REGULARIZATIONS,
                 lambda point, solution: (point, 0.0 if solution.solved else solution.error),
             ).value
@@ -106,7 +105,3 @@ class ConsistentFit:
         residual = rhs - matrix @ z
         theta = x[: fit.model.base.matrix.shape[1]]
         return Found(log_kappa, z, float(residual @ residual), settled, theta)
-
-
-def _solved(program: ConicProgram, regularization: float) -> ConicSolution:
-    return solve_conic(program, regularization=regularization)

@@ -27,12 +27,12 @@ from sdpid._common.seeds import generator
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED
-from sdpid.estimation.conic.retry import Retried, solve_with_retries
+from sdpid.estimation.conic.solve import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.program import ReusableProgram, SdpProgram
+from sdpid.estimation.sdp.program import ReusableProgram
 from sdpid.estimation.sdp.solve import solve_sdp
 
 Kind = Literal["percentile", "basic"]
@@ -273,10 +273,10 @@ class Refit:
             return cls(problem, ())
         theta, few = np.array(estimate.theta), problem.feasible.bounded
         programs = [
-            SdpProgram.about(problem, theta, estimate.cost, included)
+            ReusableProgram.about(problem, theta, estimate.cost, included)
             for included in (few, np.ones_like(few))
         ]
-        return cls(problem, tuple(ReusableProgram.of(program) for program in programs))
+        return cls(problem, tuple(programs))
 
     def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
         """Return the base parameters (b,) of some data, None without a solution, and seconds.

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,8 +33,7 @@ from sdpid._common.jobs import parallel
 from sdpid.assurance.intervals.level import Level, Move
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.conic.fit_response import FitResponse
-from sdpid.estimation.conic.retry import solve_with_retries
-from sdpid.estimation.conic.solve import ConicFamily, ConicSolution, solve_conic
+from sdpid.estimation.conic.solve import ConicFamily, ConicSolution, solve_conic, solve_with_retries
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import clip_psd
 from sdpid.estimation.posterior import FitErrors
@@ -265,9 +264,7 @@ class ProfileLikelihood:
 
         # One that is not as close will do: the interval ends at the bound that it proves.
         best = solve_with_retries(
-            lambda regularization: self.family.solve(
-                slope / size, radius / self.unit, regularization=regularization
-            ),
+            partial(self.family.solve, slope / size, radius / self.unit),
             _REGULARIZATIONS,
             judge,
             enough=_CLOSE,

@@ -16,19 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.rows import PayloadRows
 from sdpid.errors import SolverError
-from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.conic.solve import (
     ConicFamily,
     ConicProgram,
     ConicSolution,
     Matrix,
+    Retried,
     solve_conic,
+    solve_with_retries,
 )
 from sdpid.robot.inertia import matrix_basis, physical_parameters, tensor_entries, transform
 
@@ -137,9 +139,7 @@ class PayloadProgram:
             When it finds none.
         """
         program = replace(self.conic, blocks=(self._bodies(least),))
-        found = self._retried(
-            lambda regularization: solve_conic(program, regularization=regularization)
-        )
+        found = self._retried(partial(solve_conic, program))
         if found.value is None:
             raise SolverError(f"payload: the solver found nothing ({found.status}).")
         return found.value, found.status
@@ -239,11 +239,7 @@ class PayloadProgram:
             slope = sign * c * self.units
             slope /= float(np.linalg.norm(slope)) or 1.0
             radius = float(np.sqrt(least + rise)) / self.cost_unit
-            end = self._retried(
-                lambda regularization, slope=slope, radius=radius: family.solve(  # type: ignore[misc]
-                    slope, radius, regularization=regularization
-                )
-            )
+            end = self._retried(partial(family.solve, slope, radius))
             found = end.value
             if found is None or not found[0] > NOTHING:
                 return None

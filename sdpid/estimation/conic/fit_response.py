@@ -15,12 +15,11 @@ with z and one with f, which is the curvature of the boundary along that face.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import groupby
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.estimation.conic.standard_form import ConicProgram
+from sdpid.estimation.conic.solve import ConicProgram
 
 # A pinned direction is this many times as stiff as the stiffest of the data: a hundred-millionth
 # of its movement is left, and directions that are not pinned keep their digits.
@@ -109,33 +108,29 @@ class FitResponse:
 
     def _matrices(self, x: Array, weight: float, blocks: tuple[Array, ...]) -> Iterator[Array]:
         """Yield the rows of K's root of each matrix inequality that is active."""
-        least, most = _SLACK * self._size, self.stiff
-        pairs = zip(self.program.blocks, blocks, strict=True)
-        for _, run in groupby(pairs, key=lambda pair: len(pair[1])):
-            matrices, duals = zip(*run, strict=True)
-            F = np.array([each.at(x) for each in matrices])
-            stiffness, vectors = _stiffness(F, weight * np.array(duals))
-            roots = np.sqrt(stiffness)
-            for k in np.flatnonzero(roots.max(axis=(1, 2)) > least):
-                i, j = np.triu_indices(len(F[k]))
+        least = _SLACK * self._size
+        for matrix, Z in zip(self.program.blocks, blocks, strict=True):
+            stiffness, vectors = _stiffness(matrix.at(x), weight * Z)
+            root = np.sqrt(stiffness)
+            if root.max() > least:
+                i, j = np.triu_indices(len(Z))
                 # An entry off the diagonal stands for two.
-                weights = np.where(i == j, np.sqrt(0.5), 1.0) * np.minimum(roots[k], most)[i, j]
-                entries = (vectors[k].T @ matrices[k].linear @ vectors[k])[:, i, j] * weights
+                weights = np.where(i == j, np.sqrt(0.5), 1.0) * np.minimum(root, self.stiff)[i, j]
+                entries = (vectors.T @ matrix.linear @ vectors)[:, i, j] * weights
                 rows = np.zeros((len(i), len(x)))
-                rows[:, matrices[k].index] = entries.T
+                rows[:, matrix.index] = entries.T
                 yield rows[weights > least]
 
 
 def _stiffness(F: Array, Z: Array) -> tuple[Array, Array]:
-    """Return z_i/f_j between common eigenvectors of stacks of F and Z, and the eigenvectors.
+    """Return z_i/f_j between common eigenvectors of F and Z, and the eigenvectors.
 
     Of a pair of eigenvectors that with the larger share of z comes first: the other quotient is
     one of two roundings.
     """
-    sizes = [np.linalg.norm(each, axis=(1, 2), keepdims=True) for each in (F, Z)]
-    _, vectors = np.linalg.eigh(F / sizes[0] - Z / np.maximum(sizes[1], np.finfo(float).tiny))
-    f, z = (np.einsum("nia,nij,nja->na", vectors, each, vectors) for each in (F, Z))
+    size = max(float(np.linalg.norm(Z)), np.finfo(float).tiny)
+    _, vectors = np.linalg.eigh(F / np.linalg.norm(F) - Z / size)
+    f, z = (np.einsum("ia,ij,ja->a", vectors, each, vectors) for each in (F, Z))
     f, z = np.maximum(f, _INSIDE), np.maximum(z, 0.0)
-    quotients = z[:, :, None] / f[:, None, :]
-    first = (z / f)[:, :, None] >= (z / f)[:, None, :]
-    return np.where(first, quotients, np.swapaxes(quotients, 1, 2)), vectors
+    quotients, share = np.divide.outer(z, f), z / f
+    return np.where(np.greater_equal.outer(share, share), quotients, quotients.T), vectors

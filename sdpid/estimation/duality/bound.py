@@ -148,6 +148,11 @@ def bound_of(problem: Problem, multipliers: Multipliers) -> Bound:
         return Bound(-np.inf, multipliers)
 
 
+def best_of(*bounds: Bound) -> Bound:
+    """Return the strongest of several bounds."""
+    return max(bounds, key=lambda bound: bound.value)
+
+
 def cost_scale(problem: Problem) -> float:
     """Return the smallest cost that gaps are relative to."""
     h = problem.squared.rhs

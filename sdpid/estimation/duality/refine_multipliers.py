@@ -1,15 +1,28 @@
-"""Lower bounds from a solver's multipliers, refined as little as needed to prove what it found.
+"""Multipliers refined as little as needed to prove what a solver found.
 
 A solver leaves errors in the linear term c of the bound (see `sdpid.estimation.duality.bound`),
-which the wide box of theta makes expensive. At the optimum c is the multiplier of the bounds, which
-the solver gives too, and zero in every parameter without one. That is a linear system in changes of
-all multipliers; the matrices among them change as ``S·(E + D)·S``, S being the square root of Z
-smoothed so that its null space can take part. As long as D is above −E the result is positive
-semidefinite; where it is not, it is clipped, and another round takes the rest.
+which the wide box of theta makes expensive. There are two remedies.
 
-Corrections by a program (`sdpid.estimation.duality.correct_multipliers`) cannot take its place: of
-24 robots of a catalogue they alone leave 13 unproven, most with an entropic prior, both together
-one. On 15 problems of five real arms they alone prove all.
+**Linear equations.** At the optimum c is the multiplier of the bounds, which the solver gives too,
+and zero in every parameter without one. That is a linear system in changes of all multipliers; the
+matrices among them change as ``S·(E + D)·S``, S being the square root of Z smoothed so that its
+null space can take part. As long as D is above −E the result is positive semidefinite; where it is
+not, it is clipped, and another round takes the rest.
+
+**A program of the corrections**, in units of the errors. With ε the size of c but for multipliers
+of bounds, the rest ρ, the corrections (dy, dZ, dλ) to y + ε·dy, Z + ε·dZ and λ + ε·dλ are of order
+one, and the best of them minimize what the bound is short of the cost of the parameters at hand,
+
+    ‖r − y‖² + Σ⟨Z_i, F_i⟩ + Σ_j λ_j·(row_j·theta − limit_j) + Σ_k ρ⁺_k·(theta_k − lower_k)
+      + Σ_k ρ⁻_k·(upper_k − theta_k),
+
+in units of ε, with all Z_i ⪰ 0: a semidefinite program again, whose solution is off by the solver's
+accuracy times ε. Iterative refinement of linear programs does the same [gleixner2016]. It finds
+what linear equations cannot: where no multipliers have a definite Z, as of a first link that may
+hold any mass on its axis, ρ is rather left to the bounds of theta than taken by matrices that would
+have to be indefinite. It cannot take their place: of 24 robots of a catalogue it alone leaves 13
+unproven, most with an entropic prior, both together one. On 15 problems of five real arms it alone
+proves all.
 """
 
 from __future__ import annotations
@@ -18,19 +31,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid._common.arrays import Array, Indices
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, symmetric_basis
 from sdpid.estimation.duality.bound import (
     PROVEN,
     TARGET_GAP,
     Bound,
     Multipliers,
+    best_of,
     bound_of,
     clip_psd,
     relative_gap,
     support,
 )
-from sdpid.estimation.duality.correct_multipliers import corrected_multipliers, slopes
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import pseudo_inertia
@@ -43,12 +56,19 @@ _ROUNDS = 8
 # Equations of a round that are this close to dependent are dependent.
 _CUT = 1e-14
 
-# Corrections by a program of their own are tried where the gap is no larger: beyond, parameters are
-# rather no optimum. Multipliers of examples/studies/birdy begin at up to 1e-3.
-_CORRECTED = 1e-3
-
 # A round must close this share of the gap to be worth another.
 _PROGRESS = 0.05
+
+# Corrections by a program are tried where the gap is no larger: beyond, parameters are rather no
+# optimum. Multipliers of examples/studies/birdy begin at up to 1e-3.
+_CORRECTED = 1e-3
+
+# Where nothing is left of ρ this is the unit of corrections: some rounding.
+_LEAST = 1e-12
+
+# The program is solved to this, which is times ε of the multipliers. On 65 problems of
+# examples/studies/birdy 1e-11 proves no more and takes half as long again.
+_TOLERANCE = 1e-7
 
 
 def lower_bound(
@@ -78,34 +98,35 @@ def lower_bound(
     -------
     Bound
         The best of a few choices of the multipliers: as found, with the residual at theta, or
-        refined (see `refine_multipliers`).
+        refined (see `refine_multipliers` and `corrected_multipliers`).
     """
     # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
     # and where the constraints cost nothing it is all there is to prove. At the believed bodies
     # themselves a log-det prior's tangent is zero.
     free = replace(multipliers, Z=0.0 * multipliers.Z, rows=0.0 * multipliers.rows)
     trials = [replace(free, y=0.0 * free.y, W=problem.log_det.inverses), multipliers]
+    # The solver's own y goes with its other multipliers, where the residual of the point, which
+    # was moved inside, does so to first order only; but it is the better start.
+    at_residual = multipliers
     if theta is not None:
-        # The solver's own y goes with its other multipliers, where the residual of the point,
-        # which was moved inside, does so to first order only; but it is the better start.
-        residual = problem.squared.residual(theta)
-        at_residual = replace(multipliers, y=residual)
-        trials += [replace(free, y=residual), at_residual]
-    best = max((bound_of(problem, trial) for trial in trials), key=_value)
+        at_residual = replace(multipliers, y=problem.squared.residual(theta))
+        trials += [replace(free, y=at_residual.y), at_residual]
+    best = best_of(*(bound_of(problem, trial) for trial in trials))
+
+    def gap() -> float:
+        return relative_gap(problem, cost, best.value)
+
     # Without constraints y follows from theta, and with a log-det prior its multiplier W.
     if theta is None or not (multipliers.constrained or len(problem.log_det.links)):
         return best
-    if relative_gap(problem, cost, best.value) <= TARGET_GAP:
-        return best
-    best = max(best, refine_multipliers(problem, theta, at_residual, cost), key=_value)
-    gap = relative_gap(problem, cost, best.value)
-    if PROVEN < gap <= _CORRECTED:
-        corrected = bound_of(problem, corrected_multipliers(problem, theta, multipliers))
-        best = max(best, corrected, key=_value)
-        gap = relative_gap(problem, cost, best.value)
-    if exhaustive and gap > PROVEN:
+    if gap() > TARGET_GAP:
+        best = best_of(best, refine_multipliers(problem, theta, at_residual, cost))
+    if PROVEN < gap() <= _CORRECTED:
+        corrected = corrected_multipliers(problem, theta, multipliers)
+        best = best_of(best, bound_of(problem, corrected))
+    if exhaustive and gap() > PROVEN:
         refined = refine_multipliers(problem, theta, at_residual, cost, exhaustive=True)
-        best = max(best, refined, key=_value)
+        best = best_of(best, refined)
     return best
 
 
@@ -142,17 +163,13 @@ def refine_multipliers(
             bound = bound_of(problem, trial)
             if not np.isfinite(bound.value):
                 break
-            best = max(best, bound, key=_value)
+            best = best_of(best, bound)
             if relative_gap(problem, cost, best.value) <= TARGET_GAP:
                 return best
             if not exhaustive and bound.value < last + _PROGRESS * (cost - last):
                 break
             last, smoothing = bound.value, 0.5 * smoothing
     return best
-
-
-def _value(bound: Bound) -> float:
-    return bound.value
 
 
 def _refined(
@@ -162,7 +179,8 @@ def _refined(
     from scipy.linalg import lstsq
 
     feasible, log_det, cost = problem.feasible, problem.log_det, scaling.cost
-    unit, y, mu = float(np.sqrt(cost)), multipliers.y, multipliers.bounds
+    y, mu = multipliers.y, multipliers.bounds
+    size_y = max(float(np.linalg.norm(y)), 1e-3 * float(np.sqrt(cost)))
     inverses = scaling.inverses(feasible)
     believed = np.asarray(np.linalg.inv(scaling.roots(4)[log_det.links]))
     S = _smoothed(multipliers.Z, inverses, cost, smoothing)
@@ -176,12 +194,11 @@ def _refined(
     # A limit without a multiplier takes no part: its side is not known.
     row_sizes = scaling.row_sizes(feasible)
     size = np.abs(multipliers.rows) / cost + smoothing * feasible.equations / row_sizes
-    scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
     units = pseudo_inertia(np.eye(10))
     parts = (
-        problem.squared.matrix.T * (2.0 * scale_y / unit),
-        -slopes(problem, S @ inverses, feasible.block_basis, feasible.block_links),
-        -2.0 * log_det.strength / cost * slopes(problem, V @ believed, units, log_det.links),
+        problem.squared.matrix.T * (2.0 * size_y / cost),
+        -_slopes(problem, S @ inverses, feasible.block_basis, feasible.block_links),
+        -2.0 * log_det.strength / cost * _slopes(problem, V @ believed, units, log_det.links),
         -relax,
         -feasible.rows.T * size,
     )
@@ -197,7 +214,7 @@ def _refined(
     steps = np.split(step, np.cumsum([part.shape[1] for part in parts[:-1]]))
     return replace(
         multipliers,
-        y=y + scale_y * unit * steps[0],
+        y=y + size_y * steps[0],
         Z=clip_psd(cost * congruent(transposed[0], _moved(S, steps[1]))),
         rows=multipliers.rows + cost * size * steps[4],
         W=congruent(transposed[1], _moved(V, steps[2])),
@@ -206,9 +223,8 @@ def _refined(
 
 def _smoothed(Z: Array, inverses: Array, cost: float, smoothing: float) -> Array:
     """Return the roots S of matrices in scaled units, which changes go through."""
-    values, vectors = np.linalg.eigh(
-        congruent(np.swapaxes(np.linalg.inv(inverses), 1, 2), Z) / cost
-    )
+    roots = np.swapaxes(np.linalg.inv(inverses), 1, 2)
+    values, vectors = np.linalg.eigh(congruent(roots, Z) / cost)
     values = np.maximum(values, 0.0)
     values = values + smoothing * max(float(values.max(initial=0.0)), np.finfo(float).tiny)
     return np.asarray((vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
@@ -216,6 +232,100 @@ def _smoothed(Z: Array, inverses: Array, cost: float, smoothing: float) -> Array
 
 def _moved(S: Array, step: Array) -> Array:
     """Return ``S·(E + D)·S`` for coordinates of D, clipped."""
-    symmetric = symmetric_basis(S.shape[-1])
-    D = np.einsum("na,aij->nij", step.reshape(len(S), len(symmetric)), symmetric)
-    return clip_psd(S @ S + S @ D @ S)
+    return clip_psd(S @ S + S @ _matrices(step, S.shape[-1]) @ S)
+
+
+def corrected_multipliers(problem: Problem, theta: Array, multipliers: Multipliers) -> Multipliers:
+    """Return multipliers whose bound is as near to the cost of parameters as corrections get it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    theta : ndarray, shape (p,)
+        Feasible parameters near an optimum.
+    multipliers : Multipliers
+        A solver's, found with them. Those of a log-det prior stay as they are.
+
+    Returns
+    -------
+    Multipliers
+        The same ones where the program has no solution.
+    """
+    feasible, scaling = problem.feasible, Scaling.of(problem).around(theta)
+    size, cost = scaling.theta, scaling.cost
+    rest = support(problem, multipliers)[1] * size / cost
+    # Of parameters with bounds of their own ρ is the multiplier, and no error.
+    unit = float(np.abs(rest[~feasible.bounded]).max(initial=_LEAST))
+    inverses, roots = scaling.inverses(feasible), scaling.block_roots(feasible)
+    Z = congruent(np.swapaxes(roots, 1, 2), multipliers.Z) / cost
+    held = np.flatnonzero((multipliers.rows != 0.0) | feasible.equations)
+    rows, row_sizes = feasible.rows[held], scaling.row_sizes(feasible)[held]
+    # How ρ, in units of ε, changes with dy, dZ and dλ, which are the variables, and last ρ⁻.
+    parts = (
+        2.0 * problem.squared.matrix.T / np.sqrt(cost),
+        -_slopes(problem, inverses, feasible.block_basis, feasible.block_links),
+        -(rows / row_sizes[:, None]).T,
+        np.zeros((len(size), len(size))),
+    )
+    J = np.hstack(parts) * size[:, None]
+    starts = np.cumsum([part.shape[1] for part in parts])
+    # What each variable costs; ρ⁺ = ρ + ρ⁻.
+    symmetric = symmetric_basis(feasible.size)
+    above = np.maximum((theta - feasible.lower) / size, 0.0)
+    below = np.maximum((feasible.upper - theta) / size, 0.0)
+    F = congruent(inverses, feasible.matrices(theta))
+    directions = np.sign(multipliers.rows[held])
+    limits = np.where(directions > 0.0, feasible.row_lower[held], feasible.row_upper[held])
+    short = problem.squared.residual(theta) - multipliers.y
+    products = np.einsum("nij,aij->na", F, symmetric).ravel()
+    own = (0.0 * short, products, (rows @ theta - limits) / row_sizes, above + below)
+    # ρ⁻ and ρ⁺ are positive, and so is λ in its direction.
+    variables = np.eye(J.shape[1])
+    directed = np.flatnonzero(~feasible.equations[held])
+    signs = directions[directed, None] * variables[starts[1] + directed]
+    sizes = np.abs(multipliers.rows[held]) * row_sizes / cost
+    least = np.concatenate([np.zeros(len(size)), -rest, -sizes[directed]]) / unit
+    # Z + ε·dZ, each taken by its own eigenvectors to order one.
+    blocks = []
+    for n, each in enumerate(Z):
+        values, vectors = np.linalg.eigh(each)
+        K = (vectors / np.sqrt(np.maximum(values, unit))).T
+        index = starts[0] + n * len(symmetric) + np.arange(len(symmetric))
+        blocks.append(Matrix(index, unit * (K @ symmetric @ K.T), K @ each @ K.T))
+    solution = solve_conic(
+        ConicProgram(
+            M=np.sqrt(unit) * np.eye(len(short), J.shape[1]),
+            m=-short / np.sqrt(cost * unit),
+            cost=above @ J + np.concatenate(own),
+            C=np.vstack([variables[starts[2] :], J + variables[starts[2] :], signs]),
+            lower=least,
+            upper=np.full(len(least), np.inf),
+            blocks=tuple(blocks),
+        ),
+        tolerance=_TOLERANCE,
+    )
+    if solution.x is None:
+        return multipliers
+    dy, dZ, dl, _ = np.split(unit * solution.x, starts[:-1])
+    found = np.array(multipliers.rows)
+    found[held] += cost * dl / row_sizes
+    Z = cost * congruent(np.swapaxes(inverses, 1, 2), Z + _matrices(dZ, feasible.size))
+    y = multipliers.y + np.sqrt(cost) * dy
+    return replace(multipliers, y=y, Z=clip_psd(Z), rows=found)
+
+
+def _matrices(coordinates: Array, size: int) -> Array:
+    """Return symmetric matrices (N, s, s) of coordinates, those of each in turn."""
+    basis = symmetric_basis(size)
+    return np.asarray(np.einsum("na,aij->nij", coordinates.reshape(-1, len(basis)), basis))
+
+
+def _slopes(problem: Problem, T: Array, basis: Array, links: Indices) -> Array:
+    """Return how c falls with ``T^T·D·T`` in place of each Z, (p, N·s·(s+1)/2), by D's entries."""
+    symmetric = symmetric_basis(basis.shape[-1])
+    out = np.zeros((len(T), len(symmetric), problem.n_theta))
+    values = np.einsum("aij,nkij->nak", symmetric, congruent(T[:, None], basis))
+    for n, link in enumerate(links):
+        out[n, :, 10 * link : 10 * link + 10] = values[n]
+    return out.reshape(-1, problem.n_theta).T

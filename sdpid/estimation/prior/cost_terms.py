@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.conic.solve import symmetric_basis
 from sdpid.robot.inertia import matrix_basis
 
 

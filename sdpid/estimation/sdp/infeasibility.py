@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.errors import InfeasibleError
-from sdpid.estimation.conic.retry import solve_with_retries
-from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
 from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.coordinates import CONTRADICTION, Coordinates, contradiction
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
+
+T = TypeVar("T")
 
 # Constraints hold together when all of them do after each has given way by this share of its
 # size: solvers are content with as much.
@@ -43,44 +47,45 @@ def explained(problem: Problem) -> InfeasibleError:
     """
     limits = _limits(problem)
     short, weights = _shortfall(problem, limits)
-    if not short > _GIVES:
+    if short > _GIVES:
+        pressing = [limit for limit, weight in zip(limits, weights, strict=True) if weight > _REST]
+        limits = pressing if _contradict(problem, pressing) else limits
+        limits = _fewest(limits, lambda rest: _contradict(problem, rest))
+        groups = [limit.group for limit in limits]
+        several = (limit.group if groups.count(limit.group) > 1 else limit.name for limit in limits)
+        names, which = tuple(dict.fromkeys(several)), "these"
+        why = (
+            f"Each of all would have to give way by {short:.1e} of its size (limit {_GIVES:.0e}); "
+            "loosen or leave out one of these."
+        )
+    else:
         # By less than a solver sees, or where it has no answer: equations alone are to blame.
-        return _contradictory_equations(problem)
-    pressing = [limit for limit, weight in zip(limits, weights, strict=True) if weight > _REST]
-    limits = pressing if _contradict(problem, pressing) else limits
-    for limit in limits:
-        rest = [other for other in limits if other is not limit]
-        if rest and _contradict(problem, rest):
-            limits = rest
-    groups = [limit.group for limit in limits]
-    several = (limit.group if groups.count(limit.group) > 1 else limit.name for limit in limits)
-    names = tuple(dict.fromkeys(several))
+        def by(chosen: list[int]) -> float:
+            return contradiction(problem, scaling, np.array(chosen, dtype=np.intp))
+
+        feasible, scaling = problem.feasible, Scaling.of(problem)
+        equations = np.flatnonzero(feasible.equations).tolist()
+        chosen = _fewest(equations, lambda rest: by(rest) > CONTRADICTION)
+        names, which = tuple(feasible.row_names[row] for row in chosen), "these equations"
+        why = (
+            f"They contradict each other by {by(equations):.1e} of their size (limit "
+            f"{CONTRADICTION:.0e}); make their numbers agree, or leave out one of them."
+        )
     return InfeasibleError(
-        f"no parameters of '{problem.robot.name}' satisfy all constraints; these cannot hold "
-        f"together: {'; '.join(names)}. Each of all would have to give way by {short:.1e} of its "
-        f"size (limit {_GIVES:.0e}); loosen or leave out one of these.",
+        f"no parameters of '{problem.robot.name}' satisfy all constraints; {which} cannot hold "
+        f"together: {'; '.join(names)}. {why}",
         problem=problem,
         conflict=names,
     )
 
 
-def _contradictory_equations(problem: Problem) -> InfeasibleError:
-    """Return the error that names equations which contradict each other, as few as possible."""
-    feasible, scaling = problem.feasible, Scaling.of(problem)
-    chosen = np.flatnonzero(feasible.equations)
-    by = contradiction(problem, scaling, chosen)
-    for row in chosen:
-        rest = chosen[chosen != row]
-        if contradiction(problem, scaling, rest) > CONTRADICTION:
-            chosen = rest
-    names = tuple(feasible.row_names[row] for row in chosen)
-    return InfeasibleError(
-        f"no parameters of '{problem.robot.name}' satisfy all constraints; these equations cannot "
-        f"hold together: {'; '.join(names)}. They contradict each other by {by:.1e} of their size "
-        f"(limit {CONTRADICTION:.0e}); make their numbers agree, or leave out one of them.",
-        problem=problem,
-        conflict=names,
-    )
+def _fewest(items: list[T], contradict: Callable[[list[T]], bool]) -> list[T]:
+    """Return items that contradict each other, of which none can be left out."""
+    for item in items:
+        rest = [other for other in items if other != item]
+        if rest and contradict(rest):
+            items = rest
+    return items
 
 
 def require_consistent(problem: Problem) -> None:
@@ -137,52 +142,51 @@ def _shortfall(problem: Problem, limits: Sequence[Constraint]) -> tuple[float, l
     matrices += coordinates.pseudo_inertias(scaling, problem.log_det.links)
     sizes = np.concatenate([scaling.theta, scaling.row_sizes(feasible)])
     functions = np.vstack([basis, feasible.rows @ basis]) / sizes[:, None]
-    lower, upper = np.full(len(sizes), -np.inf), np.full(len(sizes), np.inf)
     widest, blocks = feasible.widest * _WIDER, []
-    # Where each limit's multipliers are: among the lower ends, then the upper ones.
-    places: list[list[int]] = []
-    for limit in limits:
-        places.append([])
+    # Coefficients of x, that of t, and the lower end. And the limits that each is made of.
+    rows: list[Array] = []
+    of_rows: list[int] = []
+    of_matrices: list[int] = []
+    of_widest: list[int] = []
+    for place, limit in enumerate(limits):
         if limit.kind == "theta_max":
             widest = feasible.widest
+            of_widest.append(place)
         elif limit.kind in ("consistency", "cone", "exists"):
+            of_matrices.append(place)
             fixed = matrices[limit.index]
             linear = np.concatenate([fixed.linear, np.eye(len(fixed.constant))[None]])
             blocks.append(Matrix(np.append(fixed.index, n), linear, fixed.constant))
         else:
-            k, end = limit.index + n * (limit.kind == "row"), float(limit.limit or 0.0)
-            if limit.side != "most":
-                lower[k] = end / sizes[k]
-                places[-1].append(k)
-            if limit.side != "least":
-                upper[k] = end / sizes[k]
-                places[-1].append(k + len(sizes))
+            k = limit.index + n * (limit.kind == "row")
+            row = np.concatenate([functions[k], [0.0, float(limit.limit or 0.0) / sizes[k]]])
+            # Equations have both sides.
+            for side, sign in (("least", 1.0), ("most", -1.0)):
+                if limit.side in (side, None):
+                    rows.append(sign * row + np.eye(n + 2)[n])
+                    of_rows.append(place)
     wide = np.minimum(widest / scaling.theta, _FAR)
-    none = np.full(len(sizes), np.inf)
-    gives = np.concatenate([np.ones(len(sizes)), -np.ones(len(sizes)), np.zeros(n), [1.0]])
-    rows = np.vstack([functions, functions, basis / scaling.theta[:, None], np.zeros(n)])
+    inside = np.column_stack([basis / scaling.theta[:, None], np.zeros(n), -wide])
+    ends = np.vstack([np.reshape(rows, (-1, n + 2)), inside, np.eye(n + 2)[n]])
     program = ConicProgram(
         M=np.zeros((0, n + 1)),
         m=np.zeros(0),
-        cost=np.append(np.zeros(n), 1.0),
-        C=np.column_stack([rows, gives]),
-        lower=np.concatenate([lower, -none, -wide, [0.0]]),
-        upper=np.concatenate([none, upper, wide, [np.inf]]),
+        cost=np.eye(n + 1)[n],
+        C=ends[:, :-1],
+        lower=ends[:, -1],
+        upper=np.concatenate([np.full(len(rows), np.inf), wide, [np.inf]]),
         blocks=tuple(blocks),
     )
     found = solve_with_retries(
-        lambda regularization: solve_conic(program, regularization=regularization),
+        partial(solve_conic, program),
         _REGULARIZATIONS,
         lambda x, solution: ((float(x[-1]), solution), 0.0) if solution.solved else None,
     ).value
     if found is None:
         return float("nan"), []
     value, solution = found
-    pulls, duals = np.abs(solution.rows), iter(solution.blocks)
-    weights = []
-    for limit, own in zip(limits, places, strict=True):
-        if limit.kind == "theta_max":
-            weights.append(float(pulls[2 * len(sizes) : -1].sum()))
-        else:
-            weights.append(float(pulls[own].sum() if own else np.trace(next(duals))))
-    return value, weights
+    pulls = np.abs(solution.rows)
+    weights = np.bincount(np.array(of_rows, dtype=np.intp), pulls[: len(rows)], len(limits))
+    weights[of_matrices] = [np.trace(dual) for dual in solution.blocks]
+    weights[of_widest] = pulls[len(rows) : -1].sum()
+    return value, weights.tolist()

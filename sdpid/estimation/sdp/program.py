@@ -98,39 +98,6 @@ class SdpProgram:
         )
         return cls(problem, scaling, coordinates, bounds_included, limits, tuple(moving), conic)
 
-    @classmethod
-    def about(
-        cls, problem: Problem, theta: Array, cost: float, bounds_included: Mask
-    ) -> SdpProgram:
-        """Build a program in the units of the description, about a solution.
-
-        Parameters
-        ----------
-        problem : Problem
-            The problem.
-        theta : ndarray, shape (p,)
-            A solution.
-        cost : float
-            What it costs: the unit of the cost, where it is not smaller than the scaling's own.
-        bounds_included : ndarray of bool, shape (p,)
-            Parameters whose bounds are part of the program: at least `FeasibleSet.bounded`.
-
-        Raises
-        ------
-        SolverError
-            When the equations among the constraints contradict each other.
-        """
-        scaling = Scaling.of(problem)
-        scaling = replace(scaling, cost=max(scaling.cost, cost))
-        coordinates = Coordinates.of(problem, scaling.basis(), theta)
-        if coordinates is None:
-            raise SolverError(
-                f"'{problem.robot.name}': the equations among the constraints contradict each "
-                "other.",
-                problem=problem,
-            )
-        return cls.build(problem, scaling, coordinates, bounds_included)
-
     def theta(self, solution: ConicSolution) -> Array:
         """Return the standard parameters of a solution that has a point."""
         return self.coordinates.theta(np.asarray(solution.x))
@@ -187,14 +154,42 @@ class ReusableProgram:
     family: ConicFamily
 
     @classmethod
-    def of(cls, program: SdpProgram) -> ReusableProgram:
-        """Keep what a program needs to be solved for other data."""
-        problem, base = program.problem.without_rows(), program.problem.base
+    def about(
+        cls, problem: Problem, theta: Array, cost: float, bounds_included: Mask
+    ) -> ReusableProgram:
+        """Build a program in the units of the description, about a solution.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        theta : ndarray, shape (p,)
+            A solution.
+        cost : float
+            What it costs: the unit of the cost, where it is not smaller than the scaling's own.
+        bounds_included : ndarray of bool, shape (p,)
+            Parameters whose bounds are part of the program: at least `FeasibleSet.bounded`.
+
+        Raises
+        ------
+        SolverError
+            When the equations among the constraints contradict each other.
+        """
+        scaling, base = Scaling.of(problem), problem.base
+        scaling = replace(scaling, cost=max(scaling.cost, cost))
+        coordinates = Coordinates.of(problem, scaling.basis(), theta)
+        if coordinates is None:
+            raise SolverError(
+                f"'{problem.robot.name}': the equations among the constraints contradict each "
+                "other.",
+                problem=problem,
+            )
+        program = SdpProgram.build(problem, scaling, coordinates, bounds_included)
         pattern = program.conic.M != 0.0
         # Any data mix the rows of the base parameters.
-        pattern[: base.count] = np.any(base.matrix @ program.coordinates.directions, axis=0)
+        pattern[: base.count] = np.any(base.matrix @ coordinates.directions, axis=0)
         family = ConicFamily(program.conic, pattern=pattern, tolerance=_TOLERANCE)
-        return cls(replace(program, problem=problem), family)
+        return cls(replace(program, problem=problem.without_rows()), family)
 
     def solve(
         self, A: Array, rhs: Array, *, cost: float | None = None, regularization: float
