@@ -31,7 +31,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.errors import SolverError
-from sdpid.estimation.closed_loop.instruments import products
+from sdpid.estimation.closed_loop.instruments import paired, products
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import fit_errors
@@ -240,7 +240,7 @@ def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
     """Return p of the test of all columns of V, samples taken as independent."""
     from scipy.special import fdtrc
 
-    sums = products(problem, ((problem.samples, instruments),))
+    sums = products(problem, [paired(problem, problem.samples, instruments)])
     gram, target, r = sums[:-1, :-1], sums[:-1, -1], len(sums) // 2
     explained = target @ np.linalg.lstsq(gram, target, rcond=1e-12)[0]
     fit = target[r:] @ np.linalg.solve(gram[r:, r:], target[r:])

@@ -25,8 +25,7 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.errors import DataError
-from sdpid.estimation.closed_loop.controller_check import ControllerCheck
-from sdpid.estimation.closed_loop.loop import ClosedLoop
+from sdpid.estimation.closed_loop.loop import ClosedLoop, ControllerCheck
 from sdpid.estimation.closed_loop.solve import CONTROLLER
 from sdpid.experiment.preparation.twin import Twin
 
@@ -136,7 +135,7 @@ def check_rows(robots: tuple[str, ...], runs: int) -> Iterator[tuple[Any, ...]]:
                 twin = Twin.of(arm.model.robot, arm.log(seed, noise), processing)
                 for k, gain in enumerate(CHECKED):
                     law = sdpid.controllers.PD(gain * right.kp, gain * right.kd)
-                    check = ControllerCheck.of(ClosedLoop.of(twin, law, control_hz=CONTROL_HZ))
+                    check = ControllerCheck(ClosedLoop(twin, law, control_hz=CONTROL_HZ))
                     if gain == 1.0:
                         size.append((check.misfit.max(), check.error.max()))
                     try:

@@ -13,8 +13,7 @@ from sdpid import Samples, Trajectory
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.closed_loop.bias import contrast, hotelling
-from sdpid.estimation.closed_loop.instruments import FirstStage
-from sdpid.estimation.closed_loop.rounds import second_stage
+from sdpid.estimation.closed_loop.instruments import FirstStage, paired
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten
@@ -261,8 +260,8 @@ def fitted(problem: Problem, instruments: Samples) -> tuple[Array, Array, Array,
 
 def test_the_second_stage_is_two_stage_least_squares(shaken_fit: Problem, clean: Samples) -> None:
     instruments = shaken(clean, 4)
-    stage = FirstStage.of(shaken_fit, ((shaken_fit.samples, instruments),))
-    found = second_stage(stage, "of a test")
+    stage = FirstStage(shaken_fit, [paired(shaken_fit, shaken_fit.samples, instruments)])
+    found = stage.second_stage("of a test")
     W, y, Z, fit = fitted(shaken_fit, instruments)
     X = Z @ np.linalg.lstsq(Z, W, rcond=None)[0]
     np.testing.assert_allclose(sdpid.solve_wls(found).base, fit, rtol=1e-9, atol=1e-12)
@@ -289,7 +288,7 @@ def test_block_sums_of_the_test_of_bias_are_corrected_for_leverage(
     shaken_fit: Problem, clean: Samples
 ) -> None:
     instruments = shaken(clean, 4)
-    first = FirstStage.of(shaken_fit, ((shaken_fit.samples, instruments),))
+    first = FirstStage(shaken_fit, [paired(shaken_fit, shaken_fit.samples, instruments)])
     found = contrast(first, 20)[0]
     W, y, Z, fit = fitted(shaken_fit, instruments)
     rows = RowSource(ARM, shaken_fit.friction, shaken_fit.base, shaken_fit.samples)
@@ -319,7 +318,8 @@ def test_two_halves_correct_least_squares_for_their_difference(
     means = {name: np.mean([getattr(half, name) for half in halves], axis=0) for name in names}
     mean = replace(clean, **means)
     whole = sdpid.build_problem(ARM, mean, friction=FRICTION, base=shaken_fit.base)
-    found = second_stage(FirstStage.of(whole, (halves, halves[::-1])), "of a test")
+    pairs = [paired(whole, *halves), paired(whole, *halves[::-1])]
+    found = FirstStage(whole, pairs).second_stage("of a test")
     A, B = (dense(shaken_fit, half) for half in halves)
     cross = A[:, :-1].T @ B[:, :-1]
     target = B[:, :-1].T @ A[:, -1] + A[:, :-1].T @ B[:, -1]

@@ -9,8 +9,7 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.closed_loop.controller_check import ControllerCheck
-from sdpid.estimation.closed_loop.loop import ClosedLoop
+from sdpid.estimation.closed_loop.loop import ClosedLoop, ControllerCheck
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.robot.friction.model import FrictionModel
@@ -132,23 +131,22 @@ def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> Non
     assert shift < 0.01
 
 
-def loop_of(law: Any, told: Any, rate_hz: float = 500.0, **options: Any) -> ClosedLoop:
-    """Return the loop of a log that is simulated."""
+def twin_of(law: Any, told: Any, rate_hz: float = 500.0, **options: Any) -> Twin:
+    """Return a log that is simulated."""
     moved = sdpid.simulate_closed_loop(truth(), told, law, rate_hz=rate_hz, **options)
     own = sdpid.Recording(
         time=moved.time, position=moved.measured, effort=moved.effort, reference=told,
         joint_names=truth().robot.joint_names,
     )  # fmt: skip
-    twin = Twin.of(truth().robot, own, PROCESSING)
-    return ClosedLoop.of(twin, law, control_hz=options.get("control_hz"))
+    return Twin.of(truth().robot, own, PROCESSING)
 
 
 def test_noise_that_the_loop_feeds_back_does_not_hide_the_controller() -> None:
-    noisy = loop_of(LAW, log().reference, control_hz=2000.0, position_noise=1e-4, seed=3)
+    noisy = twin_of(LAW, log().reference, control_hz=2000.0, position_noise=1e-4, seed=3)
 
     def check(factor: float) -> ControllerCheck:
         law = sdpid.controllers.PD(factor * LAW.kp, factor * LAW.kd)
-        return ControllerCheck.of(replace(noisy, controller=law))
+        return ControllerCheck(ClosedLoop(noisy, law, control_hz=2000.0))
 
     exact = check(1.0)
     assert exact.misfit.min() > 0.1
@@ -160,8 +158,8 @@ def test_noise_that_the_loop_feeds_back_does_not_hide_the_controller() -> None:
 
 def test_a_controller_with_an_integral_is_checked_too() -> None:
     law = sdpid.controllers.PID(LAW.kp, LAW.kd, np.array([200.0, 60.0]))
-    loop = loop_of(law, log().reference)
-    np.testing.assert_allclose(ControllerCheck.of(loop).ratio, 1.0, atol=1e-3)
+    loop = ClosedLoop(twin_of(law, log().reference), law)
+    np.testing.assert_allclose(ControllerCheck(loop).ratio, 1.0, atol=1e-3)
     step = 1e-3 * truth().theta
     missed = [
         loop.missed(loop.follow(replace(truth(), theta=truth().theta + k * step))) for k in (-1, 1)
@@ -242,7 +240,7 @@ def test_friction_without_derivatives_is_refused(term: Any, words: str) -> None:
 
 def test_sensitivities_at_few_instants_are_those_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
     told = 0.4 * np.sin(np.arange(0.0, 2.0, 5e-4)[:, None] * [3.0, 7.0])
-    loop = loop_of(LAW, told, 2000.0)
+    loop = ClosedLoop(twin_of(LAW, told, 2000.0), LAW)
     given = truth(), problem().base, loop.follow(truth())
     few = loop.slopes(*given)
     monkeypatch.setattr("sdpid.estimation.closed_loop.loop._LINEARIZED", 5e-4)

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from sdpid import Prior, Samples, build_problem, solve_sdp, validate
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.estimation.closed_loop.rounds import InstrumentalRows, SensitivityRows
+from sdpid.estimation.closed_loop.instruments import InstrumentalRows
+from sdpid.estimation.closed_loop.rounds import SensitivityRows
 from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
 from sdpid.estimation.compression import whitening

@@ -26,16 +26,10 @@ from sdpid._common.arrays import Array, require_probability
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.errors import IdentifiabilityError, SdpidError
-from sdpid.estimation.closed_loop.instruments import (
-    FirstStage,
-    Instruments,
-    Pair,
-    chunks,
-    source_of,
-)
+from sdpid.estimation.closed_loop.instruments import FirstStage, Instruments, PairedRows, source_of
 from sdpid.estimation.closed_loop.solve import problem_of, starting
 from sdpid.estimation.cluster_robust import ALONE, FEWEST_BLOCKS
-from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.compression.whitening import apply, weights_of
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
@@ -209,7 +203,7 @@ def check_bias(
             given, recording, "check_bias", processing, reference, controller, instruments
         )
         model = None if source.loop is None else starting(given, known, solve_sdp)[0]
-        first = source.first_stage(given, model)
+        first = source.first_stage(model)
         sums, shift, effort = contrast(first, given.samples.block)
         statistic, freedom, p = hotelling(sums) or (None, None, None)
         return BiasTest(
@@ -272,57 +266,56 @@ def contrast(first: FirstStage, block: int) -> tuple[Array, Array, Array]:
     effort : ndarray, shape (n,)
         Sum of squares of the efforts there.
     """
-    passes = [_products(first, pair, block) for pair in first.pairs]
-    inner, scores, shift, effort = (np.sum(each, axis=0) for each in zip(*passes, strict=True))
-    r = len(first.fit)
-    gram = inner.sum(axis=0)
+    passes = [pair.map(_products, first, block, sigma=first.problem.sigma) for pair in first.pairs]
+    blocks, squares = zip(*(zip(*each, strict=True) for each in passes), strict=True)
+    found = np.sum([np.concatenate(each) for each in blocks], axis=0)
+    shift, effort = np.sum(squares, axis=(0, 1))
     # What W explains of every v counts for nothing.
-    explained = np.linalg.solve(gram[:, :r], gram[:, r:])
-    own = scores[:, r:] - scores[:, :r] @ explained
-    freed = own + _leverage_corrections(gram[:, :r], inner, scores[:, :r], explained)
-    return own.mean(axis=0) + freed - freed.mean(axis=0), shift, effort
+    r, gram = len(first.fit), found.sum(axis=0)
+    freed = np.eye(len(gram))
+    freed[:r, r:-1] = -np.linalg.solve(gram[:r, :r], gram[:r, r:-1])
+    found = freed.T @ found @ freed
+    own = found[:, r:-1, -1]
+    corrected = own + _leverage_corrections(gram[:r, :r], found)
+    return own.mean(axis=0) + corrected - corrected.mean(axis=0), shift, effort
 
 
-def _products(first: FirstStage, pair: Pair, block: int) -> tuple[Array, Array, Array, Array]:
-    """Return ``W^T·[W | v]`` and ``[W | v]^T·e`` of a pair's blocks, shifts and efforts squared."""
+def _products(rows: PairedRows, sigma: Array, first: FirstStage, block: int) -> tuple[Array, Array]:
+    """Return the products of ``[W | v | e]`` of blocks, and squared shifts and efforts."""
     problem, root = first.problem, first.problem.excitation.root
-    n, r = problem.robot.n, len(first.fit)
+    n, (b, r) = problem.robot.n, root.shape
     fit, projected = root @ first.fit, root @ (first.projection @ first.fit)
     moved = fit - root @ ((problem.A @ root).T @ problem.rhs)
-    shift, effort = np.zeros((2, n))
-    inner, scores = [], []
-    for instruments, measured, sigma, used in chunks(problem, pair, block):
-        W, y = measured[:, :, :-1], measured[:, :, -1]
-        shift += np.where(used, (instruments @ moved) ** 2, 0.0).sum(axis=0)
-        effort += np.where(used, y**2, 0.0).sum(axis=0)
-        v = W @ fit - instruments @ projected
+    found, squares = [], np.zeros((2, n))
+    # Two regressors stand side by side.
+    for part in rows.parts(max(rows.chunk_size // (2 * block), 1) * block):
+        instruments, W, y = np.split(rows.rows(part), [b, -1], axis=2)
+        both = np.stack([instruments @ moved, y[:, :, 0]])
+        squares += np.where(rows.mask(part), both**2, 0.0).sum(axis=1)
         # One column a joint, zero in the others' rows.
-        each = v[:, :, None] * np.eye(n)
-        white = whiten(np.concatenate([W @ root, each, y[:, :, None]], axis=2), sigma, used)
-        residual = white[:, :, -1] - white[:, :, :r] @ first.least_squares
+        each = (W @ fit - instruments @ projected)[:, :, None] * np.eye(n)
+        stacked = np.concatenate([W @ root, each, y], axis=2)
+        white = apply(*weights_of(rows, part, sigma), stacked)
+        white[:, :, -1] -= white[:, :, :r] @ first.least_squares
         for start in range(0, len(white), block):
-            own = white[start : start + block, :, :-1].reshape(-1, r + n)
-            inner.append(own[:, :r].T @ own)
-            scores.append(own.T @ residual[start : start + block].reshape(-1))
-    return np.array(inner), np.array(scores), shift, effort
+            own = white[start : start + block].reshape(-1, r + n + 1)
+            found.append(own.T @ own)
+    return np.array(found), squares
 
 
-def _leverage_corrections(gram: Array, inner: Array, scores: Array, explained: Array) -> Array:
+def _leverage_corrections(gram: Array, found: Array) -> Array:
     """Return what leverage hides of the sums of ``v_j·e``, (G, n), of the products of blocks."""
     # With Q the rows of W of a block in coordinates in which the columns of W are orthonormal, the
     # errors are ``(E − Q·Q^T)^(-1/2)·e = e + Q·h(Q^T·Q)·Q^T·e`` with ``h(x) = 1/(s + s²)`` and
     # ``s = √(1 − x)``.
-    r = len(gram)
-    root = information_root(information_rows(gram))
-    values, vectors = np.linalg.eigh(root.T @ inner[:, :, :r] @ root)
+    r, root = len(gram), information_root(information_rows(gram))
+    values, vectors = np.linalg.eigh(root.T @ found[:, :r, :r] @ root)
     left = np.sqrt(np.maximum(1.0 - values, 0.0))
     # What a block alone determines has no residual, and no information.
     alone = left**2 <= ALONE
     h = np.where(alone, -1.0, 1.0 / np.where(alone, 1.0, left + left**2))
-    turned = root @ vectors
-    errors = np.einsum("gij,gi->gj", turned, scores) * h
-    test = np.swapaxes(turned, 1, 2) @ (inner[:, :, r:] - inner[:, :, :r] @ explained)
-    return np.asarray(np.einsum("gin,gi->gn", test, errors))
+    turned = np.swapaxes(root @ vectors, 1, 2) @ found[:, :r, r:]
+    return np.asarray(np.einsum("gin,gi,gi->gn", turned[:, :, :-1], h, turned[:, :, -1]))
 
 
 def hotelling(sums: Array) -> tuple[float, tuple[int, int], float] | None:

@@ -6,7 +6,7 @@ products lose nothing to rounding, and directions that the data do not show are 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -15,14 +15,15 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.errors import DataError, IdentifiabilityError
-from sdpid.estimation.closed_loop.loop import ClosedLoop, commanded
-from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.closed_loop.loop import ClosedLoop, commanded, is_commanded, references
+from sdpid.estimation.compression.factor import Factor, compressed
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import whitened_chunks
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.law import Controller
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -57,64 +58,143 @@ _FEWEST_SAMPLES = 2
 # A lag is one if it explains this part of what the two velocities differ by.
 _EXPLAINED = 0.5
 
-# Measured samples, and those of a motion that is to be their instrument, row by row.
-Pair = tuple[Samples, Samples]
+
+@dataclass(frozen=True)
+class MadeRows(RowSource):
+    """Rows whose columns are mixed, so that any may be of any joint."""
+
+    @cached_property
+    def reached(self) -> Mask:
+        """At which columns rows may not be zero: at all."""
+        return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
+
+    def regressor(self, part: slice) -> Array:
+        """Return all but the last column of `rows`."""
+        return self.rows(part)[:, :, :-1]
+
+    def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
+        """Yield (slice, regressor, last column, mask); as `RowSource.chunks`."""
+        for part in self.parts(size):
+            found = self.rows(part)
+            yield part, found[:, :, :-1], found[:, :, -1], self.mask(part)
 
 
-def chunks(
-    problem: Problem, pair: Pair, block: int = 1
-) -> Iterator[tuple[Array, Array, Array, Mask]]:
-    """Yield the rows of a pair in order, cut between blocks of samples.
+@dataclass(frozen=True)
+class PairedRows(MadeRows):
+    """Rows ``[Z | W | y]``: the regressors of another and of the measured motion, and the efforts.
 
-    Returns
-    -------
-    instruments : ndarray, shape (k, n, b)
-        Regressor of the instruments' motion.
-    measured : ndarray, shape (k, n, b + 1)
-        Regressor of the measured motion, efforts last.
-    sigma : ndarray, shape (n, n) or (k, n, n)
-        Effort covariance.
-    mask : ndarray of bool, shape (k, n)
-        Rows that are used.
+    Attributes
+    ----------
+    samples : Samples
+        The measured motion and efforts.
+    instruments : Samples
+        The other motion, aligned row by row.
     """
-    source, sigma = problem.require_rows_here("instruments"), problem.sigma
-    for piece, measured, other in zip(pair[0].parts, pair[0].pieces, pair[1].pieces, strict=True):
-        own = sigma if sigma.ndim == 2 else sigma[piece]
-        rows, others = source.on(measured), source.on(other)
-        # Two regressors stand side by side.
-        size = max(rows.chunk_size // (2 * block), 1) * block
-        for part in rows.parts(size):
-            here = own if own.ndim == 2 else own[part]
-            yield others.regressor(part), rows.rows(part), here, rows.mask(part)
+
+    instruments: Samples
+
+    def pieces(self) -> Iterator[PairedRows]:
+        """Yield the rows of each piece of the samples."""
+        for own, others in zip(self.samples.pieces, self.instruments.pieces, strict=True):
+            yield replace(self, samples=own, instruments=others)
+
+    def rows(self, part: slice, out: Array | None = None) -> Array:
+        """Return both regressors side by side, and the efforts, (k, n, 2 b + 1)."""
+        Z = self.on(self.instruments).regressor(part)
+        return np.concatenate([Z, super().rows(part)], axis=2)
 
 
-def products(problem: Problem, pairs: tuple[Pair, ...]) -> Array:
+@dataclass(frozen=True)
+class InstrumentalRows(PairedRows):
+    """The second stage of two-stage least squares, as rows of an ordinary problem.
+
+    Let Z be the regressor of the instruments' motion, W that of the measured one, y the efforts,
+    ``X = Z·L`` the projection of W on Z, and β the instrumental estimate,
+    ``X^T·(y − W·β) = 0``. The rows are ``[X | X·(β − δ) + y − W·β]``. Their least-squares fit is β,
+    their residual there is ``y − W·β``, and their scores are those of instruments and residuals:
+    whatever computes costs, errors or proofs from rows does so of the instrumental estimate.
+
+    Attributes
+    ----------
+    samples, instruments : Samples
+        As of `PairedRows`.
+    link : ndarray, shape (b, b)
+        L.
+    fit : ndarray, shape (b,)
+        β.
+    shift : ndarray, shape (b,)
+        δ, which makes β the fit exactly where the equations above hold but nearly; else zero.
+    """
+
+    link: Array
+    fit: Array
+    shift: Array
+
+    def rows(self, part: slice, out: Array | None = None) -> Array:
+        """Return X with the efforts of the second stage as last column; as `RowSource.rows`."""
+        Z, W, y = np.split(super().rows(part), [self.base.count, -1], axis=2)
+        X = Z @ self.link
+        effort = y[:, :, 0] - W @ self.fit + X @ (self.fit - self.shift)
+        return np.concatenate([X, effort[:, :, None]], axis=2)
+
+    @property
+    def hashed(self) -> tuple[Array, ...]:
+        """What the rows are made of beside the samples, for their digest."""
+        other = self.instruments
+        motion = (other.position, other.velocity, other.acceleration)
+        return (*motion, self.link, self.fit, self.shift)
+
+
+def paired(problem: Problem, samples: Samples, instruments: Samples) -> PairedRows:
+    """Return the rows of some samples beside another motion."""
+    rows = problem.require_rows_here("instruments")
+    return PairedRows(rows.robot, rows.friction, rows.base, samples, instruments)
+
+
+def products(problem: Problem, pairs: Sequence[PairedRows]) -> Array:
     """Return the products of ``[Z·T | W·T | y]``, whitened, over all rows of pairs.
 
     Shape (2 r + 1, 2 r + 1), with T of `Excitation.root`.
     """
     root = problem.excitation.root
+    found = [each for pair in pairs for each in pair.map(_products, root, sigma=problem.sigma)]
+    return np.asarray(np.sum(found, axis=0))
+
+
+def _products(rows: PairedRows, sigma: Array, root: Array) -> Array:
+    """Return the products of one piece."""
     b, r = root.shape
     gram = np.zeros((2 * r + 1, 2 * r + 1))
-    for pair in pairs:
-        for instruments, measured, sigma, mask in chunks(problem, pair):
-            both = whiten(np.concatenate([instruments, measured], axis=2), sigma, mask)
-            parts = both[:, :, :b] @ root, both[:, :, b:-1] @ root, both[:, :, -1:]
-            flat = np.concatenate(parts, axis=2).reshape(-1, 2 * r + 1)
-            gram += flat.T @ flat
+    for _, both, _ in whitened_chunks(rows, sigma, keep=True):
+        parts = both[:, :, :b] @ root, both[:, :, b:-1] @ root, both[:, :, -1:]
+        flat = np.concatenate(parts, axis=2).reshape(-1, 2 * r + 1)
+        gram += flat.T @ flat
     return gram
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FirstStage:
     """The instrumental estimate in coordinates of the excitation, and how X follows from Z.
 
-    Attributes
+    The instruments are another motion, or each half of a record's periods is the other's. The sum
+    of the halves' estimating equations is least squares of the mean motion less what their
+    difference contributes to it; so X is then made of the mean motion.
+
+    Parameters
     ----------
     problem : Problem
         Of the measured samples.
-    pairs : tuple of Pair
+    pairs : sequence of PairedRows
         The rows of the estimating equations.
+
+    Raises
+    ------
+    IdentifiabilityError
+        When the instruments do not move with the measured motion.
+
+    Attributes
+    ----------
+    problem, pairs
+        As given.
     instruments : Samples
         Whose regressor X is made of.
     fit : ndarray, shape (r,)
@@ -131,85 +211,39 @@ class FirstStage:
         The least-squares fit of the pairs' W, whose residuals a test starts from.
     """
 
-    problem: Problem
-    pairs: tuple[Pair, ...]
-    instruments: Samples
-    fit: Array
-    link: Array
-    shift: Array
-    information: Array
-    projection: Array
-    least_squares: Array
-
-    @classmethod
-    def of(cls, problem: Problem, pairs: tuple[Pair, ...]) -> FirstStage:
-        """Take another motion as instrument, or each half of a record's periods as the other's.
-
-        The sum of the halves' estimating equations is least squares of the mean motion less what
-        their difference contributes to it; so X is then made of the mean motion.
-
-        Raises
-        ------
-        IdentifiabilityError
-            When the instruments do not move with the measured motion.
-        """
+    def __init__(self, problem: Problem, pairs: Sequence[PairedRows]) -> None:
+        self.problem, self.pairs = problem, pairs
         gram = products(problem, pairs)
         r = len(gram) // 2
         z, w = slice(r), slice(r, 2 * r)
-        cross, target = gram[z, w], gram[z, -1]
+        cross = gram[z, w]
+        self.projection = _solved(gram[z, z], cross)
+        self.least_squares = _solved(gram[w, w], gram[w, -1])
         if len(pairs) == 1:
-            link = _solved(gram[z, z], cross)
-            information = cross.T @ link
-            _require_seen(np.asarray(np.linalg.eigvalsh(0.5 * (information + information.T))))
-            projection, fit = link, _solved(cross, target)
-            instruments, shift = pairs[0][1], np.zeros(r)
+            self.link, self.instruments = self.projection, pairs[0].instruments
+            self.information = cross.T @ self.link
+            values = np.linalg.eigvalsh(0.5 * (self.information + self.information.T))
         else:
-            link = 0.25 * (cross + cross.T)
-            values = np.asarray(np.linalg.eigvalsh(link))
-            _require_seen(values * np.abs(values))
-            information, projection = link.T @ link, _solved(gram[z, z], cross)
-            fit = _solved(link, 0.5 * target)
+            self.link, self.instruments = 0.25 * (cross + cross.T), problem.samples
+            self.information = self.link.T @ self.link
+            values = np.linalg.eigvalsh(self.link)
+            values = values * np.abs(values)
+        _require_seen(np.asarray(values))
+        self.fit, self.shift = _solved(cross, gram[z, -1]), np.zeros(r)
+        if len(pairs) > 1:
             plain = (problem.A @ problem.excitation.root).T @ problem.rhs
-            instruments, shift = problem.samples, _solved(link, plain - fit)
-        return cls(
-            problem=problem,
-            pairs=pairs,
-            instruments=instruments,
-            fit=fit,
-            link=link,
-            shift=shift,
-            information=information,
-            projection=projection,
-            least_squares=_solved(gram[w, w], gram[w, -1]),
+            self.shift = _solved(self.link, plain - self.fit)
+
+    def second_stage(self, meaning: str) -> Problem:
+        """Return the problem whose unconstrained fit is β; `meaning` says what its cost is."""
+        found, source = self.problem.excitation, self.problem.require_rows_here("instruments")
+        rows = InstrumentalRows(
+            *(source.robot, source.friction, source.base, source.samples, self.instruments),
+            link=frozen(found.root @ self.link @ found.inverse),
+            fit=frozen(found.root @ self.fit),
+            shift=frozen(found.root @ self.shift),
         )
-
-    def require_strong(self, words: str = "the motion given") -> None:
-        """Raise where the instruments are weak for most base parameters that the data show.
-
-        Any motion is a strong instrument for an offset, and so may another robot's be for gravity.
-
-        Parameters
-        ----------
-        words : str, optional
-            What the instruments are.
-
-        Raises
-        ------
-        IdentifiabilityError
-            With their number.
-        """
-        seen = int(np.count_nonzero(self.relevance > 0.0))
-        if len(self.weak) <= _MOST_WEAK * seen:
-            return
-        known = "" if self.lag is None else f"; {lag_words(self.lag)}"
-        raise IdentifiabilityError(
-            f"instruments: {words} does not move with the measured motion: weak for "
-            f"{len(self.weak)} of {seen} base parameters (F statistic of the first stage below "
-            f"{WEAK:g}){known}. Check that the commanded positions are those of this recording, "
-            "not late, and in its order of joints; a robot that lags behind its commands needs its "
-            "own controller (controller=, one of sdpid.controllers or 'fit'). Where noise of the "
-            "encoders drowns the motion, lower the cut-off."
-        )
+        return of_rows(self.problem, rows, weighed(rows, self.problem.sigma), meaning)
 
     @cached_property
     def relevance(self) -> Array:
@@ -230,9 +264,8 @@ class FirstStage:
         samples = self.problem.samples
         independent = samples.n_rows / max(1.0, samples.block / _TIME_CONSTANTS)
         freedom = max(independent - len(self.fit), 1.0)
-        lost = self.relevance < 1.0
-        missed = np.where(lost, 1.0 - self.relevance, 1.0)
-        return frozen(np.where(lost, freedom * self.relevance / missed, np.inf))
+        with np.errstate(divide="ignore"):
+            return frozen(freedom * self.relevance / (1.0 - self.relevance))
 
     @property
     def weak(self) -> tuple[str, ...]:
@@ -244,6 +277,25 @@ class FirstStage:
     def lag(self) -> float | None:
         """By how many seconds the measured motion comes later than the instruments'."""
         return lag_of(self.problem.samples, self.instruments)
+
+
+def of_rows(problem: Problem, rows: RowSource, factor: Factor, meaning: str) -> Problem:
+    """Return the problem of other rows under the same constraints and prior."""
+    return replace(
+        problem,
+        sigma=frozen(factor.sigma),
+        A=frozen(factor.A),
+        rhs=frozen(factor.rhs),
+        floor=factor.floor,
+        n_rows=factor.used,
+        rows=rows,
+    ).with_origin(meaning=meaning)
+
+
+def weighed(rows: RowSource, sigma: Array) -> Factor:
+    """Weight and compress rows with a covariance."""
+    triangle, used = compressed(rows, sigma)
+    return Factor(sigma, *triangle.split(), used)
 
 
 def _solved(matrix: Array, rhs: Array) -> Array:
@@ -271,15 +323,15 @@ def lag_of(measured: Samples, instruments: Samples) -> float | None:
     where no lag of at least one sample explains half of the difference.
     """
     time, pieces = measured.time, measured.parts
-    lengths = [part.stop - part.start for part in pieces]
-    if time is None or max(lengths) <= _FEWEST_SAMPLES:
-        return None
     long = [part for part in pieces if part.stop - part.start > _FEWEST_SAMPLES]
+    if time is None or not long:
+        return None
     step = max(float(np.median(np.diff(time[part]))) for part in long)
-    most = int(min(_LONGEST / step, _PART * min(lengths)))
+    most = int(min(_LONGEST / step, _PART * min(part.stop - part.start for part in pieces)))
     size = np.sqrt(np.mean(measured.velocity**2, axis=0))
-    moved = size > 0.0
-    mine, other = (each.velocity[:, moved] / size[moved] for each in (measured, instruments))
+    # A joint that does not move has nothing to compare.
+    size = np.where(size > 0.0, size, np.inf)
+    mine, other = measured.velocity / size, instruments.velocity / size
     left = np.array([_left(mine, other, pieces, shift) for shift in range(-most, most + 1)])
     best = int(np.argmin(left))
     if best == most or not left[best] < (1.0 - _EXPLAINED) * left[most]:
@@ -288,45 +340,52 @@ def lag_of(measured: Samples, instruments: Samples) -> float | None:
     if 0 < best < len(left) - 1:
         # Where a parabola through the least value and its neighbors is least.
         before, here, after = left[best - 1 : best + 2]
-        bend = before - 2.0 * here + after
-        shift += float(0.5 * (before - after) / bend) if bend > 0.0 else 0.0
+        shift += float(0.5 * (before - after) / (before - 2.0 * here + after))
     return step * shift
 
 
 def _left(mine: Array, other: Array, pieces: tuple[slice, ...], shift: int) -> float:
     """Return the mean square of ``mine(t + shift) − other(t)`` over all pieces."""
     early, late = max(-shift, 0), max(shift, 0)
-    pairs = [(mine[part][late:], other[part][early:]) for part in pieces]
-    off = np.concatenate([a[: len(b) - late] - b[: len(a) - early] for a, b in pairs])
-    return float(np.mean(off**2))
+    off = [
+        mine[part.start + late : part.stop - early] - other[part.start + early : part.stop - late]
+        for part in pieces
+    ]
+    return float(np.mean(np.concatenate(off) ** 2))
 
 
-def lag_words(lag: float) -> str:
+def _lag_words(lag: float) -> str:
     """Return a lag in words: 'the measured motion lags 40 ms behind it'."""
     how = ("the measured motion runs {} ahead of it", "the measured motion lags {} behind it")
     return how[lag > 0.0].format(f"{1e3 * abs(lag):.3g} ms")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Source:
     """Something that makes instruments for a problem.
 
     Attributes
     ----------
+    problem : Problem
+        The problem.
     words : str
         What the instruments are.
-    pairs : tuple of Pair
-        Measured samples and instruments; none where a model makes them.
+    pairs : sequence of PairedRows
+        Measured rows and instruments; none where a model makes them.
     loop : ClosedLoop or None
         Where a model moves, whose motion is the instrument.
     """
 
+    problem: Problem
     words: str
-    pairs: tuple[Pair, ...] = ()
+    pairs: Sequence[PairedRows] = ()
     loop: ClosedLoop | None = None
 
-    def first_stage(self, problem: Problem, model: RobotDynamics | None) -> FirstStage:
+    def first_stage(self, model: RobotDynamics | None) -> FirstStage:
         """Return the estimate without constraints, with the instruments that a model gives.
+
+        Any motion is a strong instrument for an offset, and so may another robot's be for gravity:
+        instruments that are weak for most base parameters that the data show are refused.
 
         Raises
         ------
@@ -338,11 +397,21 @@ class Source:
         pairs = self.pairs
         if self.loop is not None:
             assert model is not None
-            motions = self.loop.require(model, "the model", DataError)
-            pairs = ((problem.samples, self.loop.samples(motions)),)
-        first = FirstStage.of(problem, pairs)
-        first.require_strong(self.words)
-        return first
+            moved = self.loop.samples(self.loop.require(model, "the model", DataError))
+            pairs = [paired(self.problem, self.problem.samples, moved)]
+        first = FirstStage(self.problem, pairs)
+        seen = int(np.count_nonzero(first.relevance > 0.0))
+        if len(first.weak) <= _MOST_WEAK * seen:
+            return first
+        known = "" if first.lag is None else f"; {_lag_words(first.lag)}"
+        raise IdentifiabilityError(
+            f"instruments: {self.words} does not move with the measured motion: weak for "
+            f"{len(first.weak)} of {seen} base parameters (F statistic of the first stage below "
+            f"{WEAK:g}){known}. Check that the commanded positions are those of this recording, "
+            "not late, and in its order of joints; a robot that lags behind its commands needs its "
+            "own controller (controller=, one of sdpid.controllers or 'fit'). Where noise of the "
+            "encoders drowns the motion, lower the cut-off."
+        )
 
     def note(self, first: FirstStage) -> str | None:
         """Return that the measured motion comes at another time than it should, None if not.
@@ -356,7 +425,7 @@ class Source:
         cause = "the commanded positions are not those of these times"
         if self.loop is not None:
             cause += ", or the controller is not that of this log"
-        return f"{self.words}: {lag_words(lag)}, so {cause}"
+        return f"{self.words}: {_lag_words(lag)}, so {cause}"
 
 
 def source_of(
@@ -394,7 +463,7 @@ def source_of(
                 f"instruments: {instruments!r} do not stand beside the problem's {samples!r}, row "
                 "by row; process both alike (sdpid.Processing) and keep every sample."
             )
-        return Source(words="the motion given", pairs=((samples, instruments),))
+        return Source(problem, "the motion given", [paired(problem, samples, instruments)])
     if instruments is not None and instruments not in get_args(Instruments):
         raise DataError(
             f"instruments: is {instruments!r:.80}; use one of 'simulated', 'reference' and "
@@ -405,49 +474,44 @@ def source_of(
             f"{purpose}: needs the recording that the problem was built of, to know what was "
             "commanded or to split its periods; give it, or instruments=Samples(...)."
         )
-    twin = Twin.of(problem.robot, recording, processing, measured=samples)
-    told = commanded(twin, reference)
+    twin = commanded(Twin.of(problem.robot, recording, processing, measured=samples), reference)
+    layout = twin.logs[0].period_layout
+    repeats = layout is not None and layout[2] >= _FEWEST_PERIODS
     if instruments is None:
-        instruments = _strongest(twin.logs[0], told, controller)
+        # A robot may lag far behind what is commanded, but follows itself.
+        instruments = "periods" if repeats or not is_commanded(twin) else "reference"
+        if controller is not None and is_commanded(twin):
+            instruments = "simulated"
     if instruments == "periods":
-        words = "the motion in the other half of the periods"
-        return Source(words=words, pairs=_halves(twin, purpose))
+        if not repeats:
+            raise DataError(
+                f"{purpose}: the recording has neither commanded positions nor two periods, so "
+                "nothing tells its motion from its noise; read the log with its columns of "
+                "commanded positions (Recording.reference), give reference=, or record the motion "
+                "twice."
+            )
+        halves = _halves(twin)
+        pairs = [paired(problem, *halves), paired(problem, *halves[::-1])]
+        return Source(problem, "the motion in the other half of the periods", pairs)
     purpose = f"{purpose}: instruments={instruments!r}"
-    told = commanded(twin, told, purpose)
-    assert told is not None
+    told = references(twin, purpose)
     if instruments == "reference":
-        return Source(words="the commanded motion", pairs=((samples, twin.samples(told)),))
+        pairs = [paired(problem, samples, twin.samples(told))]
+        return Source(problem, "the commanded motion", pairs)
     if controller is None:
         raise DataError(
             f"{purpose} needs the controller that followed the reference; give one of "
             "sdpid.controllers, or controller='fit', or take instruments='reference'."
         )
-    loop = ClosedLoop.of(twin, controller, told, purpose=purpose, as_measured=False)
+    loop = ClosedLoop(twin, controller, purpose=purpose, as_measured=False)
     fitted = ", its controller fitted" * (not isinstance(controller, Controller))
-    return Source(words=f"the motion of the model in closed loop{fitted}", loop=loop)
+    return Source(problem, f"the motion of the model in closed loop{fitted}", loop=loop)
 
 
-def _strongest(log: Recording, told: tuple[Array, ...] | None, controller: object) -> Instruments:
-    """Return the instruments that are strongest, of those that there are."""
-    if told is not None and controller is not None:
-        return "simulated"
-    layout = log.period_layout
-    repeats = layout is not None and layout[2] >= _FEWEST_PERIODS
-    # A robot may lag far behind what is commanded, but follows itself.
-    return "periods" if told is None or repeats else "reference"
-
-
-def _halves(twin: Twin, purpose: str) -> tuple[Pair, ...]:
-    """Return either half of a record's periods, as the other's instrument."""
+def _halves(twin: Twin) -> list[Samples]:
+    """Return the samples of the first and of the second half of a record's periods."""
     log, samples = twin.logs[0], twin.measured
-    layout = log.period_layout
-    if layout is None or layout[2] < _FEWEST_PERIODS:
-        raise DataError(
-            f"{purpose}: the recording has neither commanded positions nor two periods, so "
-            "nothing tells its motion from its noise; read the log with its columns of commanded "
-            "positions (Recording.reference), give reference=, or record the motion twice."
-        )
-    first, length, count = layout
+    first, length, count = log.period_layout or (0, 0, 0)
     half = count // 2
     plain = replace(twin.processing, covariance=None)
     begin = log.stamps.first + first * log.step
@@ -458,4 +522,4 @@ def _halves(twin: Twin, purpose: str) -> tuple[Pair, ...]:
         halves.append(
             replace(found, mask=samples.mask, block=samples.block, covariance=samples.covariance)
         )
-    return (halves[0], halves[1]), (halves[1], halves[0])
+    return halves

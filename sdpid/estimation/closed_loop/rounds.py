@@ -7,28 +7,22 @@ with the measured efforts, or the sensitivities of its positions.
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
-from sdpid.estimation.closed_loop.instruments import FirstStage, Source
+from sdpid.estimation.closed_loop.instruments import FirstStage, MadeRows, Source, of_rows, weighed
 from sdpid.estimation.closed_loop.loop import ClosedLoop
 from sdpid.estimation.compression.covariance import JointRows, correlation_time
-from sdpid.estimation.compression.factor import Factor, compressed
-from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.estimate import Estimate, Status, Step
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.closed_loop import Motion
 from sdpid.robot.model.dynamics import RobotDynamics
 
-T = TypeVar("T")
 Solver = Callable[[Problem], Estimate]
 
 _TINY = np.finfo(float).tiny
@@ -50,8 +44,7 @@ _SETTLED = 1e-6
 # cost is another, and iterations go on.
 _REWEIGHTED = 0.2
 
-
-# What the cost of these problems is, for all that show them.
+# What the cost of output error is, for all that show it.
 MEANING = "the last linearized problem, and no more"
 
 # Least variance of a joint's positions, as a share of the largest: simulated logs without noise
@@ -60,77 +53,6 @@ _LEAST = 1e-6
 
 # Rounds in which the joints' variances settle.
 _ROUNDS = 5
-
-
-@dataclass(frozen=True)
-class MadeRows(RowSource):
-    """Rows whose columns are mixed, so that any may be of any joint."""
-
-    @cached_property
-    def reached(self) -> Mask:
-        """At which columns rows may not be zero: at all."""
-        return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
-
-    def regressor(self, part: slice) -> Array:
-        """Return all but the last column of `rows`."""
-        return self.rows(part)[:, :, :-1]
-
-    def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
-        """Yield (slice, regressor, last column, mask); as `RowSource.chunks`."""
-        for part in self.parts(size):
-            found = self.rows(part)
-            yield part, found[:, :, :-1], found[:, :, -1], self.mask(part)
-
-
-@dataclass(frozen=True)
-class InstrumentalRows(MadeRows):
-    """The second stage of two-stage least squares, as rows of an ordinary problem.
-
-    Let Z be the regressor of the instruments' motion, W that of the measured one, y the efforts,
-    ``X = Z·L`` the projection of W on Z, and β the instrumental estimate,
-    ``X^T·(y − W·β) = 0``. The rows are ``[X | X·(β − δ) + y − W·β]``. Their least-squares fit is β,
-    their residual there is ``y − W·β``, and their scores are those of instruments and residuals:
-    whatever computes costs, errors or proofs from rows does so of the instrumental estimate.
-
-    Attributes
-    ----------
-    samples : Samples
-        The measured motion and efforts.
-    instruments : Samples
-        The other motion, aligned row by row.
-    link : ndarray, shape (b, b)
-        L.
-    fit : ndarray, shape (b,)
-        β.
-    shift : ndarray, shape (b,)
-        δ, which makes β the fit exactly where the equations above hold but nearly; else zero.
-    """
-
-    instruments: Samples
-    link: Array
-    fit: Array
-    shift: Array
-
-    def pieces(self) -> Iterator[InstrumentalRows]:
-        """Yield the rows of each piece of the samples."""
-        for own, others in zip(self.samples.pieces, self.instruments.pieces, strict=True):
-            yield replace(self, samples=own, instruments=others)
-
-    def rows(self, part: slice, out: Array | None = None) -> Array:
-        """Return X with the efforts of the second stage as last column; as `RowSource.rows`."""
-        found = super().rows(part, out)
-        residual = found[:, :, -1] - found[:, :, :-1] @ self.fit
-        X = self.on(self.instruments).regressor(part) @ self.link
-        found[:, :, :-1] = X
-        found[:, :, -1] = residual + X @ (self.fit - self.shift)
-        return found
-
-    @property
-    def hashed(self) -> tuple[Array, ...]:
-        """What the rows are made of beside the samples, for their digest."""
-        other = self.instruments
-        motion = (other.position, other.velocity, other.acceleration)
-        return (*motion, self.link, self.fit, self.shift)
 
 
 @dataclass(frozen=True)
@@ -160,12 +82,7 @@ class SensitivityRows(MadeRows):
 
     def rows(self, part: slice, out: Array | None = None) -> Array:
         """Return the derivative with the target as last column; as `RowSource.rows`."""
-        slopes = self.slopes[part]
-        if out is None:
-            out = np.empty((*slopes.shape[:2], slopes.shape[2] + 1))
-        rows = out[: len(slopes)]
-        rows[:, :, :-1], rows[:, :, -1] = slopes, self.target[part]
-        return rows
+        return np.concatenate([self.slopes[part], self.target[part][:, :, None]], axis=2)
 
     def mask(self, part: slice) -> Mask:
         """Return which rows are used: all, for reversals spoil efforts, not positions."""
@@ -188,81 +105,22 @@ def position_covariance(rows: SensitivityRows) -> Array:
     for _ in range(_ROUNDS):
         base, rank = joints.fit(variance)
         found = joints.residual_variance(base, rank)
-        variance = np.maximum(found, max(_LEAST * float(found.max()), np.finfo(float).tiny))
+        variance = np.maximum(found, max(_LEAST * float(found.max()), _TINY))
     return np.diag(variance * correlation_time(rows, base, joints))
 
 
-def of_rows(problem: Problem, rows: RowSource, factor: Factor, meaning: str = MEANING) -> Problem:
-    """Return the problem of other rows under the same constraints and prior."""
-    return replace(
-        problem,
-        sigma=frozen(factor.sigma),
-        A=frozen(factor.A),
-        rhs=frozen(factor.rhs),
-        floor=factor.floor,
-        n_rows=factor.used,
-        rows=rows,
-    ).with_origin(meaning=meaning)
+def iterate(rounds: InstrumentRounds | DidimRounds, solver: Solver, max_iterations: int) -> Status:
+    """Solve the problem of the motion simulated last, again and again until it has settled."""
+    for _ in range(max_iterations):
+        linear = rounds.linear()
+        if linear.prior is None:
+            require_excitation(linear.excitation)
+        if (status := rounds.settle(linear, solver(linear))) is not None:
+            return status
+    return "iteration limit"
 
 
-def weighed(rows: RowSource, sigma: Array) -> Factor:
-    """Weight and compress rows with a covariance."""
-    triangle, used = compressed(rows, sigma)
-    return Factor(sigma, *triangle.split(), used)
-
-
-def second_stage(first: FirstStage, meaning: str) -> Problem:
-    """Return the problem whose unconstrained fit is β; `meaning` says what its cost is."""
-    found, source = first.problem.excitation, first.problem.require_rows_here("instruments")
-    rows = InstrumentalRows(
-        robot=source.robot,
-        friction=source.friction,
-        base=source.base,
-        samples=source.samples,
-        instruments=first.instruments,
-        link=frozen(found.root @ first.link @ found.inverse),
-        fit=frozen(found.root @ first.fit),
-        shift=frozen(found.root @ first.shift),
-    )
-    return of_rows(first.problem, rows, weighed(rows, first.problem.sigma), meaning)
-
-
-class Rounds(ABC):
-    """What makes the problems of an iteration, and says when it has settled.
-
-    Attributes
-    ----------
-    problem : Problem
-        Of the measured samples.
-    tolerance : float
-        A round that changes less is the last.
-    count : int
-        Rounds so far.
-    """
-
-    def __init__(self, problem: Problem, tolerance: float) -> None:
-        self.problem, self.tolerance, self.count = problem, tolerance, 0
-
-    @abstractmethod
-    def linear(self) -> Problem:
-        """Return the problem of the motion simulated last."""
-
-    @abstractmethod
-    def settle(self, linear: Problem, found: Estimate) -> Status | None:
-        """Take what solves it, and return the status where that is the last round."""
-
-    def run(self, solver: Solver, max_iterations: int) -> Status:
-        """Go through the rounds."""
-        for self.count in range(1, max_iterations + 1):
-            linear = self.linear()
-            if linear.prior is None:
-                require_excitation(linear.excitation)
-            if (status := self.settle(linear, solver(linear))) is not None:
-                return status
-        return "iteration limit"
-
-
-class InstrumentRounds(Rounds):
+class InstrumentRounds:
     """Two-stage least squares with the motion simulated last as instrument.
 
     Attributes
@@ -280,22 +138,20 @@ class InstrumentRounds(Rounds):
     first: FirstStage
     found: Estimate
 
-    def __init__(
-        self, problem: Problem, source: Source, model: RobotDynamics | None, tolerance: float
-    ) -> None:
-        super().__init__(problem, tolerance)
-        self.source, self.model, self.iterations = source, model, 0
+    def __init__(self, source: Source, model: RobotDynamics | None, tolerance: float) -> None:
+        self.source, self.model, self.tolerance, self.iterations = source, model, tolerance, 0
         self.changes: list[float] = []
         # Without a model there is but one round, and a model of other terms has other parameters.
+        problem = source.problem
         self._base = np.zeros(problem.base.count)
         if model is not None and model.theta.size == problem.n_theta:
             self._base = problem.base_of(model.theta)
 
     def linear(self) -> Problem:
         """Return the second stage of the instruments that the model makes."""
-        self.first = self.source.first_stage(self.problem, self.model)
-        words = self.source.words
-        return second_stage(self.first, f"the problem of the last instruments ({words}), no more")
+        self.first = self.source.first_stage(self.model)
+        meaning = f"the problem of the last instruments ({self.source.words}), no more"
+        return self.first.second_stage(meaning)
 
     def settle(self, linear: Problem, found: Estimate) -> Status | None:
         """Look how much predicted efforts change, and choose the next model."""
@@ -314,7 +170,7 @@ class InstrumentRounds(Rounds):
         return None
 
 
-class DidimRounds(Rounds):
+class DidimRounds:
     """Least squares for the measured efforts with the regressor of the motion simulated last.
 
     Feedback keeps the simulated motion near the commanded one whatever the parameters are. So its
@@ -330,6 +186,8 @@ class DidimRounds(Rounds):
         How often all recordings were simulated.
     """
 
+    method = "didim"
+
     def __init__(
         self,
         problem: Problem,
@@ -338,38 +196,36 @@ class DidimRounds(Rounds):
         motions: list[Motion],
         tolerance: float,
     ) -> None:
-        super().__init__(problem, tolerance)
-        self.loop, self.at, self.motions, self.simulations = loop, start, motions, 1
+        self.problem, self.loop, self.tolerance = problem, loop, tolerance
+        self.at, self.motions, self.simulations = start, motions, 1
         self.rows = problem.require_rows_here(loop.purpose)
         self._begin = time.perf_counter()
-        # Each round, and where it had variances of its own: these, and the squares they weigh.
-        self._steps: list[tuple[Step, Array | None, Array | None]] = []
+        # Each round, the variances of its own if it had any, and the squares that they weigh.
+        self._steps: list[tuple[Step, Array, Array]] = []
 
     def linear(self) -> Problem:
         """Return the problem of the simulated motion and the measured efforts."""
         rows = replace(self.rows, samples=self.loop.samples(self.motions))
         if self.problem.weighting != "residual":
-            return of_rows(self.problem, rows, Factor.of(rows, self.problem.weighting))
+            return of_rows(self.problem, rows, Factor.of(rows, self.problem.weighting), MEANING)
         self._joints = JointRows.merged(rows.map(JointRows.of))
-        return of_rows(self.problem, rows, Factor.of_joints(rows, self._joints))
+        return of_rows(self.problem, rows, Factor.of_joints(rows, self._joints), MEANING)
 
     def settle(self, linear: Problem, found: Estimate) -> Status | None:
         """Simulate what was found."""
         drop = _cost_in(linear, self.at) - found.cost
         self.at = found
+        variances, squares = np.ones(1), np.zeros(1)
         if self.problem.weighting == "residual":
+            variances = np.diag(linear.sigma)
             squares = self._joints.squared_residuals(found.base)
-            self.record(found.cost, np.diagonal(linear.sigma), squares)
-        else:
-            self.record(found.cost)
-        self.motions = self.loop.require(found.model(), f"iteration {self.count}")
+        self.record(found.cost, variances, squares)
+        self.motions = self.loop.require(found.model(), f"iteration {len(self._steps)}")
         self.simulations += 1
         return "optimal" if drop <= self.tolerance * max(found.cost, _TINY) else None
 
-    def record(
-        self, cost: float, variances: Array | None = None, squares: Array | None = None
-    ) -> None:
-        """Add a round to the history."""
+    def record(self, cost: float, variances: Array, squares: Array) -> None:
+        """Add a round to the history: its cost, and the squares (n,) that its variances weigh."""
         step = Step(time.perf_counter() - self._begin, cost, self.at.violation or 0.0)
         self._steps.append((step, variances, squares))
 
@@ -380,13 +236,11 @@ class DidimRounds(Rounds):
         Variances are estimated from the residuals of each round, so that its own cost is about the
         number of samples, whatever the residuals are.
         """
-        last, steps = self._steps[-1][1], []
-        for step, own, squares in self._steps:
-            if last is not None and own is not None and squares is not None:
-                more = float(np.sum(squares * (1.0 / last - 1.0 / own)))
-                step = replace(step, cost=step.cost + more)
-            steps.append(step)
-        return tuple(steps)
+        last = self._steps[-1][1]
+        return tuple(
+            replace(step, cost=step.cost + float(np.sum(squares * (1.0 / last - 1.0 / own))))
+            for step, own, squares in self._steps
+        )
 
 
 class SensitivityRounds(DidimRounds):
@@ -396,6 +250,7 @@ class SensitivityRounds(DidimRounds):
     simulated motion itself is nearer: with the same variances the cost never rises.
     """
 
+    method = "closed_loop_output_error"
     _sigma: Array | None = None
 
     def linear(self) -> Problem:
@@ -409,7 +264,7 @@ class SensitivityRounds(DidimRounds):
         self._fresh = position_covariance(source)
         if self._sigma is None:
             self._sigma = self._fresh
-        return of_rows(self.problem, source, weighed(source, self._sigma))
+        return of_rows(self.problem, source, weighed(source, self._sigma), MEANING)
 
     def settle(self, linear: Problem, found: Estimate) -> Status | None:
         """Take the step that the linearized problem promises, as far as it holds."""
@@ -417,26 +272,27 @@ class SensitivityRounds(DidimRounds):
         start = self.at = replace(self.at, problem=linear, multipliers=None)
         before = now = self._cost(linear, start, self.motions)
         promised = before - found.cost
-        halvings = 0
+        halvings = range(_HALVINGS + 1)
         if promised <= _SETTLED * before:
-            self.at, halvings = found, _HALVINGS + 1
+            self.at, halvings = found, range(0)
             now = self._cost(linear, found, self.motions)
-        for halving in range(halvings, _HALVINGS + 1):
+        for halving in halvings:
             candidate = found if not halving else _between(start, found, 0.5**halving)
             motions = self.loop.follow(candidate.model())
             self.simulations += 1
-            if motions[-1].diverged is None:
-                cost = self._cost(linear, candidate, motions)
-                if cost < before:
-                    self.at, self.motions, now = candidate, motions, cost
-                    break
+            if motions[-1].diverged is not None:
+                continue
+            cost = self._cost(linear, candidate, motions)
+            if cost < before:
+                self.at, self.motions, now = candidate, motions, cost
+                break
         variances = np.diag(linear.sigma)
-        squares = np.sum(self.loop.missed(self.motions) ** 2, axis=0)
-        self.record(now, variances, squares)
+        self.record(now, variances, np.sum(self.loop.missed(self.motions) ** 2, axis=0))
         if before - now > self.tolerance * before:
             return None
         settled = promised <= self.tolerance * before
-        if np.abs(np.diag(self._fresh) / variances - 1.0).max() <= _REWEIGHTED or not settled:
+        changed = np.abs(np.diag(self._fresh) / variances - 1.0).max()
+        if changed <= _REWEIGHTED or not settled:
             return "optimal" if settled else "stalled"
         self._sigma = self._fresh
         return None
@@ -449,15 +305,14 @@ class SensitivityRounds(DidimRounds):
 
 def _cost_in(problem: Problem, estimate: Estimate) -> float:
     """Return what an estimate costs in another problem, the prior's part included."""
-    if problem.prior is None or estimate.theta is None:
-        return problem.cost(estimate.base)
-    return problem.cost_of(estimate.theta)
+    return replace(estimate, problem=problem).cost
 
 
 def _between(estimate: Estimate, towards: Estimate, share: float) -> Estimate:
     """Return the parameters some way from one estimate to another; between two feasible ones."""
-    if towards.theta is None:
-        base = estimate.base + share * (towards.base - estimate.base)
-        return replace(towards, base=base, multipliers=None)
-    theta = estimate.some_theta + share * (towards.theta - estimate.some_theta)
-    return replace(towards, theta=theta, base=towards.problem.base_of(theta), multipliers=None)
+    base = estimate.base + share * (towards.base - estimate.base)
+    theta = towards.theta
+    if theta is not None:
+        theta = estimate.some_theta + share * (theta - estimate.some_theta)
+        base = towards.problem.base_of(theta)
+    return replace(towards, theta=theta, base=base, multipliers=None)

@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError, ModelError, SolverError
-from sdpid.estimation.closed_loop.controller_check import FOLLOWS, START, ControllerCheck
 from sdpid.estimation.closed_loop.instruments import Instruments, source_of
-from sdpid.estimation.closed_loop.loop import ClosedLoop
+from sdpid.estimation.closed_loop.loop import FOLLOWS, START, ClosedLoop, ControllerCheck
 from sdpid.estimation.closed_loop.rounds import (
     MEANING,
     DidimRounds,
     InstrumentRounds,
     SensitivityRounds,
     Solver,
+    iterate,
 )
 from sdpid.estimation.estimate import FEASIBLE, Estimate, extended
 from sdpid.estimation.problem import Problem
@@ -37,7 +37,6 @@ from sdpid.robot.model.dynamics import RobotDynamics
 
 Method = Literal["didim", "closed_loop"]
 METHODS = {"didim": DidimRounds, "closed_loop": SensitivityRounds}
-_NAMES = {"didim": "didim", "closed_loop": "closed_loop_output_error"}
 
 # Iterations end when one changes less than this share: predicted efforts of the residuals for
 # instruments, as in [janot2014]_, the cost of itself for output error, as the benchmarks'
@@ -212,35 +211,33 @@ def solve_instrumental(
     source = source_of(given, recording, purpose, processing, reference, controller, instruments)
     began = time.perf_counter()
     model = None if source.loop is None else starting(given, start, solver)[0]
-    rounds = InstrumentRounds(given, source, model, tolerance)
-    status, first = rounds.run(solver, max_iterations), rounds.first
-    weak, note = first.weak, source.note(first)
-    said = [
-        f"instruments: {source.words}, {rounds.count} {'round' if rounds.count == 1 else 'rounds'}",
-        *([] if note is None else [note]),
-        *([f"weak for {', '.join(weak)}"] if weak else []),
-        rounds.found.message,
-    ]
+    rounds = InstrumentRounds(source, model, tolerance)
+    status, first = iterate(rounds, solver, max_iterations), rounds.first
+    count = len(rounds.changes)
+    note = source.note(first)
+    weak = f"weak for {', '.join(first.weak)}" if first.weak else None
+    counted = f"{count} {'round' if count == 1 else 'rounds'}"
+    said = (f"instruments: {source.words}, {counted}", note, weak, rounds.found.message)
     found = extended(
         InstrumentalEstimate,
         rounds.found,
         method="instrumental",
-        message="; ".join(said),
+        message="; ".join(filter(None, said)),
         iterations=rounds.iterations,
         solve_time=time.perf_counter() - began,
         instruments=source.words,
-        rounds=rounds.count,
+        rounds=count,
         relevance=first.relevance,
         first_stage=first.statistics,
-        weak=weak,
+        weak=first.weak,
     )
     if status == "optimal":
         return found
     told = ", ".join(f"{100.0 * each:.2g}" for each in rounds.changes[-3:])
     lag = "" if note is None else f" {note[0].upper()}{note[1:]}."
-    few = f" Instruments are weak for {', '.join(weak)}." if weak else ""
+    few = "" if weak is None else f" Instruments are {weak}."
     raise SolverError(
-        f"solve_instrumental: not settled after {rounds.count} rounds: predicted efforts changed "
+        f"solve_instrumental: not settled after {count} rounds: predicted efforts changed "
         f"by {told} % of the residuals in the last ones (limit {100.0 * tolerance:g} %)."
         f"{few}{lag} "
         "Check the controller and the reference, take instruments='reference' or 'periods', allow "
@@ -351,14 +348,14 @@ def solve_output_error(
     begin = time.perf_counter()
     if processing is None:
         processing = getattr(problem, "processing", None)
-    loop = ClosedLoop.of(
+    loop = ClosedLoop(
         Twin.of(given.robot, recording, processing, measured=given.samples),
         controller,
         reference,
         control_hz=control_hz,
         exact=method != "didim",
     )
-    check = ControllerCheck.of(loop)
+    check = ControllerCheck(loop)
     if method == "closed_loop":
         check.require(controller_tolerance)
     solve = solver or (solve_wls if given.consistency == "none" else solve_sdp)
@@ -366,23 +363,23 @@ def solve_output_error(
     if first is None:
         raise DataError("output error: start has other friction terms than the problem.")
     motions = loop.require(model, "the start")
-    if (fault := check.fault(loop, motions, START)) is not None:
+    if (fault := check.fault(motions, START)) is not None:
         raise DataError(fault)
     rounds = METHODS[method](given, loop, first, motions, tolerance)
-    status = rounds.run(solve, max_iterations)
+    status, history = iterate(rounds, solve, max_iterations), rounds.history
     words = (
-        f"{rounds.count} iterations, {rounds.simulations} simulations; "
+        f"{len(history)} iterations, {rounds.simulations} simulations; "
         f"{rounds.at.message or 'no step lowers the cost'}"
     )
     found = extended(
         OutputErrorEstimate,
         rounds.at,
-        method=_NAMES[method],
+        method=rounds.method,
         status=status,
         message=words,
-        iterations=rounds.count,
+        iterations=len(history),
         solve_time=time.perf_counter() - begin,
-        history=rounds.history,
+        history=history,
         start=None if first.theta is None else frozen(first.theta),
         controller=loop.controller,
         position_error=frozen(np.sqrt(np.mean(loop.missed(rounds.motions) ** 2, axis=0))),
@@ -390,7 +387,7 @@ def solve_output_error(
         effort_ratio_error=frozen(check.error),
         simulations=rounds.simulations,
     )
-    if (fault := check.fault(loop, rounds.motions, FOLLOWS)) is not None:
+    if (fault := check.fault(rounds.motions, FOLLOWS)) is not None:
         raise SolverError(fault, problem=given, found=found)
     return found
 
