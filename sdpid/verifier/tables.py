@@ -37,12 +37,9 @@ Answer = Refutation | Realization
 
 _KEYS: tuple[str, ...] = ("schema", "version", "metadata", "sha256")
 _KEYS += ("robot", "table", "constraints", "theta_names", "parameters")
-_ROBOT = ("name", "links")
-_TABLE = ("file", "sha256")
-_CONSTRAINTS = ("consistency", "margin", "mass_min", "mass_max", "theta_max", "nonnegative")
-_PARAMETER = ("name", "coefficients", "value", "halfwidth")
-_REFUTATION = ("weights", "masses", "slack")
-_REALIZATION = ("theta", "margins")
+LIMITS = ("margin", "mass_min", "mass_max", "theta_max")
+PARAMETER = ("name", "coefficients", "value", "halfwidth")
+PARTS = {REFUTATION: ("weights", "masses", "slack"), REALIZATION: ("theta", "margins")}
 
 _INDEX = re.compile("0|[1-9][0-9]{0,8}")
 
@@ -83,14 +80,16 @@ def answer_of(data: dict[str, Any]) -> Answer:
 
 def _question(data: dict[str, Any], read: Any) -> Question:
     """Return the question of a file."""
-    robot = require_keys(data["robot"], _ROBOT, "robot")
-    table = require_keys(data["table"], _TABLE, "table")
-    limits = require_keys(data["constraints"], _CONSTRAINTS, "constraints")
+    robot = require_keys(data["robot"], ("name", "links"), "robot")
+    table = require_keys(data["table"], ("file", "sha256"), "table")
+    limits = require_keys(
+        data["constraints"], ("consistency", *LIMITS, "nonnegative"), "constraints"
+    )
     links = items(robot["links"], "the links")
     if not 0 < len(links) <= _MOST_LINKS:
         raise MalformedError(f"it has {len(links)} links")
     entries = items(data["parameters"], "parameters")
-    given = [require_keys(one, _PARAMETER, "a parameter") for one in entries]
+    given = [require_keys(one, PARAMETER, "a parameter") for one in entries]
     theta_names = items(data["theta_names"], "theta_names")
     count = len(theta_names)
     if count < 10 * len(links) or not given:
@@ -112,7 +111,7 @@ def _question(data: dict[str, Any], read: Any) -> Question:
         theta_names=tuple(names(theta_names, count, "theta_names")),
         nonnegative=frozenset(friction),
         consistency=limits["consistency"],
-        **{key: read(limits[key], key) for key in ("margin", "mass_min", "mass_max", "theta_max")},
+        **{key: read(limits[key], key) for key in LIMITS},
     )
     if min(question.margin, *question.halfwidths) < 0:
         raise MalformedError("a margin or a halfwidth is negative")
@@ -139,7 +138,7 @@ def _vector(data: Any, count: int, read: Any, where: str) -> Vector:
 
 
 def _refutation(data: Any, question: Question, read: Any) -> Refutation:
-    require_keys(data, _REFUTATION, "the refutation")
+    require_keys(data, PARTS[REFUTATION], "the refutation")
     weights = data["weights"]
     if type(weights) is not dict or not weights.keys() <= set(question.names):
         raise MalformedError("a weight belongs to no parameter")
@@ -152,8 +151,8 @@ def _refutation(data: Any, question: Question, read: Any) -> Refutation:
 
 
 def _realization(data: Any, question: Question, read: Any) -> Realization:
-    require_keys(data, _REALIZATION, "the realization")
-    theta, margins = (items(data[key], key) for key in _REALIZATION)
+    require_keys(data, PARTS[REALIZATION], "the realization")
+    theta, margins = (items(data[key], key) for key in PARTS[REALIZATION])
     if len(theta) != len(question.theta_names) or len(margins) != question.n_links:
         raise MalformedError("theta or margins have another length than their names")
     return Realization(

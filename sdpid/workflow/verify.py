@@ -224,7 +224,7 @@ def _of_robot(
     result: Result, question: Question, robot: RobotModel | str | os.PathLike[str]
 ) -> Result:
     """Return a result with the coefficients compared with those of the robot."""
-    from sdpid.assurance.tables.robot_check import check_coefficients
+    from sdpid.assurance.tables.coefficients import check_coefficients
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
 

@@ -731,8 +731,8 @@ def really_realized(answer: realizable.Realization) -> bool:
 def really_refuted(answer: realizable.Refutation) -> bool:
     """Return whether a cone program finds no bodies that have the table."""
     question = answer.question
-    search = Search.of(question, characteristic_length(load_robot("denso_vp6242")))
-    found = search.most_interior()
+    search = Search(question, characteristic_length(load_robot("denso_vp6242")))
+    found = search.solve()
     return found is None or not question.is_witness(search.made_exact(found.theta))
 
 

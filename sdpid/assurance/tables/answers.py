@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import json
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
-from hashlib import sha256
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,21 +44,12 @@ class TableFile:
     name: str
     sha256: str
 
-    @classmethod
-    def of(cls, path: str | os.PathLike[str], content: bytes) -> TableFile:
-        """Return the identity of a file with this content."""
-        return cls(Path(path).name, sha256(content).hexdigest())
 
-
-class Stored(ABC):
+class Stored:
     """An answer that can be written to a file."""
 
     question: Question
     schema: ClassVar[str]
-
-    @abstractmethod
-    def content(self) -> dict[str, Any]:
-        """Return the answer itself, numbers as text."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the file's content: the whole question and the answer, numbers as text.
@@ -72,7 +60,8 @@ class Stored(ABC):
             When a number has more digits than the checker reads.
         """
         q = self.question
-        limits = ("margin", "mass_min", "mass_max", "theta_max")
+        limits = {name: number_text(getattr(q, name)) for name in tables.LIMITS}
+        columns = zip(q.names, q.rows, q.values, q.halfwidths, strict=True)
         data: dict[str, Any] = {
             "schema": self.schema,
             "version": tables.VERSION,
@@ -81,21 +70,17 @@ class Stored(ABC):
             "table": {"file": q.table, "sha256": q.table_sha256},
             "constraints": {
                 "consistency": q.consistency,
-                **{name: number_text(getattr(q, name)) for name in limits},
+                **limits,
                 "nonnegative": sorted(q.nonnegative),
             },
             "theta_names": list(q.theta_names),
             "parameters": [
-                {"name": name, "coefficients": _texts(row), "value": value, "halfwidth": half}
-                for name, row, value, half in zip(
-                    q.names,
-                    q.rows,
-                    map(number_text, q.values),
-                    map(number_text, q.halfwidths),
-                    strict=True,
-                )
+                dict(zip(tables.PARAMETER, (column[0], *map(_texts, column[1:])), strict=True))
+                for column in columns
             ],
-            self.schema.removeprefix("sdpid-"): self.content(),
+            self.schema.removeprefix("sdpid-"): {
+                name: _texts(getattr(self, name)) for name in tables.PARTS[self.schema]
+            },
         }
         data["sha256"] = digest(data)
         try:
@@ -117,10 +102,6 @@ class Realization(Stored, realizable.Realization):
 
     schema = tables.REALIZATION
 
-    def content(self) -> dict[str, Any]:
-        """Return the answer itself, numbers as text."""
-        return {name: list(map(number_text, getattr(self, name))) for name in ("theta", "margins")}
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refutation(Stored, realizable.Refutation):
@@ -130,10 +111,6 @@ class Refutation(Stored, realizable.Refutation):
     """
 
     schema = tables.REFUTATION
-
-    def content(self) -> dict[str, Any]:
-        """Return the answer itself, numbers as text."""
-        return {name: _texts(getattr(self, name)) for name in ("weights", "masses", "slack")}
 
     @property
     def margin_bound(self) -> Fraction | None:
@@ -152,9 +129,13 @@ class Refutation(Stored, realizable.Refutation):
         return tables.inequality(self)
 
 
-def _texts(numbers: Mapping[Any, Fraction]) -> dict[str, str]:
-    """Return numbers by name or index as text."""
-    return {str(key): number_text(value) for key, value in numbers.items()}
+def _texts(numbers: Any) -> Any:
+    """Return a rational as text, or those of a mapping or a sequence."""
+    if isinstance(numbers, Fraction):
+        return number_text(numbers)
+    if isinstance(numbers, Mapping):
+        return {str(key): number_text(value) for key, value in numbers.items()}
+    return list(map(number_text, numbers))
 
 
 def number_text(value: Fraction) -> str:
@@ -183,9 +164,10 @@ def exact(value: Number | Decimal | str) -> Fraction:
     return Fraction(exact_decimal(value, value))
 
 
-def exact_decimal(value: object, shown: object) -> Decimal:
+def exact_decimal(value: object, shown: object, where: str = "") -> Decimal:
     """Return a decimal number of bounded length; DataError names it where it is none."""
     brief = repr(shown) if len(repr(shown)) <= 40 else f"{repr(shown)[:37]}..."
+    brief = f"{where}: {brief}" if where else brief
     try:
         if not isinstance(value, (Decimal, str)):
             value = repr(float(value))  # type: ignore[arg-type]
@@ -206,18 +188,17 @@ def exact_decimal(value: object, shown: object) -> Decimal:
 def realization(question: Question, theta: Sequence[Fraction]) -> Realization | None:
     """Return the answer that theta is, None where theta is none."""
     # Decimals of doubles are short; within the halfwidths they mostly do as well.
-    short = [Fraction(repr(float(x))) for x in theta]
-    for candidate in (short, list(theta)):
-        if question.is_witness(candidate):
-            bodies = [candidate[10 * i : 10 * i + 10] for i in range(question.n_links)]
+    for exactly in ([Fraction(repr(float(x))) for x in theta], theta):
+        if question.is_witness(exactly):
+            bodies = [exactly[10 * i : 10 * i + 10] for i in range(question.n_links)]
             margins = tuple(_margin(question, body) for body in bodies)
-            return Realization(question=question, theta=tuple(candidate), margins=margins)
+            return Realization(question=question, theta=tuple(exactly), margins=margins)
     return None
 
 
 def _margin(question: Question, body: Sequence[Fraction]) -> Fraction:
     """Return a margin that a body has exactly, close to the largest."""
-    least, kind = question.margin, question.consistency
+    least, kind = float(question.margin), question.consistency
     found = float(margin(np.array(body, dtype=float), kind))
-    found = found if np.isfinite(found) else float(least)
-    return max(Fraction(proven_margin(body, found, float(least), kind)), least)
+    proven = proven_margin(body, found if np.isfinite(found) else least, least, kind)
+    return max(Fraction(proven), question.margin)

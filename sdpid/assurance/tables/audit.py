@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
+from operator import add
 from typing import Any, Literal
 
 import numpy as np
@@ -22,12 +23,20 @@ from sdpid.assurance.tables.answers import (
     exact,
     realization,
 )
-from sdpid.assurance.tables.question import base_question
-from sdpid.assurance.tables.search import DIGITS, Found, Search
+from sdpid.assurance.tables.coefficients import (
+    coefficients,
+    named_terms,
+    regrouping,
+    require_posed,
+)
+from sdpid.assurance.tables.search import Found, Search
+from sdpid.errors import DataError
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
+from sdpid.robot.inertia import margin as margin_of
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier import tables
 from sdpid.verifier.decimals import decimal_text
 from sdpid.verifier.realizable import Question
 
@@ -46,7 +55,7 @@ _FEW_DIGITS = 6
 _NEAR = 1e-6
 
 # By what share the smallest change is exceeded, for the changed table to have a witness.
-_BEYOND = 1e-4
+_BEYOND = (1e-4, 1e-3, 1e-2, 1e-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -149,38 +158,25 @@ class BaseAudit(Shown):
 
     def summary(self) -> str:
         """Return the findings in words."""
-        q = self.question
+        q, proof = self.question, self.refutation
         what = "second-moment margin" if q.consistency == "pseudo_inertia" else "margin of I_g"
+        least, light, heavy, most = (decimal_text(getattr(q, name)) for name in tables.LIMITS)
         lines = [
             f"{self.robot}: {self.verdict} ({len(q.names)} parameters; {q.consistency}, {what} "
-            f"at least {decimal_text(q.margin)} kg.m2, masses {decimal_text(q.mass_min)} to "
-            f"{decimal_text(q.mass_max)} kg, theta_max {decimal_text(q.theta_max)})"
+            f"at least {least} kg.m2, masses {light} to {heavy} kg, theta_max {most})"
         ]
         if self.margin is not None:
             lines.append(f"largest margin found: {self.margin:.4g} kg.m2")
         if self.margin_bound is not None:
             lines.append(f"no links have a margin above {self.margin_bound:.4g} kg.m2 (proven)")
-        proof = self.refutation
         if proof is not None:
-            needs = [
-                name
-                for name, used in (
-                    ("the bound on masses", proof.uses_mass_bound),
-                    ("theta_max", proof.uses_theta_max),
-                )
-                if used
-            ]
+            needs = ["the bound on masses"] if proof.uses_mass_bound else []
+            needs += ["theta_max"] if proof.uses_theta_max else []
             lines.append(f"proof: {proof.inequality()}")
-            lines.append(f"  needs {' and '.join(needs) if needs else 'no bound on the masses'}")
-        if self.verdict != "realisable":
-            lines += self._change_lines()
-        return "\n".join(lines)
-
-    def _change_lines(self) -> list[str]:
-        lines = []
-        if self.change is not None:
-            least = self.change_bound
-            proven = "" if least is None else f" (proven: at least {least:.4g})"
+            lines.append(f"  needs {' and '.join(needs) or 'no bound on the masses'}")
+        if self.change is not None and self.verdict != "realisable":
+            bound = self.change_bound
+            proven = "" if bound is None else f" (proven: at least {bound:.4g})"
             lines.append(
                 f"realisable once every entry may move by {self.change:.4g} halfwidths beyond "
                 f"its own{proven}"
@@ -192,19 +188,18 @@ class BaseAudit(Shown):
                 for name in self.blamed
             )
             lines.append(f"smallest change in sum, beyond the halfwidths: {moved}")
-        return lines
+        return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings as plain values."""
         q, proof, witness = self.question, self.refutation, self.witness
+        limits = {name: float(getattr(q, name)) for name in tables.LIMITS}
         return {
             "robot": self.robot,
             "verdict": self.verdict,
             "consistency": q.consistency,
-            "required_margin": float(q.margin),
-            "mass_min": float(q.mass_min),
-            "mass_max": float(q.mass_max),
-            "theta_max": float(q.theta_max),
+            "required_margin": limits.pop("margin"),
+            **limits,
             "margin": self.margin,
             "margin_bound": self.margin_bound,
             "witness": None
@@ -300,91 +295,121 @@ def audit_base_parameters(
     >>> audit.verdict, audit.witness.shape
     ('realisable', (72,))
     """
-    question = base_question(
-        robot,
-        values,
-        halfwidths,
-        bounds={
-            "margin": margin,
-            "mass_min": mass_min,
-            "mass_max": mass_max,
-            "theta_max": theta_max,
-        },
+    if consistency not in ("pseudo_inertia", "spatial_inertia"):
+        raise DataError(
+            f"audit: consistency is {consistency!r}; give 'pseudo_inertia' or 'spatial_inertia'."
+        )
+    given = dict(zip(tables.LIMITS, (margin, mass_min, mass_max, theta_max), strict=True))
+    limits = {name: exact(number) for name, number in given.items()}
+    for name, number in limits.items():
+        if number < 0 or (number == 0 and name != "margin"):
+            least = "at least 0" if name == "margin" else "positive"
+            raise DataError(f"audit: {name} is {given[name]}; it must be {least}.")
+    if not limits["mass_min"] <= limits["mass_max"] <= limits["theta_max"]:
+        raise DataError(
+            "audit: expected mass_min <= mass_max <= theta_max, have "
+            f"{mass_min}, {mass_max} and {theta_max}."
+        )
+    if not values:
+        raise DataError("audit: no values are given; name at least one base parameter.")
+    if not isinstance(halfwidths, Mapping):
+        halfwidths = dict.fromkeys(values, halfwidths)
+    if stray := [name for name in halfwidths if name not in values]:
+        raise DataError(f"audit: halfwidths without a value: {', '.join(stray)}.")
+    terms = named_terms(robot, values) if friction is None else friction
+    model, base = regrouping(robot, terms, base)
+    require_posed(model, base)
+    positive = [friction_nonnegative and p.nonnegative for p in model.parameters]
+    question = Question(
+        robot=robot.name,
+        link_names=tuple(robot.link_names),
+        table=None if table is None else table.name,
+        table_sha256=None if table is None else table.sha256,
+        names=tuple(values),
+        rows=tuple(coefficients(robot, base, name) for name in values),
+        values=tuple(map(exact, values.values())),
+        halfwidths=tuple(_halfwidth(halfwidths.get(name), name) for name in values),
+        theta_names=base.theta_names,
+        nonnegative=frozenset((np.flatnonzero(positive) + 10 * robot.n_links).tolist()),
         consistency=consistency,
-        friction=friction,
-        friction_nonnegative=friction_nonnegative,
-        base=base,
-        table=table,
+        **limits,
     )
-    length = characteristic_length(robot)
-    search = Search.of(question, length)
-    inner = search.most_interior()
-    bound = None if inner is None else search.refutation(inner)
-    limit = bound.margin_bound if bound is not None and bound.valid else None
-    margins = None if inner is None else search.margins(inner.theta)
-    best = None if margins is None or np.isnan(margins).any() else float(margins.min())
+    return _audited(question, characteristic_length(robot))
+
+
+def _halfwidth(given: Number | Decimal | str | None, name: str) -> Fraction:
+    if given is None:
+        raise DataError(f"audit: {name} has no halfwidth; give one, 0 if it is exact.")
+    width = exact(given)
+    if width < 0:
+        raise DataError(f"audit: the halfwidth of {name} is {float(width)}; the least is 0.")
+    return width
+
+
+def _audited(question: Question, length: float) -> BaseAudit:
+    """Return the answer to a question about a robot of some length (m)."""
+    search, limit, theta = Search(question, length), None, None
+    best: float | None = None
+    inner = search.solve()
+    if inner is not None:
+        theta = search.made_exact(inner.theta)
+        bodies = np.array(theta[: 10 * question.n_links], dtype=float).reshape(-1, 10)
+        found = float(margin_of(bodies, question.consistency).min())
+        best = found if np.isfinite(found) else None
+        bound = search.refutation(inner)
+        limit = bound.margin_bound if bound is not None and bound.valid else None
     common: dict[str, Any] = {
-        "robot": robot.name,
+        "robot": question.robot,
         "question": question,
         "margin": best,
         "margin_bound": None if limit is None else float(limit),
         "units": dict(zip(question.names, search.give.tolist(), strict=True)),
     }
-    if inner is not None and (best is None or best >= float(question.margin) - _NEAR):
-        found = realization(question, search.made_exact(inner.theta))
-        if found is not None:
+    if theta is not None and (best is None or best >= float(question.margin) - _NEAR):
+        witness = realization(question, theta)
+        if witness is not None:
             return BaseAudit(
-                **common, verdict="realisable", certificate=found, change=0.0, changes={}
+                **common, verdict="realisable", certificate=witness, change=0.0, changes={}
             )
-    least = search.smallest_changes(each=False)
-    strongest, proof = _proofs(search, least)
+    least = search.solve(search.give[:, None])
+    strongest = _holding(search.refutation(least))
     most = None if strongest is None else strongest.change_bound
+    # A proof without the bound on masses says more, and people can read one of few digits.
+    heavy = Search(replace(question, mass_max=question.theta_max), length)
+    free = heavy.solve(heavy.give[:, None])
+    proof = (
+        _holding(heavy.refutation(free, _FEW_DIGITS, mass_bound=False))
+        or _holding(heavy.refutation(free, mass_bound=False))
+        or strongest
+    )
+    changes = search.solve(np.diag(search.give))
+    beyond = 0.0 * search.give if changes is None else search.beyond(changes.theta)
+    moved = np.flatnonzero(np.abs(beyond) > _NO_CHANGE * search.give)
     return BaseAudit(
         **common,
         verdict="undecided" if proof is None else "not realisable",
         certificate=proof,
         change=None if least is None else _factor(search, length, least),
         change_bound=None if most is None else float(min(most, _LARGEST)),
-        changes=_changes(search),
+        changes={question.names[k]: float(beyond[k]) for k in moved},
     )
 
 
-def _proofs(search: Search, least: Found | None) -> tuple[Refutation | None, Refutation | None]:
-    """Return the refutation that asks for the largest change, and the one to show.
-
-    That is one of few digits where it holds, and one without the bound on masses.
-    """
-    strongest = None if least is None else search.refutation(least)
-    strongest = strongest if strongest is not None and strongest.holds else None
-    heavy = search.with_any_mass().smallest_changes(each=False)
-    for digits in (_FEW_DIGITS, DIGITS):
-        free = None if heavy is None else search.refutation(heavy, digits, mass_bound=False)
-        if free is not None and free.holds:
-            return strongest, free
-    return strongest, strongest
+def _holding(proof: Refutation | None) -> Refutation | None:
+    """Return a proof if it is one."""
+    return proof if proof is not None and proof.holds else None
 
 
 def _factor(search: Search, length: float, least: Found) -> float | None:
     """Return by what factor, less one, halfwidths grow until there is a witness."""
     question = search.question
-    smallest = float(np.max(least.beyond / search.give))
-    for beyond in (_BEYOND, 10 * _BEYOND, 100 * _BEYOND, 1000 * _BEYOND):
+    smallest = float(np.max(np.abs(search.beyond(least.theta)) / search.give))
+    for beyond in _BEYOND:
         trial = smallest * (1.0 + beyond) + beyond
-        add = [exact(trial * x) for x in search.give.tolist()]
-        halves = tuple(h + a for h, a in zip(question.halfwidths, add, strict=True))
-        wider = Search.of(replace(question, halfwidths=halves), length)
-        found = wider.most_interior()
+        more = [exact(trial * x) for x in search.give.tolist()]
+        halves = tuple(map(add, question.halfwidths, more))
+        wider = Search(replace(question, halfwidths=halves), length)
+        found = wider.solve()
         if found is not None and wider.question.is_witness(wider.made_exact(found.theta)):
             return trial
     return None
-
-
-def _changes(search: Search) -> dict[str, float]:
-    """Return the smallest changes in sum, what is to be added to entries."""
-    found = search.smallest_changes(each=True)
-    if found is None:
-        return {}
-    signed = np.sign(search.R @ found.theta - search.value) * found.beyond
-    moved = found.beyond > _NO_CHANGE * search.give
-    changes = zip(search.question.names, signed.tolist(), moved, strict=True)
-    return {name: change for name, change, is_moved in changes if is_moved}

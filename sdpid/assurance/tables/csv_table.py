@@ -7,16 +7,16 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 from fractions import Fraction
+from hashlib import sha256
+from pathlib import Path
 
 from sdpid._common.files import read_regular
 from sdpid._common.tables import Table
 from sdpid.assurance.tables.answers import TableFile, exact_decimal
+from sdpid.assurance.tables.coefficients import regrouping
 from sdpid.errors import DataError, ExportError
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel
 
 _NAMES = ("name", "parameter")
@@ -54,7 +54,7 @@ def half_unit(text: str) -> Fraction:
     DataError
         When it is not a decimal number.
     """
-    exponent = _decimal(text, "value").as_tuple().exponent
+    exponent = exact_decimal(text, text, "value").as_tuple().exponent
     return Fraction(10) ** int(exponent) / 2
 
 
@@ -92,46 +92,43 @@ def read_base_table(
         raise DataError(f"{path}: is not text; expected CSV.") from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
     try:
-        columns = [name.strip() for name in reader.fieldnames or ()]
-        reader.fieldnames = columns
+        columns = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
         rows = list(reader)
     except csv.Error as cause:
         raise DataError(f"{path}: line {reader.line_num}: is no CSV ({cause}).") from None
-    name_column = next((name for name in _NAMES if name in columns), None)
-    if name_column is None or value not in columns:
-        missing = "name" if name_column is None else value
+    named = next((name for name in _NAMES if name in columns), None)
+    if named is None or value not in columns:
+        missing = "name" if named is None else value
         raise DataError(
             f"{path}: has no column {missing!r}, only {', '.join(columns) or 'none'}; name the "
             "column of the values."
         )
-    width = halfwidth
-    if width is None and "halfwidth" in columns:
-        width = "halfwidth"
-    if isinstance(width, str) and width not in columns:
+    if halfwidth is None and "halfwidth" in columns:
+        halfwidth = "halfwidth"
+    if isinstance(halfwidth, str) and halfwidth not in columns:
         raise DataError(
-            f"{path}: has no column {width!r} of halfwidths, only {', '.join(columns)}."
+            f"{path}: has no column {halfwidth!r} of halfwidths, only {', '.join(columns)}."
         )
     values: dict[str, Fraction] = {}
     halves: dict[str, Fraction] = {}
     for row in rows:
-        name, printed = (row[name_column] or "").strip(), (row[value] or "").strip()
+        name, printed = (row[named] or "").strip(), (row[value] or "").strip()
         if not name or not printed:
             continue
         if name in values:
             raise DataError(f"{path}: {name} comes twice.")
-        values[name] = Fraction(_decimal(printed, f"{path}: {name}"))
-        own = (row[width] or "").strip() if isinstance(width, str) else ""
-        if own:
-            halves[name] = Fraction(_decimal(own, f"{path}: halfwidth of {name}"))
-        elif width is None or isinstance(width, str):
-            halves[name] = half_unit(printed)
+        values[name] = Fraction(exact_decimal(printed, printed, f"{path}: {name}"))
+        if isinstance(halfwidth, str):
+            own = (row[halfwidth] or "").strip()
         else:
-            halves[name] = Fraction(_decimal(repr(float(width)), "halfwidth"))
+            own = "" if halfwidth is None else repr(float(halfwidth))
+        where = f"{path}: halfwidth of {name}"
+        halves[name] = Fraction(exact_decimal(own, own, where)) if own else half_unit(printed)
     if not values:
         raise DataError(f"{path}: column {value!r} has no values.")
-    regrouped = " ".join(row.get(_REGROUPING) or "" for row in rows)
-    mentioned = frozenset(values).union(_NAME.findall(regrouped))
-    return BaseTable(values, halves, mentioned, TableFile.of(path, content))
+    mentioned = _NAME.findall(" ".join(row.get(_REGROUPING) or "" for row in rows))
+    file = TableFile(Path(path).name, sha256(content).hexdigest())
+    return BaseTable(values, halves, frozenset([*values, *mentioned]), file)
 
 
 def write_empty_table(
@@ -163,8 +160,7 @@ def write_empty_table(
     """
     if os.path.lexists(path):
         raise ExportError(f"cannot write {path}: it is there already; choose another name.")
-    terms = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
-    base = structural_base(robot, terms)
+    base = regrouping(robot, friction)[1]
     table = Table(
         ("name", "unit", "value", "halfwidth", _REGROUPING),
         tuple(
@@ -174,10 +170,3 @@ def write_empty_table(
     )
     table.write(path)
     return table
-
-
-def _decimal(text: str, what: str) -> Decimal:
-    try:
-        return exact_decimal(text, text)
-    except DataError as cause:
-        raise DataError(f"{what}: {cause}") from None

@@ -106,8 +106,8 @@ def audit(
 def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
     """Audit a table of base parameters; return whether it is proven realisable."""
     from sdpid.assurance.tables.audit import audit_base_parameters
+    from sdpid.assurance.tables.coefficients import named_terms
     from sdpid.assurance.tables.csv_table import read_base_table
-    from sdpid.assurance.tables.question import named_terms
     from sdpid.robot.model.load import load_robot
 
     if table.robot is None:
