@@ -19,7 +19,6 @@ from sdpid.assurance.diagnostics import blocks as module
 from sdpid.assurance.diagnostics.bands import parameter_root, random_motion
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
 from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back
-from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.held_out import (
     DESCRIPTION,
@@ -28,6 +27,7 @@ from sdpid.assurance.diagnostics.held_out import (
     hold_out,
 )
 from sdpid.assurance.diagnostics.mass_matrix import proven_bound
+from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.rest import (
     REST_SECONDS,
@@ -45,7 +45,9 @@ from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.contacts.held import base_held
 from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import spatial_inertia
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from tests.helpers import legged
 from tests.helpers.arm import ARM, BOTH, arm_problem
@@ -662,6 +664,19 @@ def test_a_box_limits_the_search() -> None:
     assert np.all((box[:, 0] <= inside.q) & (inside.q <= box[:, 1]))
     assert inside.value >= anywhere.value
     refuses(DataError, "bounds", sdpid.smallest_mass_eigenvalue, estimate, bounds=[[0.0, 1.0]])
+
+
+def test_rotors_prove_nothing_of_the_links() -> None:
+    """Rotor inertia is in a base parameter with a link's, and no part of the links' bound."""
+    rng, terms = np.random.default_rng(0), ("coulomb", "viscous", "rotor_inertia")
+    problem = arm_problem()
+    states = (getattr(problem.samples, name) for name in ("position", "velocity", "acceleration"))
+    theta = np.concatenate([random_links(rng, 2).ravel(), [0.1] * 4, [2.0] * 2])
+    friction = FrictionModel.from_terms(terms, ARM.joint_names)
+    model = RobotDynamics(robot=ARM, terms=friction, theta=theta)
+    samples = replace(problem.samples, effort=model.inverse_dynamics(*states), covariance=None)
+    worst = sdpid.smallest_mass_eigenvalue(solve_sdp(build_problem(ARM, samples, friction=terms)))
+    assert 0.0 < worst.lower_bound <= worst.value
 
 
 # Three joints whose far limits, or whose slide, a search within half a turn would miss.

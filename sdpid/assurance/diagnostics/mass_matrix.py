@@ -18,6 +18,7 @@ them may stand for the links: those are taken that prove most, one semidefinite 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import spatial_inertia
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from sdpid.robot.model.model import RobotModel
@@ -136,15 +137,22 @@ def smallest_mass_eigenvalue(
     >>> round(least.value, 3), least.q.shape
     (0.034, (6,))
     """
-    problem = estimate.problem
-    robot = problem.robot
-    box, rng = _box(robot, bounds), generator(seed)
-    links = 10 * robot.n_links
-    theta = estimate.some_theta
+    problem, theta = estimate.problem, np.array(estimate.some_theta)
+    robot, rng = problem.robot, generator(seed)
+    box = _box(robot, bounds)
     # A prior-free estimate's mass matrix is that of its base parameters.
-    inertias = spatial_inertia(np.array(theta[:links]).reshape(-1, 10))
-    value, q, positions = _search(robot, inertias, box, rng)
-    lower, reason = _proof(problem, np.array(theta))
+    bodies = theta[: 10 * robot.n_links].reshape(-1, 10)
+    value, q, positions = _search(robot, spatial_inertia(bodies), box, rng)
+    lower, reason = proven_bound(robot, bodies), "the estimate's own links"
+    for others in _strongest(problem, bodies):
+        found = proven_bound(robot, others)
+        if found is not None and (lower is None or found > lower):
+            lower, reason = found, "links with the same base parameters that prove most"
+    if lower is None:
+        reason = (
+            "no links with positive definite inertias were found that have these base parameters, "
+            "so consistency proves nothing"
+        )
     return SmallestMassEigenvalue(
         value=value,
         q=frozen(q),
@@ -156,10 +164,19 @@ def smallest_mass_eigenvalue(
 
 
 def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
-    """Return the box of the joints, beside a floating base."""
-    limits = robot.position_limits[robot.n_base :]
+    """Return the box of the joints, beside a floating base: by default the description's limits.
+
+    A joint turns once at most, and has ends where the description gives none.
+    """
+    limits, slides = robot.position_limits[robot.n_base :], robot.slides[robot.n_base :]
     if bounds is None:
-        return _default_box(robot, limits)
+        ends = np.where(slides, _SLIDE, 0.5 * _TURN)[:, None] * [-1.0, 1.0]
+        box = np.where(np.isfinite(limits).all(axis=1)[:, None], limits, ends)
+        # Where one position drives several joints with ratios, a turn need not bring all of them
+        # back.
+        turns = ~slides & (len(robot.expansion) == robot.n)
+        box[:, 1] = np.where(turns, np.minimum(box[:, 1], box[:, 0] + _TURN), box[:, 1])
+        return box
     box = np.array(bounds, dtype=np.float64)
     if box.shape != limits.shape or not np.all(np.isfinite(box)) or np.any(box[:, 0] > box[:, 1]):
         raise DataError(
@@ -167,22 +184,6 @@ def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
             "finite numbers, lower before upper."
         )
     return box
-
-
-def _default_box(robot: RobotModel, limits: Array) -> Array:
-    """Return the description's limits: one turn at most, and ends for joints that have none."""
-    model, box = robot.pin_model, limits.copy()
-    names = robot.joint_names[robot.n_base :]
-    kinds = [model.joints[model.getJointId(name)].shortname() for name in names]
-    # Where one position drives several joints with ratios, a turn need not bring all of them back.
-    periodic = len(robot.expansion) == robot.n
-    for j, kind in enumerate(kinds):
-        slide = kind.startswith("JointModelP")
-        if not np.isfinite(box[j]).all():
-            box[j] = (-_SLIDE, _SLIDE) if slide else (-0.5 * _TURN, 0.5 * _TURN)
-        elif periodic and not slide:
-            box[j, 1] = min(box[j, 1], box[j, 0] + _TURN)
-    return np.asarray(box)
 
 
 def _eigenvalues(robot: RobotModel, inertias: Array, q: Array) -> Array:
@@ -201,11 +202,11 @@ def _search(
     """Return the smallest value found, where, and how many positions were tried at first."""
     from scipy.optimize import minimize
 
-    if not len(box):
-        here = np.zeros((1, 0))
-        return float(_eigenvalues(robot, inertias, here)[0]), here[0], 1
-    q = rng.uniform(box[:, 0], box[:, 1], (_POSITIONS, len(box)))
+    # A floating base alone has one position.
+    q = rng.uniform(box[:, 0], box[:, 1], (_POSITIONS if len(box) else 1, len(box)))
     values = _eigenvalues(robot, inertias, q)
+    order = np.argsort(values)
+    best = float(values[order[0]]), q[order[0]]
 
     def descend(x: Array) -> tuple[float, Array]:
         steps = np.vstack([x, x + _STEP * np.eye(len(x)), x - _STEP * np.eye(len(x))])
@@ -213,9 +214,7 @@ def _search(
         slope = (each[1 : len(x) + 1] - each[len(x) + 1 :]) / (2.0 * _STEP)
         return float(each[0]), slope
 
-    first = int(np.argmin(values))
-    best = float(values[first]), q[first]
-    for start in np.argsort(values)[:_REFINED]:
+    for start in order[: _REFINED if len(box) else 0]:
         found = minimize(descend, q[start], jac=True, method="L-BFGS-B", bounds=box)
         if found.fun < best[0]:
             best = float(found.fun), np.clip(found.x, box[:, 0], box[:, 1])
@@ -237,9 +236,8 @@ def proven_bound(robot: RobotModel, theta: ArrayLike) -> float | None:
     float or None
         None where a link's spatial inertia is not positive definite.
     """
-    bodies = np.asarray(theta, dtype=np.float64)[: 10 * robot.n_links].reshape(-1, 10)
+    bodies = np.asarray(theta, dtype=np.float64).ravel()[: 10 * robot.n_links].reshape(-1, 10)
     inertias = spatial_inertia(bodies)
-    N = joint_rates(robot)
     diagonal = np.diagonal(inertias, axis1=1, axis2=2)
     if not np.all(diagonal >= np.finfo(float).tiny):
         return None
@@ -249,11 +247,10 @@ def proven_bound(robot: RobotModel, theta: ArrayLike) -> float | None:
         roots = np.linalg.cholesky(inertias / (d[:, :, None] * d[:, None, :]))
     except np.linalg.LinAlgError:
         return None
-    rates = N.reshape(len(N), robot.n_links, 6) / d
+    rates = joint_rates(robot).reshape(-1, robot.n_links, 6) / d
     halves = np.linalg.solve(roots, np.moveaxis(rates, 0, 2))
-    stacked = np.moveaxis(halves, 2, 0).reshape(len(N), -1)
-    # v^T·M·v ≥ v^T·E^T·(stacked·stacked^T)^(-1)·E·v, E the expansion of coordinates to joints.
-    triangle = np.asarray(np.linalg.qr(stacked.T, mode="r"))
+    # v^T·M·v ≥ v^T·E^T·(halves^T·halves)^(-1)·E·v, E the expansion of coordinates to joints.
+    triangle = np.asarray(np.linalg.qr(halves.reshape(-1, len(rates)), mode="r"))
     if not float(np.abs(np.diagonal(triangle)).min(initial=np.inf)) > 0.0:
         return None
     shown = np.linalg.solve(triangle.T, robot.expansion)
@@ -262,74 +259,43 @@ def proven_bound(robot: RobotModel, theta: ArrayLike) -> float | None:
     return value * (1.0 - 1e-6) if value > 0.0 else None
 
 
-def _proof(problem: Problem, theta: Array) -> tuple[float | None, str]:
-    """Return the largest proven bound, and the reason for it."""
-    robot = problem.robot
-    best, reason = proven_bound(robot, theta), "the estimate's own links"
-    for bodies in _strongest(problem, theta):
-        value = proven_bound(robot, bodies)
-        if value is not None and (best is None or value > best):
-            best, reason = value, "links with the same base parameters that prove most"
-    if best is None:
-        return None, (
-            "no links with positive definite inertias were found that have these base parameters, "
-            "so consistency proves nothing"
-        )
-    return best, reason
+def _strongest(problem: Problem, bodies: Array) -> list[Array]:
+    """Return candidate links with the same base parameters, for which the bound is largest.
 
-
-def _strongest(problem: Problem, theta: Array) -> list[Array]:
-    """Return candidate links with theta's base parameters, for which the bound is largest."""
-    robot, feasible = problem.robot, problem.feasible
-    links = 10 * robot.n_links
-    scaling = Scaling.of(problem)
-    basis = scaling.basis()
-    _, singular, rows = np.linalg.svd(problem.base.matrix @ basis)
-    rank = int(np.count_nonzero(singular > _NULL * singular[0]))
-    null = (basis @ rows[rank:].T)[:links]
-    null = null[:, np.linalg.norm(null, axis=0) > 0.0]
-    units = spatial_inertia(np.eye(10))
-    inverses = np.linalg.inv(np.linalg.cholesky(spatial_inertia(scaling.bodies)))
-    bodies = theta[:links].reshape(-1, 10)
+    What friction terms have of the base parameters stays theirs: rotors are no links.
+    """
+    robot, scaling = problem.robot, Scaling.of(problem)
+    basis = scaling.basis()[: bodies.size, : bodies.size]
+    _, singular, rows = np.linalg.svd(problem.base.matrix[:, : bodies.size] @ basis)
+    null = basis @ rows[np.count_nonzero(singular > _NULL * singular[0]) :].T
+    count = null.shape[1]
     # Of a joint between two links, |a − b|² ≤ 2·|a|² + 2·|b|²: this leaves one small matrix
     # inequality a link instead of a large one, and its optimum is within a factor of two.
     rates = joint_rates(robot).reshape(-1, robot.n_links, 6)
     shared = np.where(np.count_nonzero(np.any(rates != 0.0, axis=2), axis=1) > 1, 2.0, 1.0)
-    needs = np.einsum("j,jla,jlb->lab", shared, rates, rates)
-    needs = inverses @ needs @ np.swapaxes(inverses, 1, 2)
-    unit = float(np.abs(needs).max())
-    count = null.shape[1] + 1
-    blocks = []
-    for i, (inverse, need) in enumerate(zip(inverses, needs, strict=True)):
-        own = null[10 * i : 10 * i + 10]
-        index = np.flatnonzero(np.any(own != 0.0, axis=0))
-        scaled = inverse @ units @ inverse.T
-        linear = np.einsum("ka,kij->aij", own[:, index], scaled)
-        blocks.append(
-            Matrix(
-                np.append(index, count - 1),
-                np.concatenate([linear, -need[None] / unit]),
-                np.einsum("k,kij->ij", bodies[i], scaled),
-            )
-        )
-    slope = np.zeros(count)
-    slope[-1] = -1.0
+    inverses: Array = np.linalg.inv(scaling.roots(6))
+    needs = congruent(inverses, np.einsum("j,jla,jlb->lab", shared, rates, rates))
+    needs = needs / np.abs(needs).max()
+    # Inertias of the links as functions of the step along the null directions, and of the bound.
+    moves = spatial_inertia(np.moveaxis(null.reshape(*bodies.shape, count), 2, 1))
+    linear = np.concatenate([congruent(inverses[:, None], moves), -needs[:, None]], axis=1)
+    constants, every = congruent(inverses, spatial_inertia(bodies)), np.arange(count + 1)
     # What limits a body's parameters limits these too, or they would run away.
-    bound = np.minimum(feasible.constraints.theta_max, 1e6)
-    scale = scaling.theta[:links]
-    C = np.column_stack([null / scale[:, None], np.zeros(links)])
-    program = ConicProgram(
-        M=np.zeros((0, count)),
-        m=np.zeros(0),
-        cost=slope,
-        C=C,
-        lower=(-bound - theta[:links]) / scale,
-        upper=(bound - theta[:links]) / scale,
-        blocks=tuple(blocks),
+    bound = min(problem.constraints.theta_max, 1e6)
+    scale = scaling.theta[: bodies.size]
+    solution = solve_conic(
+        ConicProgram(
+            M=np.zeros((0, count + 1)),
+            m=np.zeros(0),
+            cost=-np.eye(count + 1)[-1],
+            C=np.column_stack([null / scale[:, None], np.zeros(bodies.size)]),
+            lower=(-bound - bodies.ravel()) / scale,
+            upper=(bound - bodies.ravel()) / scale,
+            blocks=tuple(map(Matrix, repeat(every), linear, constants)),
+        )
     )
-    solution = solve_conic(program)
     if solution.x is None:
         return []
     moved = null @ solution.x[:-1]
     # The solver may end outside by rounding; on the way back everything stays on the face.
-    return [theta[:links] + (1.0 - give) * moved for give in _GIVE]
+    return [bodies.ravel() + (1.0 - give) * moved for give in _GIVE]
