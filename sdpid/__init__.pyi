@@ -1,7 +1,7 @@
 from . import constraints, controllers, errors, friction, plots
 from .assurance.certificate.certificate import certify
 from .assurance.descriptions.audit import audit_urdf
-from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
+from .assurance.diagnostics.active_constraints import cost_of_constraints
 from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
 from .assurance.diagnostics.validation import validate
 from .assurance.drive_gains.identify import identify_drive_gains

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
-from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
 from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.recipe.inputs import input_files

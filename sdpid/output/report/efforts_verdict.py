@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics.motion.told import directions_told
-from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.diagnostics.provenance import directions_told, provenance
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.gain_errors import gain_errors
@@ -82,7 +81,7 @@ def floating_findings(result: Judged) -> Iterator[Finding]:
         return
     yield from _base(result, result.estimate.theta)
     yield from _forces(result.problem)
-    yield from _shown(result, result.estimate.theta)
+    yield from _shown(result)
 
 
 def _base(result: Judged, theta: Array) -> Iterator[Finding]:
@@ -130,10 +129,10 @@ def _forces(problem: Problem) -> Iterator[Finding]:
     )
 
 
-def _shown(result: Judged, theta: Array) -> Iterator[Finding]:
+def _shown(result: Judged) -> Iterator[Finding]:
     """Say what recordings tell beyond the description, and what motion would tell more."""
     problem = result.problem
-    told = directions_told(problem, theta)
+    told = directions_told(result.estimate)
     if told is None:
         return
     count, friction = problem.base.count, len(problem.friction.parameters)
