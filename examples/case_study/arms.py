@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid.assurance.diagnostics.blocks import held_out_blocks, predicted_by
+from sdpid.assurance.diagnostics.bands import held_out_blocks, predicted_by
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES, OURS
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.prior.prior import prior_terms

@@ -24,7 +24,7 @@ from held_out import QUICK, TITLES, Case, cases
 
 import sdpid
 from sdpid._common.tables import Table
-from sdpid.assurance.diagnostics.motion.light_joints import light_joints
+from sdpid.assurance.diagnostics.light_joints import light_joints
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.workflow.result import Identification
 

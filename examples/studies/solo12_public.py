@@ -24,7 +24,7 @@ from each_record import parse
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
-from sdpid.assurance.diagnostics.blocks import held_out_blocks
+from sdpid.assurance.diagnostics.bands import held_out_blocks
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -114,10 +114,10 @@ def main() -> None:
     theta[: robot.prior.size] = robot.prior.ravel()
     described = np.tile(problem.base_of(theta), (problem.n_samples, 1))
     ours, least = described.copy(), described.copy()
-    for block in held_out_blocks(problem):
-        free = solve_wls(replace(block.estimate.problem, prior=None)).base
-        for part in block.slices:
-            ours[part], least[part] = block.estimate.base, free
+    held_out = held_out_blocks(problem)
+    for k, fit in enumerate(held_out.estimates):
+        inside = held_out.owner == k
+        ours[inside], least[inside] = fit.base, solve_wls(replace(fit.problem, prior=None)).base
     errors = [projected(problem, base) for base in (ours, least, described)]
     mass = result.estimate.theta[: robot.prior.size : 10].sum() / robot.prior[:, 0].sum()
     table = []

@@ -153,7 +153,7 @@ def plot_joint_errors(
     ----------
     errors : JointErrors
         Spectra, autocorrelation and means over velocity, as
-        `sdpid.assurance.diagnostics.residuals` finds them.
+        `sdpid.assurance.diagnostics.causes` finds them.
     timed : bool, optional
         Whether frequencies are in Hz and lags in s, rather than in samples.
     unit : str, optional
@@ -167,7 +167,7 @@ def plot_joint_errors(
 
     Examples
     --------
-    >>> from sdpid.assurance.diagnostics.residuals import joint_errors
+    >>> from sdpid.assurance.diagnostics.causes import joint_errors
     >>> errors = joint_errors(samples, result.training)
     >>> axes = sdpid.plots.plot_joint_errors(errors[0])
     >>> axes[0].get_xlabel()

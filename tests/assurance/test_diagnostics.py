@@ -15,10 +15,14 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics import blocks as module
-from sdpid.assurance.diagnostics.bands import parameter_root, random_motion
-from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
-from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back
+from sdpid.assurance.diagnostics import bands
+from sdpid.assurance.diagnostics.bands import (
+    held_out_blocks,
+    parameter_root,
+    predicted_by,
+    random_motion,
+)
+from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back, joint_errors
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.held_out import (
     DESCRIPTION,
@@ -28,14 +32,7 @@ from sdpid.assurance.diagnostics.held_out import (
 )
 from sdpid.assurance.diagnostics.mass_matrix import proven_bound
 from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words
-from sdpid.assurance.diagnostics.residuals import joint_errors
-from sdpid.assurance.diagnostics.rest import (
-    REST_SECONDS,
-    REST_SPEED,
-    moving_rows,
-    resting,
-    resting_rows,
-)
+from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, moving_and_resting
 from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
 from sdpid.cli.printing import errors_table
 from sdpid.errors import DataError
@@ -45,9 +42,7 @@ from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.contacts.held import base_held
 from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import spatial_inertia
-from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from tests.helpers import legged
 from tests.helpers.arm import ARM, BOTH, arm_problem
@@ -250,15 +245,15 @@ def problem() -> Problem:
 
 def test_a_block_is_predicted_by_the_fit_to_the_rows_outside_it(problem: Problem) -> None:
     found = held_out_blocks(problem)
-    assert len(found) == 5
-    for block in found:
-        (held,) = block.slices
+    assert len(found.estimates) == 5
+    for k, estimate in enumerate(found.estimates):
+        start, *_, stop = np.flatnonzero(found.owner == k)
         mask = np.ones((problem.n_samples, 2), dtype=bool)
-        mask[max(held.start - GUARD, 0) : held.stop + GUARD] = False
+        mask[max(start - GUARD, 0) : stop + 1 + GUARD] = False
         samples = replace(problem.samples, mask=mask, covariance=problem.sigma)
         alone = build_problem(ARM, samples, friction=FRICTION, weighting="gls")
         expected = sdpid.solve_sdp(alone).base
-        np.testing.assert_allclose(block.estimate.base, expected, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(estimate.base, expected, rtol=1e-5, atol=1e-7)
 
 
 def test_what_happens_in_a_block_does_not_reach_its_prediction(problem: Problem) -> None:
@@ -267,8 +262,9 @@ def test_what_happens_in_a_block_does_not_reach_its_prediction(problem: Problem)
     effort[200:400] += 5.0
     rows = replace(problem.require_rows_here("test"), samples=replace(samples, effort=effort))
     changed = replace(problem, rows=rows)
+    ways = {"": lambda fit: fit.base}
     before, after = (
-        predicted_by(held_out_blocks(each), each, {"": own})[""] for each in (problem, changed)
+        predicted_by(held_out_blocks(each), each, ways)[""] for each in (problem, changed)
     )
     np.testing.assert_array_equal(before[200:400], after[200:400])
     assert np.abs(before - after).max() > 0.1
@@ -279,9 +275,7 @@ def test_every_recording_is_cut_and_short_ones_are_left_alone() -> None:
     pieces = [moved(theta, seed, seconds=s, block=BLOCK) for seed, s in ((1, 20.0), (2, 0.5))]
     samples = Samples.join([pieces[0], pieces[1], moved(theta, 3, block=BLOCK)])
     estimate = identified(samples).estimate
-    found = held_out_blocks(estimate.problem)
-    assert {len(block.slices) for block in found} == {2}
-    inside = in_blocks(found, samples.n_samples)
+    inside = held_out_blocks(estimate.problem).inside
     assert not inside[1000:1025].any()
     assert inside.sum() == 2000
     held = hold_out(estimate, sdpid.solve_wls(estimate.problem), None)
@@ -291,7 +285,8 @@ def test_every_recording_is_cut_and_short_ones_are_left_alone() -> None:
 def test_short_records_get_fewer_blocks_or_none() -> None:
     theta = arm_theta()
     for block, count in ((100, 5), (500, 4), (600, 3), (800, 0)):
-        assert len(held_out_blocks(identified(moved(theta, 1, block=block)).problem)) == count
+        found = held_out_blocks(identified(moved(theta, 1, block=block)).problem)
+        assert (0 if found is None else len(found.estimates)) == count
 
 
 def test_blocks_are_not_held_out_where_they_cannot_be(
@@ -299,9 +294,9 @@ def test_blocks_are_not_held_out_where_they_cannot_be(
 ) -> None:
     samples = replace(problem.samples, covariance=np.eye(2))
     printed = build_problem(ARM, samples, friction=FRICTION, weighting="eq18")
-    assert held_out_blocks(printed) == ()
-    monkeypatch.setattr(module, "MOST_ROWS", problem.n_rows - 1)
-    assert held_out_blocks(replace(problem)) == ()
+    assert held_out_blocks(printed) is None
+    monkeypatch.setattr(bands, "MOST_ROWS", problem.n_rows - 1)
+    assert held_out_blocks(replace(problem)) is None
 
 
 def test_blocks_without_which_nothing_is_determined() -> None:
@@ -312,7 +307,7 @@ def test_blocks_without_which_nothing_is_determined() -> None:
     for each in (*fields.values(), q):
         each[200:, 1] = 0.0
     still = replace(samples, position=q, **fields)
-    assert held_out_blocks(identified(still).problem) == ()
+    assert held_out_blocks(identified(still).problem) is None
 
 
 def test_an_estimate_stands_beside_what_costs_less() -> None:
@@ -353,21 +348,25 @@ def stopped(still: tuple[int, int]) -> Samples:
     return Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
 
 
+def resting(samples: Samples) -> list[int]:
+    return np.flatnonzero(moving_and_resting(samples)[1][:, 0]).tolist()
+
+
 def test_a_stop_is_rest_and_a_reversal_is_not() -> None:
     samples = stopped((300, 400))
-    assert np.flatnonzero(resting(samples)[:, 0]).tolist() == list(range(300, 400))
+    assert resting(samples) == list(range(300, 400))
     # Reversals are slow too, and over at once.
     assert np.abs(samples.velocity).min(axis=0) < REST_SPEED
     short = round(REST_SECONDS * RESTING_RATE) - 5
-    assert not resting(stopped((300, 300 + short))).any()
+    assert not resting(stopped((300, 300 + short)))
 
 
 def test_rest_ends_with_the_recording_and_needs_a_time() -> None:
     samples = stopped((300, 400))
     cut = replace(samples, starts=(0, 340))
     # Forty samples before the break are too short, sixty behind it are not.
-    assert np.flatnonzero(resting(cut)[:, 0]).tolist() == list(range(340, 400))
-    assert not resting(replace(samples, time=None)).any()
+    assert resting(cut) == list(range(340, 400))
+    assert not resting(replace(samples, time=None))
 
 
 def test_rows_masked_around_a_reversal_belong_to_the_motion() -> None:
@@ -378,11 +377,11 @@ def test_rows_masked_around_a_reversal_belong_to_the_motion() -> None:
     mask[300:400] = False  # rest
     mask[600:650] = False  # fast motion, with an effort that is wrong
     assert np.abs(samples.velocity[600:650]).min() > REST_SPEED
-    moving = moving_rows(replace(samples, mask=mask))[:, 0]
+    masked = replace(samples, mask=mask)
+    moving = moving_and_resting(masked)[0][:, 0]
     assert moving[turn - 5 : turn + 5].all()
     assert not moving[600:650].any()
-    still = resting_rows(replace(samples, mask=mask))[:, 0]
-    assert np.flatnonzero(still).tolist() == list(range(300, 400))
+    assert resting(masked) == list(range(300, 400))
 
 
 def test_errors_at_rest_do_not_spoil_those_in_motion() -> None:
@@ -581,22 +580,14 @@ NAMES = ("tree", "mimic", "arm2", "arm4", "denso", *URDFS)
 
 
 @pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
-def test_velocities_of_links_make_the_mass_matrix(source: str) -> None:
+def test_velocities_of_links_make_the_mass_matrix_and_show_those_of_joints(source: str) -> None:
     arm, rng = robot(source), np.random.default_rng(0)
-    q = rng.uniform(-1.0, 1.0, (3, arm.n))
-    theta = rng.standard_normal((arm.n_links, 10))
+    q, theta = rng.uniform(-3.0, 3.0, (4, arm.n)), rng.standard_normal((arm.n_links, 10))
     J = link_jacobians(arm, q)
     M = np.einsum("klai,lab,klbj->kij", J, spatial_inertia(theta), J)
     np.testing.assert_allclose(M, arm.mass_matrix(theta, q), atol=ROUNDING)
-
-
-@pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
-def test_joint_velocities_are_read_off_the_links_at_every_position(source: str) -> None:
-    arm, rng = robot(source), np.random.default_rng(1)
-    q = rng.uniform(-3.0, 3.0, (4, arm.n))
-    V = link_jacobians(arm, q).reshape(4, -1, arm.n)
     shown = np.broadcast_to(arm.expansion, (4, *arm.expansion.shape))
-    np.testing.assert_allclose(joint_rates(arm) @ V, shown, atol=ROUNDING)
+    np.testing.assert_allclose(joint_rates(arm) @ J.reshape(4, -1, arm.n), shown, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
@@ -668,14 +659,10 @@ def test_a_box_limits_the_search() -> None:
 
 def test_rotors_prove_nothing_of_the_links() -> None:
     """Rotor inertia is in a base parameter with a link's, and no part of the links' bound."""
-    rng, terms = np.random.default_rng(0), ("coulomb", "viscous", "rotor_inertia")
-    problem = arm_problem()
-    states = (getattr(problem.samples, name) for name in ("position", "velocity", "acceleration"))
-    theta = np.concatenate([random_links(rng, 2).ravel(), [0.1] * 4, [2.0] * 2])
-    friction = FrictionModel.from_terms(terms, ARM.joint_names)
-    model = RobotDynamics(robot=ARM, terms=friction, theta=theta)
-    samples = replace(problem.samples, effort=model.inverse_dynamics(*states), covariance=None)
-    worst = sdpid.smallest_mass_eigenvalue(solve_sdp(build_problem(ARM, samples, friction=terms)))
+    samples, terms = arm_problem().samples, ("coulomb", "viscous", "rotor_inertia")
+    effort = samples.effort + 2.0 * samples.acceleration
+    problem = build_problem(ARM, replace(samples, effort=effort), friction=terms)
+    worst = sdpid.smallest_mass_eigenvalue(solve_sdp(problem))
     assert 0.0 < worst.lower_bound <= worst.value
 
 

@@ -14,7 +14,7 @@ import sdpid
 from sdpid import validate
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.held_out import FRICTION_FITTED, LEAST_SQUARES
-from sdpid.assurance.diagnostics.motion.light_joints import LightJoint, light_joints
+from sdpid.assurance.diagnostics.light_joints import LightJoint, light_joints
 from sdpid.assurance.rollouts.result import CONSTANT_VELOCITY, FLOOR, STAND_STILL
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.estimate import Estimate

@@ -15,8 +15,7 @@ import sdpid
 from sdpid import RobotModel, Samples
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.rows_digest import rows_digest
-from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
-from sdpid.assurance.diagnostics.blocks import Block, predicted_by
+from sdpid.assurance.diagnostics.bands import Folds, _left_open, parameter_root, predicted_by
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
@@ -206,10 +205,8 @@ def test_fits_are_compared_with_forces_eliminated() -> None:
     base, fresh = found.base_of(made.theta), made.noisy(3)
     alike = found.predict(base, replace(felt, effort=fresh.effort)), found.predict(base, fresh)
     assert np.array_equal(*alike)
-    blocks = tuple(
-        Block(slices=(slice(a, a + 20),), estimate=sdpid.solve_wls(found)) for a in (0, 20, 40)
-    )
-    predicted = predicted_by(blocks, found, {"": lambda _: base})[""]
+    folds = Folds((sdpid.solve_wls(found),) * 3, np.arange(60) // 20)
+    predicted = predicted_by(folds, found, {"": lambda _: base})[""]
     np.testing.assert_allclose(predicted, found.predict(base, made.noisy()), atol=1e-9)
     # Without efforts, eliminated forces would leave nothing to compare.
     alone = without_efforts(felt, made.robot, made.robot.joint_names[6:])

@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 import sdpid
-from sdpid.assurance.diagnostics.residuals import JointErrors
+from sdpid.assurance.diagnostics.causes import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Step

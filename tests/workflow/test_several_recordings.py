@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import sdpid
-from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.assurance.diagnostics.causes import joint_errors
 from sdpid.errors import DataError
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.for_robot import prepare

@@ -1,17 +1,23 @@
-"""Name what a joint's error goes with: an effect that the model lacks leaves its own shape."""
+"""Statistics of prediction errors, and what a joint's error goes with.
+
+Errors of a model that lacks nothing are noise: a flat spectrum below the filter's cut-off, an
+autocorrelation that falls at once, and a mean of zero at every velocity. Where they are not, their
+shape says what is missing: an effect that the model lacks leaves its own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.diagnostics.residuals import JointErrors, density
+from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
@@ -55,6 +61,165 @@ _PEAK, _MOTION, _HARMONICS = 0.25, 0.95, 6
 
 # A peak is as wide as the window of the spectrum smears a line, in frequencies to either side.
 _SMEARED = 2
+
+# Velocities are sorted into this many bins of equally many rows: enough for the two sides of a
+# friction curve with a bend in each, few enough for a steady mean in every one.
+BINS = 16
+
+# Samples a piece of the spectrum (Welch's): a few hundred frequencies are what a plot shows.
+_PIECE = 1024
+
+# Lags of the autocorrelation that are kept: a tenth of the record, at most this many seconds.
+_LAG_SHARE, _LAG_SECONDS = 0.1, 2.0
+
+
+# A share of the error, what it goes with, and the frequency of a line.
+Candidate = tuple[float, Kind, float | None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointErrors:
+    """The errors of one joint.
+
+    Attributes
+    ----------
+    joint : str
+        The joint.
+    frequency : ndarray, shape (f,)
+        In Hz; per sample where the samples have no time.
+    effort_density, error_density : ndarray, shape (f,)
+        Amplitude densities of measured effort and of its error, N·m/√Hz.
+    lag : ndarray, shape (l,)
+        In s; in samples where they have no time.
+    autocorrelation : ndarray, shape (l,)
+        Of the errors; 1 at lag 0.
+    independent : float
+        About how many independent ones the rows are worth.
+    velocity, mean, low, high : ndarray, shape (bins,)
+        Mean velocity of each bin (rad/s), mean of its errors, and the tenth and the ninetieth of
+        a hundred of them, N·m. Empty where the joint does not move.
+    share : float
+        Share of the errors' variance that goes with the velocity's bin, less what chance gives.
+    with_sign, with_velocity : float
+        Squared correlations of the errors with the velocity's sign and with the velocity.
+    """
+
+    joint: str
+    frequency: Array
+    effort_density: Array
+    error_density: Array
+    lag: Array
+    autocorrelation: Array
+    independent: float
+    velocity: Array
+    mean: Array
+    low: Array
+    high: Array
+    share: float
+    with_sign: float
+    with_velocity: float
+
+
+def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
+    """Return the error statistics of every joint.
+
+    Parameters
+    ----------
+    samples : Samples
+        The measurements that were predicted.
+    fit : Validation
+        Their prediction.
+
+    Returns
+    -------
+    tuple of JointErrors
+        One for every joint with rows that are not masked.
+    """
+    return tuple(
+        _of_joint(name, samples, j, fit.effort_predicted[:, j])
+        for j, name in enumerate(fit.joint_names)
+        if np.count_nonzero(samples.used[:, j]) >= 2 and j >= fit.n_base
+    )
+
+
+def period(samples: Samples) -> float:
+    """Return the seconds between samples, by their median; 1 where they have no time."""
+    if samples.time is None or len(samples.time) < 2:
+        return 1.0
+    step = float(np.median(np.diff(samples.time)))
+    return step if step > 0.0 else 1.0
+
+
+def _of_joint(name: str, samples: Samples, j: int, predicted: Array) -> JointErrors:
+    effort, kept, step = samples.effort[:, j], samples.used[:, j], period(samples)
+    # Rows that are not used are zero; the others carry all of the power.
+    signals = [np.where(kept, x - x[kept].mean(), 0.0) for x in (effort, effort - predicted)]
+    densities = [_density(x, samples)[1] * len(kept) / kept.sum() for x in signals]
+    lags = int(max(min(_LAG_SHARE * len(kept), _LAG_SECONDS / step), 1)) + 1
+    paired = LaggedSums.of(signals[1][:, None], kept[:, None], samples.parts).correlation[0]
+    independent = max(float(kept.sum()) / integrated_time(paired), 1.0)
+    v, e = samples.velocity[kept, j], signals[1][kept]
+    binned, share = _over_velocity(v, (effort - predicted)[kept], independent)
+    velocity, mean, low, high = map(frozen, binned)
+    return JointErrors(
+        joint=name,
+        frequency=frozen(_density(signals[1], samples)[0]),
+        effort_density=frozen(np.sqrt(densities[0])),
+        error_density=frozen(np.sqrt(densities[1])),
+        lag=frozen(np.arange(len(paired[:lags])) * step),
+        autocorrelation=frozen(paired[:lags]),
+        independent=independent,
+        velocity=velocity,
+        mean=mean,
+        low=low,
+        high=high,
+        share=share,
+        with_sign=_squared_correlation(np.sign(v), e),
+        with_velocity=_squared_correlation(v, e),
+    )
+
+
+def _density(signal: Array, samples: Samples) -> tuple[Array, Array]:
+    """Return frequencies and the power density of a signal (K,) of samples.
+
+    By pieces that overlap by half, as SciPy's `welch`, whose module takes longer to load than all
+    the rest of a report to write. No piece lies across a break of the samples.
+    """
+    rate, lengths = 1.0 / period(samples), [part.stop - part.start for part in samples.parts]
+    size = min(_PIECE, *lengths)
+    window = np.sin(np.pi * np.arange(size) / size) ** 2 if size > 1 else np.ones(1)
+    total: Array = np.zeros(size // 2 + 1)
+    for part, length in zip(samples.parts, lengths, strict=True):
+        pieces = np.lib.stride_tricks.sliding_window_view(signal[part], size)[:: size - size // 2]
+        power = np.mean(np.abs(np.fft.rfft(pieces * window)) ** 2, axis=0)
+        total += power * (length / len(signal)) / (rate * np.sum(window**2))
+    # Of a real signal negative frequencies have as much; there are none of zero and of the last.
+    total[1 : (size + 1) // 2] *= 2.0
+    return np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64), total
+
+
+def _over_velocity(v: Array, e: Array, independent: float) -> tuple[Array, float]:
+    """Return velocity, mean, low and high (4, bins), and the share that goes with them."""
+    edges = np.unique(np.quantile(v, np.linspace(0.0, 1.0, BINS + 1)))
+    if len(edges) < 3:
+        return np.zeros((4, 0)), 0.0
+    index = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
+    rows, between = [], 0.0
+    for k in np.unique(index):
+        part = e[index == k]
+        rows.append((v[index == k].mean(), part.mean(), *np.quantile(part, (0.1, 0.9))))
+        between += len(part) * (rows[-1][1] - e.mean()) ** 2
+    total = float(np.sum((e - e.mean()) ** 2))
+    if total <= 0.0:
+        return np.asarray(rows).T, 0.0
+    chance = (len(rows) - 1) / max(independent - 1.0, 1.0)
+    return np.asarray(rows).T, float(np.clip(between / total - chance, 0.0, 1.0))
+
+
+def _squared_correlation(x: Array, e: Array) -> float:
+    x, e = x - x.mean(), e - e.mean()
+    size = float((x @ x) * (e @ e))
+    return float(x @ e) ** 2 / size if size > 0.0 else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +280,7 @@ def find_causes(
     held = held_back(fit, free)
     states = samples.position, samples.velocity, samples.acceleration
     load = np.abs(robot.inverse_dynamics(bodies, *states))
-    turned = _turned_gravity(robot, bodies, samples)
+    turned, error = _turned_gravity(robot, bodies, samples), samples.effort - fit.effort_predicted
     moving = moving_rows(samples, robot.slides) & samples.used
     shift = samples.position.shape[1] - robot.n
     found = {}
@@ -125,33 +290,25 @@ def find_causes(
         # Without a motor there is no measured effort to explain.
         if np.count_nonzero(kept) < 2 or each.joint in robot.passive:
             continue
-        v, a = samples.velocity[kept, j], samples.acceleration[kept, j]
-        q = samples.position[kept, j + shift]
-        e = (samples.effort - fit.effort_predicted)[kept, j]
-        candidates: list[tuple[float, Kind, float | None]]
-        candidates = list(_of_channel(e, fit.effort_predicted[kept, j], each.independent))
+        explained = partial(_explained, error[kept, j], independent=each.independent)
+        candidates = _of_channel(explained, error[kept, j], fit.effort_predicted[kept, j])
         if fit.moving.r2[j] > 0.0 and each.joint not in held:
-            sign = np.sign(v)[:, None]
+            q, sign = samples.position[kept, j + shift], np.sign(samples.velocity[kept, j])
             shapes: dict[Kind, Array] = {
-                "acceleration": a[:, None],
+                "acceleration": samples.acceleration[kept, j],
                 "gravity": turned[kept, j],
                 "position": np.column_stack([np.sin(q), np.cos(q)]),
             }
-            loaded = load[kept, j, None] * sign
+            loaded = load[kept, j] * sign
             # A load that hardly varies makes the shape of the sign, which is the simpler cause.
-            if _explained(e, loaded, each.independent, beside=sign) > 0.0:
+            if explained(loaded, beside=sign) > 0.0:
                 shapes["load"] = loaded
-            candidates += [
-                (_explained(e, columns, each.independent), kind, None)
-                for kind, columns in shapes.items()
-            ]
+            candidates += [(explained(shape), kind, None) for kind, shape in shapes.items()]
             candidates += _of_velocity(each)
-            candidates += _of_frequency(each, density(samples.acceleration[:, j], samples))
-        if not candidates:
-            continue
-        share, kind, frequency = max(candidates, key=lambda candidate: candidate[0])
+            candidates += _of_frequency(each, _density(samples.acceleration[:, j], samples)[1])
+        share, kind, line = max(candidates, key=lambda each: each[0], default=(0.0, "sign", None))
         if share >= SHARE:
-            found[each.joint] = Cause(joint=each.joint, kind=kind, share=share, frequency=frequency)
+            found[each.joint] = Cause(joint=each.joint, kind=kind, share=share, frequency=line)
     return found
 
 
@@ -175,84 +332,68 @@ def held_back(fit: Validation, free: Validation | None) -> tuple[str, ...]:
     )
 
 
-def _of_channel(
-    e: Array, predicted: Array, independent: float
-) -> Iterator[tuple[float, Kind, None]]:
-    """Yield whether the measured effort is a multiple of the predicted one, and of which sign."""
-    share = _explained(e, predicted[:, None], independent)
+def _of_channel(explained: Callable[..., float], e: Array, predicted: Array) -> list[Candidate]:
+    """Return whether the measured effort is a multiple of the predicted one, and of which sign."""
+    share = explained(predicted)
     if share < _OPPOSITE:
-        return
+        return []
     # Measured are 1 + slope times the predicted efforts.
     slope = float(np.cov(e, predicted)[0, 1] / np.var(predicted, ddof=1))
     if slope < -1.0:
-        yield share, "sign", None
-    elif share >= _PROPORTIONAL:
-        yield share, "scale", None
+        return [(share, "sign", None)]
+    return [(share, "scale", None)] if share >= _PROPORTIONAL else []
 
 
-def _explained(
-    e: Array, columns: Array, independent: float, *, beside: Array | None = None
-) -> float:
-    """Return the share of errors (K,) that columns explain beside a constant, and other columns.
+def _explained(e: Array, shape: Array, *, independent: float, beside: Array | None = None) -> float:
+    """Return the share of errors (K,) that a shape (K, ...) explains beside a constant, and others.
 
     Less what chance gives, and 0 where chance could give it.
     """
-    given = np.ones((len(e), 1)) if beside is None else np.column_stack([np.ones(len(e)), beside])
-    residual = np.column_stack([e, columns])
-    residual = residual - given @ np.linalg.lstsq(given, residual, rcond=None)[0]
-    error, shape = residual[:, 0], residual[:, 1:]
-    size = np.linalg.norm(shape, axis=0)
-    before = np.linalg.norm(columns, axis=0)
+    ones = np.ones(len(e))
+    given = np.column_stack([ones] if beside is None else [ones, beside])
+    columns = np.column_stack([e, shape])
+    residual = columns - given @ np.linalg.lstsq(given, columns, rcond=None)[0]
+    size, before = (np.linalg.norm(each, axis=0) for each in (residual, columns))
     # A shape that the others have already is none of its own.
-    shape = shape[:, size > 1e-6 * np.maximum(before, np.finfo(float).tiny)]
-    total = float(np.sum((e - e.mean()) ** 2))
-    if total <= 0.0 or not shape.shape[1]:
+    own = size > 1e-6 * np.maximum(before, np.finfo(float).tiny)
+    error, own_shape = residual[:, 0], residual[:, 1:][:, own[1:]]
+    total, count = float(np.sum((e - e.mean()) ** 2)), own_shape.shape[1]
+    if total <= 0.0 or not count:
         return 0.0
-    left = error - shape @ np.linalg.lstsq(shape, error, rcond=None)[0]
-    share = float(error @ error - left @ left) / total
-    count = shape.shape[1]
-    chance = count / independent
+    left = error - own_shape @ np.linalg.lstsq(own_shape, error, rcond=None)[0]
+    share, chance = float(error @ error - left @ left) / total, count / independent
     if share < chance + _BEYOND_CHANCE * np.sqrt(2.0 * count) / independent:
         return 0.0
     return float(share - chance)
 
 
-def _of_velocity(errors: JointErrors) -> Iterator[tuple[float, Kind, None]]:
-    """Yield the shape of the dependence on velocity."""
+def _of_velocity(errors: JointErrors) -> list[Candidate]:
+    """Return the shape of the dependence on velocity."""
     if max(errors.with_sign, errors.with_velocity) < _SHAPE * errors.share:
-        yield errors.share, "speed", None
-    elif errors.with_sign >= errors.with_velocity:
-        yield errors.share, "direction", None
-    else:
-        yield errors.share, "velocity", None
+        return [(errors.share, "speed", None)]
+    stronger = errors.with_sign >= errors.with_velocity
+    return [(errors.share, "direction" if stronger else "velocity", None)]
 
 
-def _of_frequency(errors: JointErrors, motion: Array) -> Iterator[tuple[float, Kind, float]]:
-    """Yield the highest peak of the error's spectrum above the motion's frequencies."""
+def _of_frequency(errors: JointErrors, motion: Array) -> list[Candidate]:
+    """Return the highest peak of the error's spectrum above the motion's frequencies."""
     power = errors.error_density**2
-    if not power.sum() > 0.0 or len(motion) != len(power):
-        return
     highest = int(np.searchsorted(np.cumsum(motion), _MOTION * motion.sum()))
     first = _HARMONICS * highest + _SMEARED + 1
-    if first >= len(power):
-        return
+    if not power.sum() > 0.0 or first >= len(power):
+        return []
     peak = first + int(np.argmax(power[first:]))
     band: Mask = np.abs(np.arange(len(power)) - peak) <= _SMEARED
     share = float(power[band].sum() / power.sum())
-    if share >= _PEAK:
-        yield share, "frequency", float(errors.frequency[peak])
+    return [(share, "frequency", float(errors.frequency[peak]))] if share >= _PEAK else []
 
 
 def _turned_gravity(robot: RobotModel, bodies: Array, samples: Samples) -> Array:
     """Return how efforts (K, n, 2) change as gravity turns about two axes across it, per rad."""
-    gravity = robot.gravity
-    size = float(np.linalg.norm(gravity))
-    if not size > 0.0:
-        return np.zeros((*samples.effort.shape, 2))
-    axes = np.linalg.svd(gravity[None] / size)[2][1:]
     still = np.zeros_like(samples.velocity)
-    columns = []
-    for axis in axes:
-        turned = robot.with_gravity(np.cross(axis, gravity))
-        columns.append(turned.inverse_dynamics(bodies, samples.position, still, still))
-    return np.stack(columns, axis=2)
+    turned = [
+        robot.with_gravity(np.cross(axis, robot.gravity))
+        for axis in np.linalg.svd(robot.gravity[None])[2][1:]
+    ]
+    efforts = [each.inverse_dynamics(bodies, samples.position, still, still) for each in turned]
+    return np.stack(efforts, axis=2)

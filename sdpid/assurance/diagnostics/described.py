@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
@@ -81,14 +83,12 @@ def described_dynamics(
 
 def described_friction(robot: RobotModel, samples: Samples) -> Array:
     """Return the efforts (K, n) of the friction and armature in a robot's description."""
-    model = described_dynamics(robot, samples)
-    return predicted_efforts(model, samples, links=False)
+    return predicted_efforts(described_dynamics(robot, samples), samples, links=False)
 
 
 def predicted_efforts(model: RobotDynamics, samples: Samples, *, links: bool = True) -> Array:
     """Return the efforts (K, n) of samples, friction as it stands in filtered efforts."""
-    robot, terms = model.robot, model.terms
-    found = np.zeros(samples.effort.shape)
+    robot, terms, found = model.robot, model.terms, np.zeros(samples.effort.shape)
     if links:
         found = rigid_efforts(robot, model.theta, samples)
     values = model.theta[10 * robot.n_links :]
@@ -99,23 +99,24 @@ def predicted_efforts(model: RobotDynamics, samples: Samples, *, links: bool = T
 def rigid_efforts(robot: RobotModel, bodies: Array, samples: Samples) -> Array:
     """Return the efforts (K, n) of links (the first of `bodies`), without friction."""
     states = samples.position, samples.velocity, samples.acceleration
-    parts = [
-        robot.inverse_dynamics(bodies, *(each[part] for each in states)) for part in _parts(samples)
-    ]
-    return np.concatenate(parts)
+    return _in_parts(
+        samples, lambda part: robot.inverse_dynamics(bodies, *(each[part] for each in states))
+    )
 
 
 def efforts_of_terms(
     robot: RobotModel, terms: FrictionModel, values: Array, samples: Samples, *, first: int
 ) -> Array:
     """Return the efforts (K, joints) of friction terms, as they stand in filtered efforts."""
-    parts = [
-        terms.columns_in(motion_of(robot, samples, part, first=first))[:, terms.first :] @ values
-        for part in _parts(samples)
-    ]
-    return np.concatenate(parts)
+
+    def efforts(part: slice) -> Array:
+        columns = terms.columns_in(motion_of(robot, samples, part, first=first))
+        return np.asarray(columns[:, terms.first :] @ values)
+
+    return _in_parts(samples, efforts)
 
 
-def _parts(samples: Samples) -> list[slice]:
-    count = samples.n_samples
-    return [slice(k, min(k + _CHUNK, count)) for k in range(0, count, _CHUNK)]
+def _in_parts(samples: Samples, efforts: Callable[[slice], Array]) -> Array:
+    """Return efforts (K, ...) that are computed of a piece of the samples at a time."""
+    starts = range(0, samples.n_samples, _CHUNK)
+    return np.concatenate([efforts(slice(k, min(k + _CHUNK, samples.n_samples))) for k in starts])

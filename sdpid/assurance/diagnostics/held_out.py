@@ -15,20 +15,14 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain_dict
-from sdpid.assurance.diagnostics.blocks import (
-    Block,
-    held_out_blocks,
-    in_blocks,
-    own,
-    predicted_by,
-)
+from sdpid.assurance.diagnostics.bands import Folds, held_out_blocks, predicted_by
 from sdpid.assurance.diagnostics.described import described_friction
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import least_squares
+from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.model.model import RobotModel
 
 DESCRIPTION = "description as it is"
 FRICTION_FITTED = "description, friction fitted"
@@ -82,18 +76,12 @@ class HeldOut:
         """Return a row a model: relative residual in motion in %, RMSE in motion of each joint."""
         first, base = self.fit.n_base, self.fit.floating
         of_base = () if base is None else tuple(name for name, _ in base.rows)
-        return Table(
-            ("model", "relative residual, %", *self.fit.joint_names[first:], *of_base),
-            tuple(
-                (
-                    name,
-                    100.0 * each.moving.relative,
-                    *each.moving.rmse[first:].tolist(),
-                    *(() if each.floating is None else (size for _, size in each.floating.rows)),
-                )
-                for name, each in self.every.items()
-            ),
-        )
+        header = ("model", "relative residual, %", *self.fit.joint_names[first:], *of_base)
+        rows = []
+        for name, each in self.every.items():
+            sizes = () if each.floating is None else (size for _, size in each.floating.rows)
+            rows.append((name, 100.0 * each.moving.relative, *each.moving.rmse[first:], *sizes))
+        return Table(header, tuple(rows))
 
     def table(self) -> str:
         """Return `as_table` as aligned text under a title."""
@@ -163,76 +151,54 @@ def hold_out(
         None where there is no other recording and blocks cannot be held out (see
         `held_out_blocks`).
     """
-    problem = estimate.problem
+    problem, robot = estimate.problem, estimate.problem.robot
     ways: dict[str, Callable[[Estimate], Array]] = {}
-    if np.any(problem.robot.prior[:, 0] > 0.0):
-        ways = {DESCRIPTION: _description, FRICTION_FITTED: _friction_fitted}
-    if fresh is None:
-        blocks = held_out_blocks(problem)
-        if not blocks:
+    if np.any(robot.prior[:, 0] > 0.0):
+        ways = {
+            DESCRIPTION: lambda each: problem.base_of(_described(problem)),
+            FRICTION_FITTED: lambda each: problem.base_of(friction_fitted(each)),
+        }
+    if fresh is not None:
+        folds = Folds((estimate,), np.zeros(fresh.n_samples, dtype=np.intp))
+        samples, ways[LEAST_SQUARES] = fresh, lambda _: wls.base
+    else:
+        found, samples = held_out_blocks(problem), problem.samples
+        if found is None:
             return None
-        samples = _counted(problem.samples, blocks)
-        ways |= {LEAST_SQUARES: _least_squares, OURS: own}
-        every = _judged(problem.robot, samples, predicted_by(blocks, problem, ways))
-        fit = every.pop(OURS)
-        return HeldOut(by="blocks", samples=samples, fit=fit, baselines=every, blocks=len(blocks))
-    whole = Block(slices=(slice(None),), estimate=estimate)
-    ways[LEAST_SQUARES] = lambda _: wls.base
-    every = _judged(problem.robot, fresh, predicted_by((whole,), problem, ways, fresh))
-    fit = validate(estimate, fresh) if fit is None else fit
-    return HeldOut(by="recording", samples=fresh, fit=fit, baselines=every)
+        folds = found
+        if not folds.inside.all():
+            # Rows of recordings too short to be cut into blocks do not count.
+            samples = replace(samples, mask=samples.used & folds.inside)
+        ways[LEAST_SQUARES] = lambda each: solve_wls(replace(each.problem, prior=None)).base
+        ways[OURS] = lambda each: each.base
+    predicted = predicted_by(folds, problem, ways, fresh)
+    if DESCRIPTION in predicted:
+        predicted[DESCRIPTION] += described_friction(robot, samples)
+    every = {
+        name: Validation.of_prediction(robot.joint_names, samples, effort, robot=robot)
+        for name, effort in predicted.items()
+    }
+    if fresh is not None:
+        fit = validate(estimate, fresh) if fit is None else fit
+        return HeldOut(by="recording", samples=fresh, fit=fit, baselines=every)
+    fit, count = every.pop(OURS), len(folds.estimates)
+    return HeldOut(by="blocks", samples=samples, fit=fit, baselines=every, blocks=count)
 
 
-def _description(estimate: Estimate) -> Array:
-    """Return the base parameters (b,) of the description's links, without friction."""
-    problem = estimate.problem
+def _described(problem: Problem) -> Array:
+    """Return standard parameters (p,): the description's links, without friction."""
     theta = np.zeros(problem.n_theta)
     theta[: problem.robot.prior.size] = problem.robot.prior.ravel()
-    return problem.base_of(theta)
-
-
-def _friction_fitted(estimate: Estimate) -> Array:
-    """Return the base parameters (b,) of the description's links with friction fitted."""
-    return estimate.problem.base_of(friction_fitted(estimate))
+    return theta
 
 
 def friction_fitted(estimate: Estimate) -> Array:
     """Return standard parameters (p,): the description's links, friction fitted to the rows."""
-    problem = estimate.problem
-    first = problem.robot.prior.size
-    bodies = problem.robot.prior.ravel()
+    theta, squared = _described(estimate.problem), estimate.problem.squared
+    friction = slice(estimate.problem.robot.prior.size, None)
     # Beside the data's rows the prior's of the friction alone, where there is one: terms that the
     # data cannot tell apart are then held to their size.
-    squared = problem.squared
-    own = np.any(squared.matrix[:, first:] != 0.0, axis=1)
-    columns, missing = squared.matrix[own], squared.rhs[own]
-    missing = missing - columns[:, :first] @ bodies
-    friction = least_squares(columns[:, first:], missing)
-    return np.concatenate([bodies, friction])
-
-
-def _least_squares(estimate: Estimate) -> Array:
-    """Return the base parameters (b,) of least squares on a block's training rows."""
-    return solve_wls(replace(estimate.problem, prior=None)).base
-
-
-def _judged(
-    robot: RobotModel, samples: Samples, predicted: dict[str, Array]
-) -> dict[str, Validation]:
-    """Return the errors of predictions; that of the description gets the description's friction."""
-    if DESCRIPTION in predicted:
-        friction = described_friction(robot, samples)
-        predicted = {**predicted, DESCRIPTION: predicted[DESCRIPTION] + friction}
-    return {
-        name: Validation.of_prediction(robot.joint_names, samples, effort, robot=robot)
-        for name, effort in predicted.items()
-    }
-
-
-def _counted(samples: Samples, blocks: tuple[Block, ...]) -> Samples:
-    """Return the samples with no row in use of recordings too short to be cut into blocks."""
-    inside = in_blocks(blocks, samples.n_samples)
-    if inside.all():
-        return samples
-    mask = samples.used
-    return replace(samples, mask=mask & inside[:, None])
+    own = np.any(squared.matrix[:, friction] != 0.0, axis=1)
+    rows, missing = squared.matrix[own], squared.rhs[own]
+    theta[friction] = least_squares(rows[:, friction], missing - rows @ theta)
+    return theta

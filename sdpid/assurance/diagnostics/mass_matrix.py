@@ -171,11 +171,11 @@ def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
     limits, slides = robot.position_limits[robot.n_base :], robot.slides[robot.n_base :]
     if bounds is None:
         ends = np.where(slides, _SLIDE, 0.5 * _TURN)[:, None] * [-1.0, 1.0]
-        box = np.where(np.isfinite(limits).all(axis=1)[:, None], limits, ends)
+        box = np.where(np.all(np.isfinite(limits), axis=1, keepdims=True), limits, ends)
         # Where one position drives several joints with ratios, a turn need not bring all of them
         # back.
-        turns = ~slides & (len(robot.expansion) == robot.n)
-        box[:, 1] = np.where(turns, np.minimum(box[:, 1], box[:, 0] + _TURN), box[:, 1])
+        if len(robot.expansion) == robot.n:
+            box[~slides, 1] = np.minimum(box[~slides, 1], box[~slides, 0] + _TURN)
         return box
     box = np.array(bounds, dtype=np.float64)
     if box.shape != limits.shape or not np.all(np.isfinite(box)) or np.any(box[:, 0] > box[:, 1]):
@@ -273,7 +273,7 @@ def _strongest(problem: Problem, bodies: Array) -> list[Array]:
     # inequality a link instead of a large one, and its optimum is within a factor of two.
     rates = joint_rates(robot).reshape(-1, robot.n_links, 6)
     shared = np.where(np.count_nonzero(np.any(rates != 0.0, axis=2), axis=1) > 1, 2.0, 1.0)
-    inverses: Array = np.linalg.inv(scaling.roots(6))
+    inverses = np.asarray(np.linalg.inv(scaling.roots(6)))
     needs = congruent(inverses, np.einsum("j,jla,jlb->lab", shared, rates, rates))
     needs = needs / np.abs(needs).max()
     # Inertias of the links as functions of the step along the null directions, and of the bound.

@@ -7,6 +7,8 @@ reversals belong to the motion, although a fit may leave them out.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
@@ -27,41 +29,34 @@ def rest_speeds(slides: Mask) -> Array:
 
 def moving_rows(samples: Samples, slides: Mask | None = None) -> Mask:
     """Return the rows (K, n) that count in motion: not at rest, those masked for slowness too."""
-    return _judged(samples, _slow(samples, slides)) & ~resting(samples, slides)
+    return moving_and_resting(samples, slides)[0]
 
 
-def resting_rows(samples: Samples, slides: Mask | None = None) -> Mask:
-    """Return the rows (K, n) that count at rest, those masked for slowness too."""
-    return _judged(samples, _slow(samples, slides)) & resting(samples, slides)
+def moving_and_resting(samples: Samples, slides: Mask | None = None) -> tuple[Mask, Mask]:
+    """Return the rows (K, n) that count in motion, and those that count at rest.
 
-
-def _slow(samples: Samples, slides: Mask | None) -> Mask:
-    """Return which samples (K, n) are slow; without a word on it no joint slides."""
-    limits = rest_speeds(np.zeros(samples.n, dtype=bool) if slides is None else slides)
-    return np.asarray(np.abs(samples.velocity) < limits)
-
-
-def _judged(samples: Samples, all_slow: Mask) -> Mask:
-    """Return the rows in use (K, n), and stretches left out of them that slow motion is in.
-
-    Of a joint without any row in use, whose effort was not measured, there are none. Nor are rows
-    of samples with contacts that are left out: forces that nobody measured may push there at will.
+    Those count that are in use, and stretches left out of them that slow motion is in. Of a joint
+    without any row in use, whose effort was not measured, there are none. Nor are rows of samples
+    with contacts that are left out: forces that nobody measured may push there at will. Without a
+    time nothing is known to rest, and without a word on it no joint slides.
     """
     used = samples.used
-    if samples.contacts is not None:
-        return used
-    found = used.copy()
-    for j in np.flatnonzero(used.any(axis=0) & ~used.all(axis=0)):
-        for part in samples.parts:
-            v = samples.velocity[part, j]
-            slow = all_slow[part, j].copy()
+    limits = rest_speeds(np.zeros(samples.n, dtype=bool) if slides is None else slides)
+    slow = np.abs(samples.velocity) < limits
+    counted, resting = used.copy(), np.zeros(used.shape, dtype=bool)
+    for j, part in product(range(samples.n), samples.parts):
+        if samples.time is not None:
+            time = samples.time[part]
+            for run in _runs(slow[part, j]):
+                resting[part][run, j] = time[run][-1] - time[run][0] > REST_SECONDS
+        if samples.contacts is None and used[:, j].any():
+            near, v = slow[part, j].copy(), samples.velocity[part, j]
             # A reversal between two samples is at both.
             turns = np.flatnonzero(np.sign(v[1:]) != np.sign(v[:-1]))
-            slow[turns] = slow[turns + 1] = True
+            near[turns] = near[turns + 1] = True
             for stretch in _runs(~used[part, j]):
-                if slow[stretch].any():
-                    found[part.start + stretch.start : part.start + stretch.stop, j] = True
-    return found
+                counted[part][stretch, j] = near[stretch].any()
+    return counted & ~resting, counted & resting
 
 
 def _runs(values: Mask) -> list[slice]:
@@ -69,18 +64,3 @@ def _runs(values: Mask) -> list[slice]:
     steps = np.diff(values.astype(np.int8), prepend=0, append=0)
     first, behind = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     return [slice(a, b) for a, b in zip(first.tolist(), behind.tolist(), strict=True)]
-
-
-def resting(samples: Samples, slides: Mask | None = None) -> Mask:
-    """Return which rows (K, n) are of resting joints; none where samples have no time."""
-    found = np.zeros(samples.effort.shape, dtype=bool)
-    if samples.time is None:
-        return found
-    slow = _slow(samples, slides)
-    for part in samples.parts:
-        time = samples.time[part]
-        for j in range(samples.n):
-            for run in _runs(slow[part, j]):
-                own = slice(part.start + run.start, part.start + run.stop)
-                found[own, j] = time[run.stop - 1] - time[run.start] > REST_SECONDS
-    return found

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
-from sdpid._common.tables import Shown, Table, plain_dict
+from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
-from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows
+from sdpid.assurance.diagnostics.rest import moving_and_resting
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import prediction_noise
 from sdpid.estimation.compression.covariance import pooled
@@ -36,6 +35,8 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
+
+Kind = TypeVar("Kind", bound="Errors")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -75,22 +76,42 @@ class Errors(Shown):
 
     @classmethod
     def of(
-        cls,
+        cls: type[Kind],
         names: tuple[str, ...],
         effort: Array,
         predicted: Array,
         mask: Mask,
         n_base: int = 0,
-    ) -> Errors:
+        **more: Any,
+    ) -> Kind:
         """Return how far predicted efforts (K, n) are off on the rows in a mask (K, n)."""
+        # Newtons and newton meters that no motor makes are no joint's errors.
         mask = mask & (np.arange(len(names)) >= n_base)
-        return cls(joint_names=names, n_base=n_base, **_figures(effort, predicted, mask))
+        rows, tiny = mask.sum(axis=0), np.finfo(float).tiny
+        error, effort = (np.where(mask, each, 0.0) for each in (effort - predicted, effort))
+        count = np.maximum(rows, 1)
+        square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
+        spread = power - effort.sum(axis=0) ** 2 / count
+        # An effort that is constant up to rounding has nothing to explain.
+        varies = spread > count * np.finfo(float).eps * power
+        unexplained = np.where(square > 0.0, np.inf, 0.0)
+        # Beside an effort that is all but zero a share may exceed what a number holds.
+        with np.errstate(over="ignore"):
+            np.divide(square, spread, out=unexplained, where=varies)
+        share = np.sqrt(square) / np.sqrt(np.maximum(power, tiny))
+        return cls(
+            joint_names=names,
+            rmse=frozen(np.sqrt(square / count)),
+            nrmse=frozen(np.where((square > 0.0) & (power == 0.0), np.inf, share)),
+            r2=frozen(1.0 - unexplained),
+            relative=float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
+            rows=frozen_view(rows),
+            n_base=n_base,
+            **more,
+        )
 
     def _tables(self) -> Iterator[Table]:
-        yield self._table()
-
-    def _table(self) -> Table:
-        """Return one row a joint."""
+        """Yield one row a joint."""
         columns: dict[str, Sequence[object]] = {
             "joint": self.joint_names,
             "rmse, N.m": self._counted(self.rmse),
@@ -98,28 +119,23 @@ class Errors(Shown):
             "R2": self._counted(self.r2),
             "rows": self.rows.tolist(),
         }
-        return Table.of_columns({name: each[self.n_base :] for name, each in columns.items()})
+        yield Table.of_columns({name: each[self.n_base :] for name, each in columns.items()})
 
     def _counted(self, values: Array) -> list[float | None]:
         """Return one value a joint, None where it has no rows."""
-        return [
-            value if rows else None
-            for value, rows in zip(values.tolist(), self.rows.tolist(), strict=True)
-        ]
+        counted = zip(values.tolist(), self.rows.tolist(), strict=True)
+        return [value if rows else None for value, rows in counted]
 
     def table(self) -> str:
         """Return aligned text, one line a joint."""
-        return self._table().text()
+        return next(self._tables()).text()
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values."""
-        figures = {name: self._counted(getattr(self, name)) for name in ("rmse", "nrmse", "r2")}
-        figures["rows"] = self.rows.tolist()
-        joints = {
-            joint: {name: values[j] for name, values in figures.items()}
-            for j, joint in enumerate(self.joint_names)
-            if j >= self.n_base
-        }
+        figures = [self._counted(each) for each in (self.rmse, self.nrmse, self.r2)]
+        every = list(zip(self.joint_names, *figures, self.rows.tolist(), strict=True))
+        told = ("rmse", "nrmse", "r2", "rows")
+        joints = {name: dict(zip(told, own, strict=True)) for name, *own in every[self.n_base :]}
         return plain_dict({"relative_residual": self.relative, "joints": joints})
 
 
@@ -151,10 +167,6 @@ class BaseErrors:
         force, torque = np.sqrt(square[:3].sum()), np.sqrt(square[3:].sum())
         count = int(np.count_nonzero(whole))
         return cls(force=float(force), torque=float(torque), samples=count)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values."""
-        return {"force": self.force, "torque": self.torque, "samples": self.samples}
 
     @property
     def rows(self) -> tuple[tuple[str, float], ...]:
@@ -212,7 +224,7 @@ class Validation(Errors):
     moving: Errors
     resting: Errors | None = None
     floating: BaseErrors | None = None
-    _band: Callable[[], Array] | None = field(default=None, repr=False)
+    _estimate: Estimate | None = field(default=None, repr=False)
     _samples: Samples | None = field(default=None, repr=False)
 
     @classmethod
@@ -221,35 +233,38 @@ class Validation(Errors):
         names: tuple[str, ...],
         samples: Samples,
         predicted: Array,
-        band: Callable[[], Array] | None = None,
+        estimate: Estimate | None = None,
         *,
         robot: RobotModel | None = None,
     ) -> Validation:
-        """Return the errors of predicted efforts (K, n) of samples.
+        """Return the errors of predicted efforts (K, n) of samples, by an estimate or not.
 
         Without the robot its base is fixed and its joints turn. Of a floating base, samples in
         which it is held do not count.
         """
-        slides = np.zeros(samples.n, dtype=bool) if robot is None else robot.slides
-        n_base = 0 if robot is None else robot.n_base
-        moving, still = moving_rows(samples, slides), resting_rows(samples, slides)
-        free = samples.used if robot is None else samples.used & ~base_held(robot, samples)[:, None]
-        effort, of = samples.effort, functools.partial(Errors.of, names, n_base=n_base)
-        # Newtons and newton meters that no motor makes are no joint's errors.
-        joints = np.arange(samples.n) >= n_base
+        slides, n_base, floating = np.zeros(samples.n, dtype=bool), 0, None
+        effort, used = samples.effort, samples.used
+        if robot is not None:
+            slides, n_base = robot.slides, robot.n_base
+        if robot is not None and n_base:
+            free = used & ~base_held(robot, samples)[:, None]
+            floating = BaseErrors.of(effort, predicted, free)
+        moving, still = moving_and_resting(samples, slides)
         # Joints without motors have no effort to compare with, at rest as in motion.
-        rests = bool(np.any(effort[still & joints]))
-        return cls(
-            joint_names=names,
+        rests = bool(np.any(effort[:, n_base:][still[:, n_base:]]))
+        return cls.of(
+            names,
+            effort,
+            predicted,
+            used,
+            n_base,
             effort_predicted=frozen(predicted),
-            moving=of(effort, predicted, moving),
-            resting=of(effort, predicted, still) if rests else None,
-            floating=BaseErrors.of(effort, predicted, free) if n_base else None,
+            moving=Errors.of(names, effort, predicted, moving, n_base),
+            resting=Errors.of(names, effort, predicted, still, n_base) if rests else None,
+            floating=floating,
             slides=slides,
-            n_base=n_base,
-            _band=band,
+            _estimate=estimate,
             _samples=samples,
-            **_figures(effort, predicted, samples.used & joints),
         )
 
     @property
@@ -257,13 +272,13 @@ class Validation(Errors):
         """The errors that terminal, report and files tell: in motion; all, if nothing moves."""
         return self.moving if self.moving.rows.any() else self
 
-    def _table(self) -> Table:
-        """Return one row a joint, and two for a floating base."""
-        joints, base = super()._table(), self.floating
-        if base is None:
-            return joints
-        more = ((name, size, None, None, base.samples) for name, size in base.rows)
-        return Table(joints.header, (*joints.rows, *more))
+    def _tables(self) -> Iterator[Table]:
+        """Yield one row a joint, and two for a floating base."""
+        (joints,), base = super()._tables(), self.floating
+        rows = joints.rows
+        if base is not None:
+            rows += tuple((name, size, None, None, base.samples) for name, size in base.rows)
+        yield Table(joints.header, rows)
 
     @cached_property
     def effort_band(self) -> Array | None:
@@ -272,7 +287,9 @@ class Validation(Errors):
         See `sdpid.assurance.diagnostics.bands`. None for the prediction of a description, which
         tells nothing of its errors.
         """
-        return None if self._band is None else self._band()
+        if self._estimate is None or self._samples is None:
+            return None
+        return effort_band(self._estimate, self._samples)
 
     def plot(self, *, count: int | None = None, title: str | None = None, axes: Any = None) -> Any:
         """Show measured against predicted effort, joint by joint, with the errors beside.
@@ -306,12 +323,10 @@ class Validation(Errors):
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""
-        return {
-            **super().to_dict(),
-            "moving": self.moving.to_dict(),
-            "resting": None if self.resting is None else self.resting.to_dict(),
-            **({} if self.floating is None else {"floating": self.floating.to_dict()}),
-        }
+        floating = {} if self.floating is None else {"floating": plain(self.floating)}
+        resting = None if self.resting is None else self.resting.to_dict()
+        moving = self.moving.to_dict()
+        return {**super().to_dict(), "moving": moving, "resting": resting, **floating}
 
 
 def validate(
@@ -383,7 +398,7 @@ def validate(
         problem.robot.joint_names,
         samples,
         problem.predict(estimate.base, samples),
-        band=functools.partial(effort_band, estimate, samples),
+        estimate,
         robot=problem.robot,
     )
 
@@ -442,30 +457,3 @@ def _require_joints(samples: Samples, robot: RobotModel) -> None:
             f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
             f"has {robot.n}."
         )
-
-
-def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
-    """Return the figures of `Errors` on the rows in a mask."""
-    rows = mask.sum(axis=0)
-    error = np.where(mask, effort - predicted, 0.0)
-    effort = np.where(mask, effort, 0.0)
-    count = np.maximum(rows, 1)
-    square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
-    spread = power - effort.sum(axis=0) ** 2 / count
-    tiny = np.finfo(float).tiny
-    rooted = np.sqrt(np.maximum(power, tiny))
-    # An effort that is constant up to rounding has nothing to explain.
-    varies = spread > count * np.finfo(float).eps * power
-    unexplained = np.where(square > 0.0, np.inf, 0.0)
-    # Beside an effort that is all but zero a share may exceed what a number holds.
-    with np.errstate(over="ignore"):
-        np.divide(square, spread, out=unexplained, where=varies)
-    return {
-        "rmse": frozen(np.sqrt(square / count)),
-        "nrmse": frozen(
-            np.where((square > 0.0) & (power == 0.0), np.inf, np.sqrt(square) / rooted)
-        ),
-        "r2": frozen(1.0 - unexplained),
-        "relative": float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
-        "rows": frozen_view(rows),
-    }

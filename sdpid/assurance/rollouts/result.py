@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES
-from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
+from sdpid.assurance.diagnostics.light_joints import LightJoint
 
 # What takes the place of the joints that are free.
 CLOSED_LOOP = "closed loop"

@@ -20,7 +20,7 @@ from sdpid.assurance.diagnostics.held_out import (
     OURS,
     friction_fitted,
 )
-from sdpid.assurance.diagnostics.motion.light_joints import LightJoint, light_joints
+from sdpid.assurance.diagnostics.light_joints import LightJoint, light_joints
 from sdpid.assurance.diagnostics.validation import validate_dynamics
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate

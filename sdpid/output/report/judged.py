@@ -9,9 +9,8 @@ from typing import Any
 
 from sdpid._common.kept import kept
 from sdpid.assurance.certificate.certificate import Certificate
-from sdpid.assurance.diagnostics.causes import Cause, find_causes
+from sdpid.assurance.diagnostics.causes import Cause, JointErrors, find_causes, joint_errors
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut, Remedy
-from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.recipe.recipe import Recipe

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.active_constraints import cost_of_constraints
-from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back
+from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back, joint_errors
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
-from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError

@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.active_constraints import ConstraintState, constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
-from sdpid.assurance.diagnostics.motion.light_joints import light_joints
+from sdpid.assurance.diagnostics.light_joints import light_joints
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.estimation.compression.rows import RowSource

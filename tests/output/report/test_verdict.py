@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.diagnostics.causes import joint_errors
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, HeldOut, hold_out
-from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed, MirrorPair
 from sdpid.errors import DataError, SdpidError

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.bands import effort_band
-from sdpid.assurance.diagnostics.residuals import JointErrors
+from sdpid.assurance.diagnostics.causes import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.delta_method import joint_curves
 from sdpid.errors import SdpidError

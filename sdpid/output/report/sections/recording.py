@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Mask
-from sdpid.assurance.diagnostics.residuals import period
+from sdpid.assurance.diagnostics.causes import period
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.judged import Judged

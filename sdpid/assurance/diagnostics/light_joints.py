@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown
 from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.experiment.processing.samples import Samples
@@ -94,30 +93,23 @@ class LightJoint(Shown):
         """What bounds it."""
         faster = self.error / max(self.inertia * self.acceleration, np.finfo(float).tiny)
         rotor = "" if self.rotor else ", or the rotor's inertia in the model, where a drive has one"
-        first = (
-            ""
-            if self.damping > 0.0
-            else "fit its friction first, for the model has no viscous friction there; then "
-        )
+        first = ""
         run = (
             f"a run that accelerates it {faster:.2g} times as hard, so that its inertia takes as "
             "much effort as is off"
-            if faster <= _HARDER
-            else f"no faster run, for the effort that is off is {faster:.0f} times what its "
-            f"inertia takes (limit {_HARDER:g})"
         )
+        if self.damping <= 0.0:
+            first = "fit its friction first, for the model has no viscous friction there; then "
+        if faster > _HARDER:
+            run = (
+                f"no faster run, for the effort that is off is {faster:.0f} times what its "
+                f"inertia takes (limit {_HARDER:g})"
+            )
         return (
             f"what bounds {self.joint}: {first}a prior that holds its inertia nearer to the "
             f"description, where that is right (Prior(strength=100)){rotor}; {run}; or a longer "
             "run, where its friction is what is off"
         )
-
-
-def own_inertias(model: RobotDynamics, samples: Samples) -> Array:
-    """Return the median of M_jj along the samples, (n,), rotor inertias included."""
-    picked = np.linspace(0, samples.n_samples - 1, min(_POSITIONS, samples.n_samples)).astype(int)
-    masses = model.mass_matrix(samples.position[picked])
-    return np.asarray(np.median(np.diagonal(masses, axis1=1, axis2=2), axis=0))
 
 
 def light_joints(
@@ -139,13 +131,13 @@ def light_joints(
     robot = model.robot
     if robot.free_flyer:
         return ()
-    inertias = own_inertias(model, samples)
+    picked = np.linspace(0, samples.n_samples - 1, min(_POSITIONS, samples.n_samples)).astype(int)
+    masses = model.mass_matrix(samples.position[picked])
+    inertias = np.median(np.diagonal(masses, axis1=1, axis2=2), axis=0)
     rates = samples.velocity, samples.acceleration
     v, a = (np.sqrt(np.mean(np.square(each), axis=0)) for each in rates)
-    ends = np.stack([(1.0 - _SLOPE) * v, (1.0 + _SLOPE) * v])
-    change = np.diff(model.friction(ends), axis=0)[0]
+    change = np.diff(model.friction(np.stack([(1.0 - _SLOPE) * v, (1.0 + _SLOPE) * v])), axis=0)[0]
     damping = np.divide(change, 2.0 * _SLOPE * v, out=np.zeros_like(v), where=v > 0.0)
-    rotors = np.diagonal(model.drive_inertia) > 0.0
     found = [
         LightJoint(
             joint=name,
@@ -154,7 +146,7 @@ def light_joints(
             error=float(errors.rmse[j]),
             velocity=float(v[j]),
             acceleration=float(a[j]),
-            rotor=bool(rotors[j]),
+            rotor=bool(model.drive_inertia[j, j] > 0.0),
         )
         for j, name in enumerate(robot.joint_names)
         if errors.rows[j] and v[j] > 0.0 and a[j] > 0.0

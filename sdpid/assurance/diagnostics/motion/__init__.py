@@ -1,1 +1,0 @@
-"""What an estimate means for simulated motion."""
