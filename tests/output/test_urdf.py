@@ -39,10 +39,9 @@ from sdpid.friction import (
     Tilt,
     Viscous,
 )
-from sdpid.output.robots.export_report import Errors, ExportReport, Written, urdf_errors
+from sdpid.output.robots.export_report import Errors, ExportReport, file_errors, urdf_errors
 from sdpid.output.robots.friction_files import cpp, friction_data, python, write_friction
-from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
-from sdpid.output.robots.places import Kind
+from sdpid.output.robots.joint_friction import Kind, LeftOut, joint_attributes
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.consistent import raise_eigenvalues
@@ -1006,6 +1005,6 @@ def test_forces_of_contacts_are_no_friction() -> None:
     numbers = [found.values[joint] for joint in made.robot.joint_names[6:]]
     written = [np.r_[np.zeros(6), [each[key] for each in numbers]] for key in URDF.values()]
     attributes = written[0], written[1], np.zeros(18)
-    errors = Written(estimate, attributes, problem.robot).errors()
+    errors = file_errors(estimate, None, robot=problem.robot, attributes=attributes)
     assert errors.estimate < 0.01
     assert errors.file < 0.05

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
-from sdpid.output.robots.places import Kind
+from sdpid.output.robots.joint_friction import Kind, LeftOut, joint_attributes
 from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.model.model import RobotModel
 
@@ -58,6 +57,10 @@ class Errors:
         if self.file <= max(_LOST * self.estimate, _NEGLIGIBLE):
             return ""
         return f": more than {_LOST:g} times as much, predict efforts with estimate.model() instead"
+
+
+# The errors of a file on samples, or on those of its problem.
+FileErrors = Callable[[Samples | None], Errors | None]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -112,30 +115,33 @@ class ExportReport(Shown):
     notes: tuple[str, ...] = ()
     training: Errors | None = None
     validation: Errors | None = None
-    _written: Written | None = field(default=None, repr=False)
+    _errors: FileErrors | None = field(default=None, repr=False)
 
     _facts = ("path.name", "kind", "links_changed", "left_out")
+    _told: ClassVar = (
+        *("training", "validation", "left_out", "friction_fitted", "lumped"),
+        *("triangle_violations", "notes"),
+    )
 
     def _tables(self) -> Iterator[Table]:
         yield Table(("report",), tuple((line,) for line in self.describe().splitlines()))
 
     def with_validation(self, samples: Samples) -> ExportReport:
         """Return the report with the errors on other samples."""
-        assert self._written is not None
-        return replace(self, validation=self._written.errors(samples))
+        assert self._errors is not None
+        return replace(self, validation=self._errors(samples))
 
     def describe(self) -> str:
         """Return the report in words, one statement a line."""
         lines = [f"{self.path}: wrote the inertia of {len(self.links_changed)} links"]
         if self.joints_changed:
             lines[0] += f" and the friction of {len(self.joints_changed)} joints"
-        if self.training is not None and self.training.differ:
-            lines.append(f"misses the recorded efforts by {self.training}{self.training.warning}")
-        if self.validation is not None and self.validation.differ:
-            lines.append(
-                f"misses the efforts of the validation recording by {self.validation}"
-                f"{self.validation.warning}"
-            )
+        for rows, errors in (
+            ("recorded efforts", self.training),
+            ("efforts of the validation recording", self.validation),
+        ):
+            if errors is not None and errors.differ:
+                lines.append(f"misses the {rows} by {errors}{errors.warning}")
         lines += [f"no place in {self.kind}: {lost}" for lost in self.left_out]
         if self.lumped:
             lines.append(
@@ -151,64 +157,55 @@ class ExportReport(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        content = {
+        return {
             "file": self.path.name,
-            "training": None if self.training is None else asdict(self.training),
-            "validation": None if self.validation is None else asdict(self.validation),
-            "left_out": [asdict(lost) for lost in self.left_out],
-            "friction_fitted": self.friction_fitted,
-            "lumped": list(self.lumped),
-            "triangle_violations": list(self.triangle_violations),
-            "notes": list(self.notes),
+            **plain_dict({key: getattr(self, key) for key in self._told}),
         }
-        return plain_dict(content)
 
 
-@dataclass(frozen=True, eq=False)
-class Written:
-    """The estimate, and the numbers of the file that was written from it.
+def file_errors(
+    estimate: Estimate,
+    samples: Samples | None,
+    *,
+    robot: RobotModel,
+    attributes: tuple[Array, Array, Array],
+    couplings: Couplings = (),
+    offsets: Array | None = None,
+) -> Errors | None:
+    """Return the errors of a file that was written from an estimate, given the numbers in it.
 
-    Attributes
+    Parameters
     ----------
     estimate : Estimate
         What was written.
-    attributes : tuple of ndarray, shape (n,) each
-        Dry friction, damping and armature of the robot's coordinates, read back from the file.
+    samples : Samples or None
+        Where efforts are predicted; None for the problem's own, if there are any.
     robot : RobotModel
         Under gravity as a reader of the file has it.
+    attributes : tuple of ndarray, shape (n,) each
+        Dry friction, damping and armature of the robot's coordinates, read back from the file.
     couplings : tuple
         Of two joints each, what tendons do crosswise, read back from the file.
     offsets : ndarray, shape (joints,), or None
         Constant efforts.
     """
-
-    estimate: Estimate
-    attributes: tuple[Array, Array, Array]
-    robot: RobotModel
-    couplings: Couplings = ()
-    offsets: Array | None = None
-
-    def errors(self, samples: Samples | None = None) -> Errors | None:
-        """Return errors on samples, by default on the problem's own, if there are any."""
-        problem, theta = self.estimate.problem, self.estimate.theta
-        assert theta is not None
-        if samples is None:
-            if problem.rows is None:
-                return None
-            samples = problem.samples
-        bodies = theta[: 10 * problem.robot.n_links]
-        model = described_dynamics(
-            self.robot,
-            samples,
-            bodies=bodies,
-            attributes=self.attributes,
-            couplings=self.couplings,
-            offsets=self.offsets,
-        )
-        return Errors(
-            validate_dynamics(model, samples, problem).told.relative,
-            validate(self.estimate, samples).told.relative,
-        )
+    problem, theta = estimate.problem, estimate.theta
+    assert theta is not None
+    if samples is None and problem.rows is None:
+        return None
+    samples = problem.samples if samples is None else samples
+    model = described_dynamics(
+        robot,
+        samples,
+        bodies=problem.feasible.bodies(theta),
+        attributes=attributes,
+        couplings=couplings,
+        offsets=offsets,
+    )
+    return Errors(
+        validate_dynamics(model, samples, problem).told.relative,
+        validate(estimate, samples).told.relative,
+    )
 
 
 # The attributes that a URDF has for friction.
@@ -244,4 +241,5 @@ def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> Errors | 
         dry[j] = values.get(PLACES[Coulomb], dry[j])
         damping[j] = values.get(PLACES[Viscous], damping[j])
     seen = robot.with_gravity(estimate.model().tilted_gravity)
-    return Written(estimate, (dry, damping, np.zeros(robot.n)), seen).errors(samples)
+    attributes = dry, damping, np.zeros(robot.n)
+    return file_errors(estimate, samples, robot=seen, attributes=attributes)

@@ -3,30 +3,61 @@
 A file has room for dry friction, damping and, in MJCF, armature. Identified terms that are no more
 than that are written as they are. Else those attributes are written that fit the recorded efforts
 best with the identified links held.
+
+The length of a fixed tendon of MuJoCo is q_i + s·q_j with s = ±1. Its armature A adds A to the
+diagonal of the mass matrix at both joints and s·A crosswise, its damping likewise; its dry friction
+acts with the sign of v_i + s·v_j. So a `Coupling` is tendons, less what they add to the joints
+themselves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.described import described_coulomb, efforts_of_terms, rigid_efforts
+from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
-from sdpid.output.robots.places import Kind, Part, Places, Tendon
+from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
+from sdpid.robot.friction.posed import Tilt
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
+from sdpid.robot.friction.terms import (
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+)
+from sdpid.robot.model.dynamics import RobotDynamics
+
+Kind = type[JointwiseTerm]
+
+# Functions of speed that dry friction and damping stand in for.
+_CURVES = (SigmoidFriction, SquareRootFriction, Stribeck, AsymmetricCoulomb)
+
+# What attributes are called in notes, whatever the format calls them.
+_WORDS: dict[Kind, str] = {Coulomb: "dry friction", Viscous: "damping", RotorInertia: "armature"}
+
+# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
+_FRICTION_ZERO = 1e-9
+
+# Speeds, rad/s or m/s, up to which a curve is fitted where no recording says otherwise.
+_NOMINAL = 1.0
 
 # A joint that was never faster than this, rad/s or m/s, shows friction only within the width of its
 # smooth sign: damping fitted there could be anything.
 _SLOW = 10.0 * SMOOTH
-
-# What attributes are called in notes, whatever the format calls them.
-_WORDS: dict[Kind, str] = {Coulomb: "dry friction", Viscous: "damping", RotorInertia: "armature"}
 
 # In place of efforts that are all zero, N·m.
 _TINY = 1e-300
@@ -81,7 +112,7 @@ class JointAttributes:
         How the numbers differ from the identified ones.
     fitted : bool
         Whether they are not the identified numbers.
-    tendons : tuple of Tendon
+    tendons : tuple of MjcfTendon
         Drives of two joints.
     offsets : dict
         Constant efforts by joint name.
@@ -91,7 +122,7 @@ class JointAttributes:
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     fitted: bool = False
-    tendons: tuple[Tendon, ...] = ()
+    tendons: tuple[MjcfTendon, ...] = ()
     offsets: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -132,37 +163,195 @@ def joint_attributes(
         When an identified number that is to be written is negative.
     """
     places = Places(problem, theta, attributes, tendons=tendons, offsets=offsets)
-    found = _attributes(problem, theta, places, what)
-    values = [part.values.tolist() for part in places.offsets]
-    return replace(found, offsets=dict(zip(places.joints, *values, strict=True)) if values else {})
-
-
-def _attributes(problem: Problem, theta: Array, places: Places, what: str) -> JointAttributes:
-    """Return what is written of friction: as identified, or else as it fits the rows."""
-    values, coupled = places.at_nominal_speeds(), places.tendons
-    if not places.curves and not places.lost and places.holds_tendons:
+    values = places.at_nominal_speeds()
+    notes: tuple[str, ...] = ()
+    left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.lost]
+    exact = not places.curves and not places.lost and places.holds_tendons
+    if exact or problem.rows is None:
         places.require_nonnegative(what)
-        # What a joint has beside a tendon is not its parameter.
-        return JointAttributes(places.by_joint(values), fitted=bool(coupled), tendons=coupled)
-    if problem.rows is None:
-        places.require_nonnegative(what)
-        left_out = tuple(LeftOut(type(part.term).__name__, part.names) for part in places.lost)
-        return JointAttributes(places.by_joint(values), left_out, fitted=True, tendons=coupled)
-    rows = Rows(problem, theta, places)
-    for j in np.flatnonzero(rows.shown) if places.kinds else ():
-        for kind, value in zip(places.kinds, rows.fitted(int(j)), strict=True):
-            values[kind][j] = value
+    else:
+        rows = Rows(problem, theta, places)
+        for j in np.flatnonzero(rows.shown) if places.kinds else ():
+            system = rows.system(int(j))
+            fit = nonnegative_fit(system.columns, system.target)
+            for kind, value in zip(places.kinds, fit, strict=True):
+                values[kind][j] = value
+        left_out = list(map(rows.left_out, places.lost, rows.lost))
+        notes = (rows.note(values),) if places.kinds else ()
     return JointAttributes(
-        places.by_joint(values),
-        tuple(rows.left_out(part, lost) for part, lost in zip(places.lost, rows.lost, strict=True)),
-        (rows.note(values),) if places.kinds else (),
-        fitted=True,
-        tendons=coupled,
+        {
+            joint: {attributes[kind]: float(numbers[j]) for kind, numbers in values.items()}
+            for j, joint in enumerate(places.joints if values else ())
+        },
+        tuple(left_out),
+        notes,
+        # What a joint has beside a tendon is not its parameter.
+        fitted=not exact or bool(places.tendons),
+        tendons=places.tendons,
+        offsets={
+            joint: float(value)
+            for part in places.offsets
+            for joint, value in zip(places.joints, part.values, strict=True)
+        },
     )
 
 
-@dataclass(frozen=True, eq=False)
-class System:
+class Part(NamedTuple):
+    """A term, the names of its parameters, and their values."""
+
+    term: FrictionTerm
+    names: tuple[str, ...]
+    values: Array
+
+
+class Places:
+    """The terms of a problem by what a file can hold of them.
+
+    Attributes
+    ----------
+    exact : dict of term to ndarray, shape (n,)
+        Terms that have an attribute, and their values, negative ones as zero.
+    curves : list of Part
+        Functions of speed that dry friction and damping stand in for.
+    lost : list of Part
+        Terms for which there is no place.
+    coupled, tendons : list of Part, tuple of MjcfTendon
+        Drives of two joints that become tendons, and these.
+    added : dict of term to ndarray, shape (n,)
+        Armature and damping that tendons add at the joints themselves.
+    holds_tendons : bool
+        Whether the joints have all of that.
+    offsets : list of Part
+        Constant efforts that are written.
+    kinds : list
+        The terms whose attributes are written.
+    robot : RobotModel
+        The robot, under gravity as a tilt of the base turns it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Terms and samples.
+    theta : ndarray, shape (p,)
+        Standard parameters.
+    attributes : mapping
+        The attribute for the parameter of a term, with Coulomb and Viscous among them.
+    tendons, offsets : bool, optional
+        Whether drives of two joints and constant efforts have a place.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        theta: Array,
+        attributes: Mapping[Kind, str],
+        *,
+        tendons: bool = False,
+        offsets: bool = False,
+    ) -> None:
+        model = RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
+        # Every file has room for the direction of gravity.
+        self.robot = problem.robot.with_gravity(model.tilted_gravity)
+        self.joints = problem.friction.joint_names
+        self.exact: dict[Kind, Array] = {}
+        self._held, self.curves, self.lost, self.coupled, self.offsets = (
+            list[Part]() for _ in range(5)
+        )
+        for term, own in problem.friction.placed:
+            names = tuple(p.name for p in problem.friction.parameters[own])
+            part = Part(term, names, theta[10 * problem.robot.n_links :][own])
+            if isinstance(term, _CURVES) or (isinstance(term, Coulomb) and not _sharp(term)):
+                self.curves.append(part)
+            elif isinstance(term, JointwiseTerm) and type(term) in attributes:
+                self._held.append(part)
+                self.exact[type(term)] = np.maximum(part.values, 0.0)
+            elif isinstance(term, Coupling) and tendons:
+                self.coupled.append(part)
+            elif isinstance(term, Offset) and offsets:
+                self.offsets.append(part)
+            elif type(term) is not Tilt:
+                self.lost.append(part)
+        self.tendons = tuple(each for part in self.coupled for each in _tendons(part, self.joints))
+        armature, damping = added(self.tendons, self.joints)
+        if np.any(armature > self.exact.get(RotorInertia, 0.0)):
+            # Tendons that add more armature than the joints have: what is left is none.
+            self.lost, self.coupled, self.tendons = self.coupled + self.lost, [], ()
+            armature, damping = added((), self.joints)
+        self.added: dict[Kind, Array] = {RotorInertia: armature, Viscous: damping}
+        self.holds_tendons = all(
+            bool(np.all(more <= self.exact.get(kind, 0.0))) for kind, more in self.added.items()
+        )
+        stand_in = {Coulomb, Viscous} if self.curves or self.coupled else set()
+        self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
+
+    def require_nonnegative(self, what: str) -> None:
+        """Refuse identified values that have an attribute and are negative.
+
+        Raises
+        ------
+        ExportError
+            With the parameter, its joint and its value.
+        """
+        for part in self._held:
+            parameters = part.term.parameters(self.joints)
+            for joint, parameter, value in zip(self.joints, parameters, part.values, strict=True):
+                if value < -_FRICTION_ZERO:
+                    raise ExportError(
+                        f"{what}: {parameter.name} of joint '{joint}' is {value:.3g} "
+                        f"{parameter.unit}, the least is 0; solve with "
+                        "Constraints(friction_nonnegative=True)."
+                    )
+
+    def at_nominal_speeds(self) -> dict[Kind, Array]:
+        """Return values (n,) for the attributes, without a look at recorded efforts.
+
+        Curves become the dry friction and damping, none negative, that fit them best at speeds up
+        to a nominal one. What tendons add at the joints is taken off, down to zero.
+        """
+        from scipy.optimize import nnls
+
+        found = {kind: np.zeros(len(self.joints)) for kind in self.kinds} | self.exact
+        if self.curves:
+            speeds = np.linspace(-_NOMINAL, _NOMINAL, 101)
+            v = np.tile(speeds[:, None], (1, len(self.joints)))
+            effort = np.zeros_like(v)
+            for part in self.curves:
+                effort += part.term.columns(v, np.zeros_like(v), self.joints) @ part.values
+            columns = np.column_stack([np.sign(speeds), speeds])
+            fits = np.array([nnls(columns, each)[0] for each in effort.T])
+            found[Coulomb] = found[Coulomb] + fits[:, 0]
+            found[Viscous] = found[Viscous] + fits[:, 1]
+        return {kind: np.maximum(x - self.added.get(kind, 0.0), 0.0) for kind, x in found.items()}
+
+
+def _sharp(term: Coulomb) -> bool:
+    """Return whether Coulomb friction is as sharp as that of a description."""
+    widths = np.atleast_1d(np.asarray(term.width, dtype=np.float64))
+    return term.dead_zone == 0.0 and bool(np.all(widths <= SMOOTH))
+
+
+def _tendons(part: Part, joints: Sequence[str]) -> Iterator[MjcfTendon]:
+    """Yield the tendons of a drive: one, or two where inertia and damping differ in sign."""
+    assert isinstance(part.term, Coupling)
+    inertia, viscous, coulomb = part.values.tolist()
+    for sign, dry in ((1.0, max(coulomb, 0.0)), (-1.0, 0.0)):
+        values = max(sign * inertia, 0.0), max(sign * viscous, 0.0), dry
+        if any(values):
+            yield MjcfTendon((part.term.first, part.term.second), (1.0, sign), *values)
+
+
+def added(tendons: Iterable[MjcfTendon], joint_names: Sequence[str]) -> tuple[Array, Array]:
+    """Return armature and damping (joints,) that tendons add at the joints themselves."""
+    armature, damping = np.zeros((2, len(joint_names)))
+    for each in tendons:
+        for joint, factor in zip(each.joints, each.factors, strict=True):
+            if joint in joint_names:
+                armature[joint_names.index(joint)] += factor**2 * each.armature
+                damping[joint_names.index(joint)] += factor**2 * each.damping
+    return armature, damping
+
+
+class System(NamedTuple):
     """Weighted equations of a joint's attributes: ``columns @ values = target``.
 
     Attributes
@@ -197,58 +386,54 @@ class Rows:
 
     def __init__(self, problem: Problem, theta: Array, places: Places) -> None:
         self.problem, self.places = problem, places
-        samples, first = problem.samples, problem.friction.first
-        motion = motion_of(problem.robot, samples, slice(0, samples.n_samples), first=first)
-        sharp = described_coulomb(samples)
-        terms = [sharp if kind is Coulomb else kind() for kind in places.kinds]
-        self.shapes = [term.shape_in(motion) for term in terms]
+        samples, self._first = problem.samples, problem.friction.first
+        motion = motion_of(problem.robot, samples, slice(0, samples.n_samples), first=self._first)
+        terms = [described_coulomb(samples) if k is Coulomb else k() for k in places.kinds]
+        self._shapes = dict(zip(places.kinds, (t.shape_in(motion) for t in terms), strict=True))
         self.used = np.ones(motion.velocity.shape, dtype=bool)
         if samples.mask is not None:
-            self.used = np.array(samples.mask[:, first:])
+            self.used = np.array(samples.mask[:, self._first :])
         speed = np.where(self.used, np.abs(motion.velocity), 0.0)
         self.shown = speed.max(axis=0) > _SLOW
-        self.effort = samples.effort[:, first:]
-        self.friction = self._measured_friction(theta)
-        self.lost = [self.of_part(part) for part in places.lost]
-        # Of tendons: what they add at the joints themselves, and all.
-        more = zip(places.kinds, self.shapes, strict=True)
-        self.added = sum(
-            (shape * places.added()[kind] for kind, shape in more if kind in places.added()),
-            np.zeros_like(self.effort),
-        )
-        held = (*places.coupled, *places.offsets)
-        self.held = sum((self.of_part(part) for part in held), self.added)
+        self._effort = samples.effort[:, self._first :]
+        self.lost = [self._of_part(part) for part in places.lost]
+        # What tendons add at the joints themselves, and all that has a place of its own.
+        self._added = self._of_attributes(places.added)
+        self._held = sum(map(self._of_part, (*places.coupled, *places.offsets)), self._added)
+        self._friction = self._measured_friction(theta)
 
     def _measured_friction(self, theta: Array) -> Array:
         """Return what the efforts have beside those of the links, and of contacts."""
-        problem, samples, first = self.problem, self.problem.samples, self.problem.friction.first
+        problem, samples, first = self.problem, self.problem.samples, self._first
         if samples.contacts is None:
-            return self.effort - rigid_efforts(self.places.robot, theta, samples)[:, first:]
+            return self._effort - rigid_efforts(self.places.robot, theta, samples)[:, first:]
         # Forces are those that suit the estimate best: what is left is its friction and errors.
         error = samples.effort - problem.predict(problem.base_of(theta))
         values = theta[10 * problem.robot.n_links :]
         own = efforts_of_terms(problem.robot, problem.friction, values, samples, first=first)
         return error[:, first:] + own
 
-    def of_part(self, part: Part) -> Array:
+    def _of_part(self, part: Part) -> Array:
         """Return the efforts of an identified term."""
         own = self.problem.friction
         terms = FrictionModel.from_terms((part.term,), own.joint_names)
         samples, robot = self.problem.samples, self.problem.robot
         return efforts_of_terms(robot, terms, part.values, samples, first=own.first)
 
-    def fitted(self, j: int) -> Array:
-        """Return the values of a joint's attributes that fit its friction best, none negative."""
-        system = self.system(j)
-        return nonnegative_fit(system.columns, system.target)
+    def _of_attributes(self, values: Mapping[Kind, Array]) -> Array:
+        """Return the efforts of values (n,) of the attributes that are written."""
+        return sum(
+            (shape * values.get(kind, 0.0) for kind, shape in self._shapes.items()),
+            np.zeros_like(self._effort),
+        )
 
     def system(self, j: int) -> System:
         """Return the weighted equations of a joint's attributes."""
         used = self.used[:, j]
         variance = np.diagonal(self.problem.sigma, axis1=-2, axis2=-1)[..., self._first + j]
         weight = 1.0 / np.sqrt(np.broadcast_to(variance, used.shape)[used])
-        columns = np.column_stack([shape[used, j] * weight for shape in self.shapes])
-        target = (self.friction - self.held)[used, j] * weight
+        columns = np.column_stack([x[used, j] * weight for x in self._shapes.values()])
+        target = (self._friction - self._held)[used, j] * weight
         taken_out = []
         for lost in self.lost:
             effort = lost[used, j] * weight
@@ -260,36 +445,28 @@ class Rows:
             taken_out.append(share)
         return System(columns, target, weight, tuple(taken_out))
 
-    @property
-    def _first(self) -> int:
-        return self.problem.friction.first
-
     def left_out(self, part: Part, efforts: Array) -> LeftOut:
         """Return a term without a place, with the size of its efforts."""
-        rms, worst = self._rms(efforts)
-        total = float(np.linalg.norm(self.effort[self.used]))
+        rms, joint = self._largest(efforts)
+        total = float(np.linalg.norm(self._effort[self.used]))
         share = float(np.linalg.norm(efforts[self.used])) / max(total, _TINY)
-        joint = self.places.joints[worst]
         return LeftOut(type(part.term).__name__, part.names, share, rms, joint)
 
     def note(self, values: Mapping[Kind, Array]) -> str:
         """Return how far the friction of the attributes is from the identified one."""
-        places, shapes = self.places, zip(self.places.kinds, self.shapes, strict=True)
-        difference = np.array(self.added)
-        for kind, shape in shapes:
-            difference += shape * (values[kind] - places.exact.get(kind, 0.0))
-        for part in places.curves:
-            difference -= self.of_part(part)
-        rms, worst = self._rms(difference)
-        names = " and ".join(_WORDS[kind] for kind in places.kinds)
+        exact = self.places.exact
+        changes = {kind: value - exact.get(kind, 0.0) for kind, value in values.items()}
+        difference = self._added + self._of_attributes(changes)
+        rms, joint = self._largest(difference - sum(map(self._of_part, self.places.curves)))
+        names = " and ".join(_WORDS[kind] for kind in self.places.kinds)
         return (
             f"{names} fitted to the recordings with the identified links held: within {rms:.2g} "
-            f"N·m rms of the identified friction (joint '{places.joints[worst]}')"
+            f"N·m rms of the identified friction (joint '{joint}')"
         )
 
-    def _rms(self, efforts: Array) -> tuple[float, int]:
+    def _largest(self, efforts: Array) -> tuple[float, str]:
         """Return the largest rms effort of a joint on the rows, and that joint."""
         squares = np.sum(np.where(self.used, efforts, 0.0) ** 2, axis=0)
         rms = np.sqrt(squares / np.maximum(self.used.sum(axis=0), 1))
         worst = int(np.argmax(rms))
-        return float(rms[worst]), worst
+        return float(rms[worst]), self.places.joints[worst]

@@ -6,15 +6,16 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.errors import ExportError
 from sdpid.experiment.plant.mujoco_model import joint_axis
-from sdpid.output.robots.written_bodies import FixedChild, UrdfTree, possible, possible_body
+from sdpid.output.robots.urdf import Urdf
+from sdpid.output.robots.written_bodies import possible, possible_body
 from sdpid.robot.description.inertials import Inertial, rounded, tensor
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
@@ -24,37 +25,27 @@ from sdpid.robot.model.model import RobotModel
 _ALONG = 0.1
 
 
-def quoted(text: str) -> str:
-    """Return text as an attribute with its quotes."""
-    from xml.sax.saxutils import quoteattr
-
-    return quoteattr(text)
-
-
-def _body(link: str) -> str:
-    """Return the name of a link's body as an attribute; MuJoCo keeps ``world`` for itself."""
-    return quoted("world_link" if link == "world" else link)
-
-
-def inertial_markup(body: Inertial) -> str:
-    """Return the <inertial> of a body.
+def inertial_values(body: Inertial) -> dict[str, str]:
+    """Return the attributes of the <inertial> of a body.
 
     Principal moments and their axes rather than ``fullinertia``: releases of MuJoCo differ in how
     exactly they take a full tensor apart.
     """
     if not body.mass:
-        return '<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
+        return {"pos": "0 0 0", "mass": "0", "diaginertia": "0 0 0"}
     moments, axes = np.linalg.eigh(np.array(tensor(body.moments), dtype=np.float64))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     # Readers would refuse a body that misses the triangle inequality by a rounding.
     moments[2] = min(moments[2], moments[0] + moments[1])
-    return (
-        f'<inertial pos="{numbers(body.com)}" quat="{numbers(quaternion_of(axes))}" '
-        f'mass="{numbers(body.mass)}" diaginertia="{numbers(moments)}"/>'
-    )
+    return {
+        "pos": numbers(body.com),
+        "quat": numbers(quaternion_of(axes)),
+        "mass": numbers(body.mass),
+        "diaginertia": numbers(moments),
+    }
 
 
-def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[str, ...]]:
+def mjcf_skeleton(robot: RobotModel, urdf: Urdf | None) -> tuple[str, tuple[str, ...]]:
     """Return the MJCF of a robot's kinematics, without shapes.
 
     Links fixed to moving ones are bodies with the description's own inertials. Moving bodies have
@@ -65,125 +56,117 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
     ----------
     robot : RobotModel
         The robot.
-    tree : UrdfTree or None
+    urdf : Urdf or None
         Its URDF, where there is one: for fixed links and names.
+
+    Raises
+    ------
+    ExportError
+        When a name has characters that no XML can hold.
     """
-    model = robot.pin_model
-    names = robot.link_names if tree is None else tuple(tree.moving_links(robot))
-    columns = {name: j for j, name in enumerate(robot.joint_names)}
-    impossible: list[str] = []
-    children: dict[int, list[int]] = {}
-    for i in range(1, model.njoints):
-        children.setdefault(int(model.parents[i]), []).append(i)
+    try:
+        return _skeleton(robot, urdf)
+    except ValueError as cause:
+        raise ExportError(f"MJCF of '{robot.name}': {cause}") from None
 
-    def body(i: int, depth: int) -> list[str]:
-        pad = "  " * depth
-        place = model.jointPlacements[i]
-        out = [f"{pad}<body name={_body(names[i - 1])}{_pose(place.homogeneous)}>"]
-        out.append(f'{pad}  <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
-        out.append(f"{pad}  {_joint(robot, i, columns.get(model.names[i]))}")
-        out += [f"{pad}  {site}" for site in _sites(robot, i)]
-        for child in [] if tree is None else tree.fixed_children(names[i - 1]):
-            inertial = child.body
-            if inertial is not None and not _possible(inertial):
+
+def _skeleton(robot: RobotModel, urdf: Urdf | None) -> tuple[str, tuple[str, ...]]:
+    from lxml import etree
+
+    model, add, impossible = robot.pin_model, etree.SubElement, []
+    root = etree.Element("mujoco", model=robot.name)
+    add(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
+    add(root, "option", gravity=numbers(robot.gravity))
+    bodies = [add(root, "worldbody")]
+    _add_sites(robot, 0, bodies[0])
+    for i, (name, placement) in enumerate(zip(model.names, model.jointPlacements, strict=True)):
+        if i == 0:
+            continue
+        link = robot.link_names[i - 1] if urdf is None else urdf.name(urdf.carriers[i - 1])
+        body = add(bodies[model.parents[i]], "body", _placed(link, placement.homogeneous))
+        bodies.append(body)
+        add(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
+        if model.joints[i].nv == 6:
+            add(body, "freejoint", name=name)
+        else:
+            add(body, "joint", _joint(robot, i))
+        _add_sites(robot, i, body)
+        children = {} if urdf is None else urdf.children(urdf.carriers[i - 1])
+        for child in children.values():
+            fixed = add(body, "body", _placed(child.name, child.placement))
+            if not np.any(child.body):
+                continue
+            if not possible(child.body, "pseudo_inertia"):
                 impossible.append(child.name)
-                inertial = None
-            out += _fixed(replace(child, body=inertial), depth + 1)
-        for k in children.get(i, ()):
-            out += body(k, depth + 1)
-        return [*out, f"{pad}</body>"]
-
-    lines = [
-        f"<mujoco model={quoted(robot.name)}>",
-        '  <compiler angle="radian" autolimits="true" inertiafromgeom="false"/>',
-        f'  <option gravity="{numbers(robot.gravity)}"/>',
-        "  <worldbody>",
-    ]
-    lines += [f"    {site}" for site in _sites(robot, 0)]
-    for i in children.get(0, ()):
-        lines += body(i, 2)
-    lines.append("  </worldbody>")
-    followers = [i for i in range(1, model.njoints) if _follows(robot, i)]
-    if followers or robot.loops:
-        lines.append("  <equality>")
-        lines += [f"    {_equality(robot, i)}" for i in followers]
-        lines += [f"    {closure}" for closure in _closures(robot)]
-        lines.append("  </equality>")
-    return "\n".join([*lines, "</mujoco>", ""]), tuple(impossible)
+                continue
+            exact = [Fraction(x) for x in child.body.tolist()]
+            own = rounded(possible_body(exact, "pseudo_inertia", child.name, "MJCF"))
+            add(fixed, "inertial", inertial_values(own))
+    _add_equalities(robot, root)
+    etree.indent(root, "  ")
+    return etree.tostring(root, encoding="unicode") + "\n", tuple(impossible)
 
 
-def _possible(inertial: Array) -> bool:
-    """Return whether there is nothing, or a body that MuJoCo loads."""
-    return not np.any(inertial) or possible(inertial, "pseudo_inertia")
+def _placed(link: str, placement: Array) -> dict[str, str]:
+    """Return the attributes of a link's body; MuJoCo keeps the name ``world`` for itself."""
+    return {"name": "world_link" if link == "world" else link, **_pose(placement)}
 
 
-def _pose(placement: Array) -> str:
+def _pose(placement: Array) -> dict[str, str]:
     quaternion = quaternion_of(placement[:3, :3])
-    return f' pos="{numbers(placement[:3, 3])}" quat="{numbers(quaternion)}"'
+    return {"pos": numbers(placement[:3, 3]), "quat": numbers(quaternion)}
 
 
-def _fixed(child: FixedChild, depth: int) -> list[str]:
-    pad = "  " * depth
-    opening = f"{pad}<body name={_body(child.name)}{_pose(child.placement)}"
-    if child.body is None or not np.any(child.body):
-        return [opening + "/>"]
-    body = [Fraction(x) for x in child.body.tolist()]
-    possible = possible_body(body, "pseudo_inertia", child.name, "MJCF")
-    markup = inertial_markup(rounded(possible))
-    return [opening + ">", f"{pad}  {markup}", f"{pad}</body>"]
-
-
-def _joint(robot: RobotModel, i: int, column: int | None) -> str:
-    joint, name = robot.pin_model.joints[i], str(robot.pin_model.names[i])
-    if joint.nv == 6:
-        return f"<freejoint name={quoted(name)}/>"
-    kind, axis = joint_axis(joint)
+def _joint(robot: RobotModel, i: int) -> dict[str, str]:
+    """Return the attributes of a joint."""
+    name = str(robot.pin_model.names[i])
+    kind, axis = joint_axis(robot.pin_model.joints[i])
     mark = "hinge" if kind == "revolute" else "slide"
-    out = f'<joint name={quoted(name)} type="{mark}" axis="{numbers(axis)}"'
-    if column is not None:
+    values = {"name": name, "type": mark, "axis": numbers(axis)}
+    if name in robot.joint_names:
+        column = robot.joint_names.index(name)
         lower, upper = robot.position_limits[column]
         if lower < upper < np.inf:
-            out += f' range="{numbers([lower, upper])}"'
+            values["range"] = numbers([lower, upper])
         effort = robot.effort_limits[column]
         if np.isfinite(effort):
-            out += f' actuatorfrcrange="{numbers([-effort, effort])}"'
-    return out + "/>"
+            values["actuatorfrcrange"] = numbers([-effort, effort])
+    return values
 
 
-def _sites(robot: RobotModel, i: int) -> Iterator[str]:
-    """Yield the sites on a joint's body at which loops close, for an axis another one along it."""
+def _add_sites(robot: RobotModel, i: int, body: Any) -> None:
+    """Add the sites on a joint's body at which loops close, for an axis another one along it."""
+    from lxml import etree
+
     model = robot.pin_model
     for loop in robot.loops:
         for name in (loop.frame, loop.against):
             frame = model.frames[robot.frame_numbers[name]]
-            if frame.parentJoint != i:
-                continue
-            place = frame.placement
-            yield f"<site name={quoted(name)}{_pose(place.homogeneous)}/>"
-            if loop.kind == "line":
-                along = place.translation + _ALONG * robot.reach * place.rotation[:, 1]
-                yield f'<site name={quoted(name + "/axis")} pos="{numbers(along)}"/>'
+            if frame.parentJoint == i:
+                place = frame.placement
+                etree.SubElement(body, "site", {"name": name, **_pose(place.homogeneous)})
+                if loop.kind == "line":
+                    along = place.translation + _ALONG * robot.reach * place.rotation[:, 1]
+                    etree.SubElement(body, "site", name=f"{name}/axis", pos=numbers(along))
 
 
-def _closures(robot: RobotModel) -> Iterator[str]:
-    """Yield the equalities that close the loops: a pin is two balls on its axis."""
+def _add_equalities(robot: RobotModel, root: Any) -> None:
+    """Add what joints that mimic others follow, and what closes the loops."""
+    from lxml import etree
+
+    model, found = robot.pin_model, etree.Element("equality")
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv == 1 and name not in robot.joint_names:
+            row = robot.expansion[joint.idx_v]
+            source = int(np.flatnonzero(row)[0]) if row.any() else 0
+            follows = numbers([robot.offset[joint.idx_v], row[source], 0.0, 0.0, 0.0])
+            ends = {"joint1": name, "joint2": robot.joint_names[source]}
+            etree.SubElement(found, "joint", **ends, polycoef=follows)
     for loop in robot.loops:
         mark = "weld" if loop.kind == "plane" else "connect"
+        # A pin is two balls on its axis.
         for end in ("", "/axis") if loop.kind == "line" else ("",):
-            name, own, other = (quoted(f"{x}{end}") for x in (loop.name, loop.frame, loop.against))
-            yield f"<{mark} name={name} site1={own} site2={other}/>"
-
-
-def _follows(robot: RobotModel, i: int) -> bool:
-    """Return whether a joint mimics another."""
-    return robot.pin_model.joints[i].nv == 1 and robot.pin_model.names[i] not in robot.joint_names
-
-
-def _equality(robot: RobotModel, i: int) -> str:
-    row = robot.pin_model.joints[i].idx_v
-    source = int(np.flatnonzero(robot.expansion[row])[0]) if robot.expansion[row].any() else 0
-    coefficients = [robot.offset[row], robot.expansion[row, source], 0.0, 0.0, 0.0]
-    return (
-        f"<joint joint1={quoted(str(robot.pin_model.names[i]))} "
-        f'joint2={quoted(robot.joint_names[source])} polycoef="{numbers(coefficients)}"/>'
-    )
+            names = {"name": loop.name, "site1": loop.frame, "site2": loop.against}
+            etree.SubElement(found, mark, {key: each + end for key, each in names.items()})
+    if len(found):
+        root.append(found)

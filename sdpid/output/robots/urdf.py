@@ -3,44 +3,36 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from fractions import Fraction
-from pathlib import Path
-from typing import Literal, TypeAlias
+from collections.abc import Iterable, Mapping
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
-from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.robots.export_report import PLACES, ExportReport, Written
+from sdpid.output.robots.export_report import PLACES, ExportReport, file_errors
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.written_bodies import (
-    SEED,
-    STATES,
+    Fixed,
     FixedChild,
-    UrdfTree,
-    possible_body,
+    RobotText,
     require_consistent,
     require_same_efforts,
-    rest_of,
+    source_text,
     standard_parameters,
+    tag,
 )
-from sdpid.robot.description.inertials import exists, rounded
+from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
+from sdpid.robot.description.inertials import Inertial
 from sdpid.robot.description.level import LINK, base_turn, stand_on_level, without_level
-from sdpid.robot.description.urdf import inertial_values, written_values
-from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import encode_xml, read_description
+from sdpid.robot.description.urdf import check_urdf, written_values
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
 
-# How a body is split among a moving link and those fixed to it.
-Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
+# What a joint has once; of two, readers might take either.
+_OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
 
 
 def write_urdf(
@@ -100,128 +92,190 @@ def write_urdf(
     robot = problem.robot
     what = f"URDF of '{robot.name}'"
     theta = standard_parameters(estimate, what, "URDF")
-    text = without_level(source_text(robot, source, what))
+    text = Urdf(robot, without_level(source_text(robot, source, what)))
     bodies = problem.feasible.bodies(theta)
-    consistency = problem.consistency
-    require_consistent(robot, bodies, consistency, what)
-    tree = UrdfTree(text)
-    links = tree.moving_links(robot)
-    document = tree.document
-    changed: list[str] = []
-    lumped: list[str] = []
-    flat: list[str] = []
-    rests: list[Array] = []
-    families = {link: _asked(tree.fixed_children(link), fixed) for link in links}
-    _require_known(fixed, [child.name for family in families.values() for child in family])
-    for link, body in zip(links, bodies, strict=True):
-        children = [c for c in families[link] if c.body is not None and np.any(c.body)]
-        merged = fixed == "merge" and bool(children)
-        rest = None if merged else rest_of(body, children, consistency)
-        given = () if isinstance(fixed, str) else [c for c in families[link] if c.name in fixed]
-        if given and rest is None:
-            names = ", ".join(child.name for child in children)
-            raise ExportError(
-                f"{what}: link '{link}' cannot be split as asked: no body can be the rest of its "
-                f"{body[0]:.6g} kg without {names}, or one of those cannot exist; give less, or "
-                "fixed='keep'."
-            )
-        for child in given:
-            write_inertial(
-                document, tree.links[child.name], inertial_values(np.asarray(child.body))
-            )
-            changed.append(child.name)
-        if rest is None:
-            lumped.append(link)
-            for child in children:
-                write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
-                changed.append(child.name)
-        rests.append(body if rest is None else rest)
-    tree.require_unambiguous(links, what)
-    for link, own in zip(links, rests, strict=True):
-        written = rounded(possible_body([*map(Fraction, own.tolist())], consistency, link, what))
-        if not exists(written.mass, written.moments, "pseudo_inertia"):
-            flat.append(link)
-        write_inertial(document, tree.links[link], written_values(written))
-        changed.append(link)
+    require_consistent(robot, bodies, problem.consistency, what)
+    text.write_bodies(bodies, problem.consistency, _asked(fixed, text))
+    text.require_unambiguous()
     friction = joint_attributes(problem, theta, PLACES, what)
-    write_dynamics(tree, document, friction.values)
+    text.write_joints(friction.values)
     notes, turn = friction.notes, base_turn(robot.gravity, estimate.model().tilted_gravity)
     if not np.array_equal(turn, np.eye(3)):
-        stand_on_level(document, tree.root_link(), turn)
+        stand_on_level(text.document, text.root_link, turn)
         angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
         notes += (f"its base stands tilted by {angle:.3g}° on a new root link '{LINK}', as found",)
-    result = document.text()
     seen = robot.with_gravity(turn.T @ robot.gravity)
-    damping, dry = read_back(robot, bodies, result, seen=seen).described_friction()
-    file = Written(estimate, (dry, damping, np.zeros(robot.n)), seen)
-    with atomic_path(target) as temporary:
-        temporary.write_bytes(encode_xml(result))
-    return ExportReport(
-        path=Path(target),
-        links_changed=tuple(changed),
-        joints_changed=tuple(friction.values),
-        lumped=tuple(lumped),
-        left_out=friction.left_out,
-        friction_fitted=friction.fitted,
-        triangle_violations=tuple(flat),
-        notes=notes,
-        training=file.errors(),
-        _written=file,
-    )
+    damping, dry = text.read_back(bodies, seen=seen).described_friction()
+    attributes = dry, damping, np.zeros(robot.n)
+    errors = partial(file_errors, estimate, robot=seen, attributes=attributes)
+    return text.save(target, friction, notes, errors)
 
 
-def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:
-    """Return fixed links with the bodies that they are to have."""
-    if isinstance(fixed, str):
-        return list(children)
-    return [
-        replace(child, body=real_array(fixed[child.name], f"fixed: {child.name}", ndim=1))
-        if child.name in fixed
-        else child
-        for child in children
-    ]
-
-
-def _require_known(fixed: Fixed, names: Sequence[str]) -> None:
-    """Refuse an option `fixed` that names no link fixed to a moving one."""
+def _asked(fixed: Fixed, text: Urdf) -> Fixed:
+    """Return an option `fixed`; refuse one that names no link fixed to a moving one."""
     if isinstance(fixed, str):
         if fixed not in ("keep", "merge"):
             raise ExportError(
                 f"fixed: is {fixed!r}; use 'keep', 'merge', or bodies by the names of links."
             )
-        return
-    unknown = [name for name in fixed if name not in names]
-    if unknown:
-        raise ExportError(
-            f"fixed: {unknown[0]!r} is no link that is fixed to a moving one: "
-            f"{', '.join(names) or 'there are none'}."
-        )
-    short = [name for name, body in fixed.items() if np.shape(body) != (10,)]
-    if short:
-        raise ExportError(
-            f"fixed: the body of {short[0]!r} has shape {np.shape(fixed[short[0]])}, expected the "
-            "ten parameters (10,) about the link's own frame."
-        )
+        return fixed
+    names = [child.name for k in text.carriers for child in text.children(k).values()]
+    for name, body in fixed.items():
+        if name not in names:
+            raise ExportError(
+                f"fixed: {name!r} is no link that is fixed to a moving one: "
+                f"{', '.join(names) or 'there are none'}."
+            )
+        if np.shape(body) != (10,):
+            raise ExportError(
+                f"fixed: the body of {name!r} has shape {np.shape(body)}, expected the ten "
+                "parameters (10,) about the link's own frame."
+            )
+    return {name: real_array(body, f"fixed: {name}", ndim=1) for name, body in fixed.items()}
 
 
-def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: str) -> str:
-    """Return the text to change: of a file, the source itself, or the robot's own URDF.
+class Urdf(RobotText):
+    """A URDF.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    text : str
+        The URDF.
 
     Raises
     ------
+    ModelError
+        When it is not a URDF.
     ExportError
-        When there is none, or it cannot be read.
+        When it lacks a joint of the robot.
     """
-    if source is None:
-        if robot.urdf is None:
+
+    kind = "URDF"
+    bodies: tuple[DescribedBody, ...]
+
+    def __init__(self, robot: RobotModel, text: str) -> None:
+        super().__init__(robot, f"URDF of '{robot.name}'")
+        # Also refuses document types, so that nothing is expanded below.
+        _, mimics = check_urdf(text, "URDF", floating=True)
+        self.document = Document(text)
+        # As they are written, in document order.
+        _, self.bodies = read_urdf_bodies(text, "URDF")
+        self.elements = self.document.root.find_all("link")
+        joints = self.document.root.find_all("joint")
+        self._joints = {joint.attributes.get("name", ""): joint for joint in joints}
+        self._sources = {mimic.joint: mimic.source for mimic in mimics}
+        own = {k: body for k, body in enumerate(self.bodies) if body.carrier == body.name}
+        roots = [k for k, body in own.items() if not body.moving]
+        if len(roots) != 1:
+            raise ModelError(f"URDF: {len(roots)} links have no parent, there must be one.")
+        self.root_link = self.bodies[roots[0]].name
+        self.carriers = self.match({str(b.joint): k for k, b in own.items()}, roots[0])
+
+    def children(self, carrier: int) -> dict[int, FixedChild]:
+        """Return the links fixed to one, directly or through others, by number.
+
+        Raises
+        ------
+        ModelError
+            When a number of theirs cannot be read.
+        """
+        found = super().children(carrier)
+        for body in (self.bodies[k] for k in found):
+            if body.problems:
+                raise ModelError(f"URDF: link '{body.name}': {body.problems[0]}.")
+        return found
+
+    def require_unambiguous(self) -> None:
+        """Refuse a URDF in which readers might see different joints or bodies.
+
+        Raises
+        ------
+        ExportError
+            Naming what it has several of.
+        """
+        several = []
+        if len(self._joints) < len(self.document.root.find_all("joint")):
+            several.append("its joints have the same name")
+        for name, joint in self._joints.items():
+            several += _several(joint, f"<joint> '{name}'", _OF_JOINTS)
+        for k in (k for carrier in self.carriers for k in (carrier, *self.children(carrier))):
+            several += _several(self.elements[k], f"<link> '{self.name(k)}'", ("inertial",))
+            for inertial in self.elements[k].find_all("inertial"):
+                tags = {child.name for child in inertial.children}
+                several += _several(inertial, f"<inertial> of '{self.name(k)}'", sorted(tags))
+        if several:
+            raise ExportError(f"{self.what}: readers may differ on the source: {several[0]}.")
+
+    def write(self, body: int, inertial: Inertial) -> None:
+        """Write the ``<inertial>`` of a link by number."""
+        write_inertial(self.document, self.elements[body], written_values(inertial))
+        self.changed.append(self.name(body))
+
+    def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
+        """Write the attributes of ``<dynamics>`` by joint; those of mimic joints become zero."""
+        written = dict(values)
+        for joint in self._sources:
+            source = self._source(joint)
+            # The friction identified at the source joint includes that of its followers.
+            if source in values and self._joints[joint].find("dynamics") is not None:
+                written[joint] = dict.fromkeys(values[source], 0.0)
+        for name, numbers in written.items():
+            attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
+            element = self._joints[name].find("dynamics")
+            if element is not None:
+                self.document.set_attributes(element, attributes)
+            elif attributes:
+                self.document.insert_child(
+                    self._joints[name], tag("dynamics", attributes), last=True
+                )
+        self.joints_changed.extend(written)
+
+    def _source(self, joint: str) -> str:
+        """Return the joint at the end of a chain of mimic joints."""
+        seen = {joint}
+        while (source := self._sources.get(joint, joint)) not in seen:
+            seen.add(joint := source)
+        return joint
+
+    def read_back(self, bodies: Array, *, seen: RobotModel | None = None) -> RobotModel:
+        """Return the robot of the written text, which must need the efforts of the identified one.
+
+        Where its base is turned, `seen` is the robot under gravity as it is then.
+
+        Raises
+        ------
+        ExportError
+            When it is not: the source describes other joints or other lengths.
+        """
+        robot = self.robot
+        root: Root | None = "free_flyer" if robot.free_flyer else None
+        try:
+            written = load_robot(self.document.text(), root=root, gravity=robot.gravity.tolist())
+        except ModelError as cause:
             raise ExportError(
-                f"{what}: the robot was not loaded from a URDF; give the file to change as source."
+                f"{self.what}: the changed file cannot be read back ({cause})."
+            ) from None
+        if written.joint_names != robot.joint_names:
+            raise ExportError(
+                f"{self.what}: the source has the joints {', '.join(written.joint_names)}, the "
+                f"robot has {', '.join(robot.joint_names)}; give the URDF of the same robot."
             )
-        return robot.urdf
-    try:
-        return expand_xacro(read_description(source)).text
-    except ModelError as cause:
-        raise ExportError(f"{what}: {cause}") from None
+        require_same_efforts(
+            seen or robot,
+            bodies,
+            partial(written.inverse_dynamics, written.prior),
+            self.what,
+            "the source's joints are placed differently. Give the URDF that the robot was "
+            "identified with.",
+        )
+        return written
+
+
+def _several(element: Element, what: str, tags: Iterable[str]) -> list[str]:
+    """Return what an element has several of: readers might take either."""
+    return [f"{what} has several <{tag}>" for tag in tags if len(element.find_all(tag)) > 1]
 
 
 def write_inertial(
@@ -229,68 +283,13 @@ def write_inertial(
 ) -> None:
     """Write the attributes of an ``<inertial>`` by tag into a link, which may lack one."""
     inertial = link.find("inertial")
-    lines = [
-        f"  <{tag} " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"
-        for tag, attributes in values.items()
-    ]
     if inertial is None:
+        lines = [f"  {tag(name, attributes)}" for name, attributes in values.items()]
         document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
         return
-    for tag, line in zip(values, lines, strict=True):
-        element = inertial.find(tag)
+    for name, attributes in values.items():
+        element = inertial.find(name)
         if element is None:
-            document.insert_child(inertial, line.strip())
+            document.insert_child(inertial, tag(name, attributes))
         else:
-            document.set_attributes(element, values[tag])
-
-
-def write_dynamics(
-    tree: UrdfTree, document: Document, written: dict[str, dict[str, float]]
-) -> None:
-    """Write the attributes of ``<dynamics>`` by joint; those of mimic joints become zero."""
-    for joint, source in tree.mimics.items():
-        # The friction identified at the source joint includes that of its followers.
-        if source in written and tree.joints[joint].find("dynamics") is not None:
-            written[joint] = dict.fromkeys(written[source], 0.0)
-    for name, numbers in written.items():
-        attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
-        element = tree.joints[name].find("dynamics")
-        if element is not None:
             document.set_attributes(element, attributes)
-        elif attributes:
-            line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
-            document.insert_child(tree.joints[name], line, last=True)
-
-
-def read_back(
-    robot: RobotModel, bodies: Array, text: str, *, seen: RobotModel | None = None
-) -> RobotModel:
-    """Return the robot of the written text, which must need the efforts of the identified one.
-
-    Where its base is turned, `seen` is the robot under gravity as it is then.
-
-    Raises
-    ------
-    ExportError
-        When it is not: the source describes other joints or other lengths.
-    """
-    what = f"URDF of '{robot.name}'"
-    root: Root | None = "free_flyer" if robot.free_flyer else None
-    try:
-        written = load_robot(text, root=root, gravity=robot.gravity.tolist())
-    except ModelError as cause:
-        raise ExportError(f"{what}: the changed file cannot be read back ({cause}).") from None
-    if written.joint_names != robot.joint_names:
-        raise ExportError(
-            f"{what}: the source has the joints {', '.join(written.joint_names)}, the robot has "
-            f"{', '.join(robot.joint_names)}; give the URDF of the same robot."
-        )
-    states = generic_states(robot, STATES, SEED)
-    require_same_efforts(
-        (seen or robot).inverse_dynamics(bodies, *states),
-        written.inverse_dynamics(written.prior, *states),
-        what,
-        "the source's joints are placed differently. Give the URDF that the robot was identified "
-        "with.",
-    )
-    return written

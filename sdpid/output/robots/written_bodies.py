@@ -1,172 +1,40 @@
-"""Bodies to be written for every format of robot, and the tree of a URDF that they go into."""
+"""Texts of robots whose bodies are those of a `RobotModel`'s links, and what is written into them.
+
+Every format has bodies, some fixed to others, and joints that move them. `RobotText` matches these
+with the robot's and splits each identified body among the one that moves and those fixed to it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from pathlib import Path
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
+from sdpid._common.files import PathLike, atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.robot.description.bodies import read_urdf_bodies
-from sdpid.robot.description.inertials import inside
-from sdpid.robot.description.urdf import check_urdf
+from sdpid.output.robots.export_report import ExportReport, FileErrors
+from sdpid.output.robots.joint_friction import JointAttributes
+from sdpid.robot.description.bodies import DescribedBody
+from sdpid.robot.description.inertials import NOTHING, Inertial, exists, inside, rounded
+from sdpid.robot.description.mjcf import MjcfBody
+from sdpid.robot.description.origin import relative
+from sdpid.robot.description.xacro import expand_xacro
+from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.inertia import Consistency, margin, transform
+from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel
 
-# What a joint has once; of two, readers might take either.
-_OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
-
-
-@dataclass(frozen=True, eq=False)
-class FixedChild:
-    """A link that is fixed to a moving one, directly or through others.
-
-    Attributes
-    ----------
-    name : str
-        The link.
-    body : ndarray, shape (10,), or None
-        Its inertial in its own frame; None where it has none.
-    placement : ndarray, shape (4, 4)
-        Its frame in that of the moving link.
-    """
-
-    name: str
-    body: Array | None
-    placement: Array
-
-
-class UrdfTree:
-    """Links and joints of a URDF, with their positions in its text.
-
-    Parameters
-    ----------
-    text : str
-        The URDF.
-
-    Raises
-    ------
-    ModelError
-        When it is not a URDF.
-    """
-
-    def __init__(self, text: str) -> None:
-        # Also refuses document types, so that nothing is expanded below.
-        _, mimics = check_urdf(text, "URDF", floating=True)
-        self.document = Document(text)
-        root = self.document.root
-        self.links = {e.attributes.get("name", ""): e for e in root.find_all("link")}
-        self.joints = {e.attributes.get("name", ""): e for e in root.find_all("joint")}
-        self._child = {name: _end(joint, "child") for name, joint in self.joints.items()}
-        # As they are written, in document order.
-        _, self.bodies = read_urdf_bodies(text, "URDF")
-        sources = {mimic.joint: mimic.source for mimic in mimics}
-        self.mimics = {name: _last(sources, name) for name in sources}
-
-    def root_link(self) -> str:
-        """Return the link that is no joint's child."""
-        children = set(self._child.values())
-        roots = [name for name in self.links if name not in children]
-        if len(roots) != 1:
-            raise ModelError(f"URDF: {len(roots)} links have no parent, there must be one.")
-        return roots[0]
-
-    def moving_links(self, robot: RobotModel) -> list[str]:
-        """Return the link that each joint of the robot moves, in Pinocchio's order.
-
-        Raises
-        ------
-        ExportError
-            When this URDF lacks a joint of the robot.
-        """
-        model = robot.pin_model
-        names = []
-        for i in range(1, model.njoints):
-            if i == 1 and robot.free_flyer:
-                names.append(self.root_link())
-            elif model.names[i] in self.joints:
-                names.append(self._child[model.names[i]])
-            else:
-                raise ExportError(
-                    f"URDF of '{robot.name}': the source has no joint '{model.names[i]}'; give "
-                    "the URDF of the same robot."
-                )
-        for name in names:
-            if name not in self.links:
-                raise ModelError(f"URDF: a joint's child is '{name}', which is no link.")
-        return names
-
-    def fixed_children(self, link: str) -> list[FixedChild]:
-        """Return the links fixed to a link, directly or through others, in document order.
-
-        Raises
-        ------
-        ModelError
-            When a number of theirs cannot be read.
-        """
-        children = []
-        for body in self.bodies:
-            if body.carrier != link or body.name == link:
-                continue
-            if body.problems:
-                raise ModelError(f"URDF: link '{body.name}': {body.problems[0]}.")
-            theta = body.theta if body.described else None
-            children.append(FixedChild(body.name, theta, body.placement))
-        return children
-
-    def require_unambiguous(self, links: Sequence[str], what: str) -> None:
-        """Refuse a URDF in which readers might see different joints or bodies.
-
-        Raises
-        ------
-        ExportError
-            Naming what it has several of.
-        """
-        root = self.document.root
-        several = [
-            f"its {tag}s have the same name"
-            for tag, found in (("link", self.links), ("joint", self.joints))
-            if len(found) < len(root.find_all(tag))
-        ]
-        for name, joint in self.joints.items():
-            several += _several(joint, f"<joint> '{name}'", _OF_JOINTS)
-        family = [name for link in links for name in (link, *self._fixed_to(link))]
-        for name in family:
-            several += _several(self.links[name], f"<link> '{name}'", ("inertial",))
-            for inertial in self.links[name].find_all("inertial"):
-                tags = {child.name for child in inertial.children}
-                several += _several(inertial, f"<inertial> of '{name}'", sorted(tags))
-        if several:
-            raise ExportError(f"{what}: readers may differ on the source: {several[0]}.")
-
-    def _fixed_to(self, link: str) -> list[str]:
-        """Return the names of the links fixed to a link."""
-        return [body.name for body in self.bodies if body.carrier == link and body.name != link]
-
-
-def _several(element: Element, what: str, tags: Iterable[str]) -> list[str]:
-    """Return what an element has several of: readers might take either."""
-    return [f"{what} has several <{tag}>" for tag in tags if len(element.find_all(tag)) > 1]
-
-
-def _end(joint: Element, which: str) -> str:
-    element = joint.find(which)
-    return element.attributes.get("link", "") if element is not None else ""
-
-
-def _last(sources: dict[str, str], name: str) -> str:
-    """Return the joint at the end of a chain of mimic joints."""
-    seen = {name}
-    while name in sources and sources[name] not in seen:
-        name = sources[name]
-        seen.add(name)
-    return name
-
+# How a body is split among a moving link and those fixed to it.
+Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
 
 # Rounding in the inertia about the center of mass, as a fraction of the size of the inertia that
 # it is the difference of. A margin negative by no more than this is not negative.
@@ -178,7 +46,164 @@ _INSIDE = 1e-13
 # The written file is read back at generic states; its efforts may differ by this fraction of the
 # largest one.
 _READ_BACK = 1e-10
-STATES, SEED = 8, 20240229
+_STATES, _SEED = 8, 20240229
+
+
+class FixedChild(NamedTuple):
+    """A body that is fixed to a moving one, in its own frame; all zero where it has no inertial."""
+
+    name: str
+    body: Array
+    placement: Array
+
+
+class RobotText(ABC):
+    """A text of a robot, and the edits that make it the identified one.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    what : str
+        What it is called in messages.
+    document : Document
+        The text and its edits.
+    bodies, elements : sequence
+        All bodies of the text, and their elements.
+    carriers : list of int
+        The body that each of the robot's joints moves, by its number.
+    changed, joints_changed, lumped, flat : list of str
+        Bodies and joints that were written, bodies that took over those fixed to them, and bodies
+        that violate the triangle inequality.
+    """
+
+    kind: ClassVar[str]
+    document: Document
+    bodies: Sequence[DescribedBody] | Sequence[MjcfBody]
+    elements: Sequence[Element]
+    carriers: list[int]
+
+    def __init__(self, robot: RobotModel, what: str) -> None:
+        self.robot, self.what = robot, what
+        self.changed, self.joints_changed, self.lumped, self.flat = (list[str]() for _ in range(4))
+
+    def match(self, moved: Mapping[str, int], root: int | None) -> list[int]:
+        """Return the body that each of the robot's joints moves, given those of the text's joints.
+
+        Raises
+        ------
+        ExportError
+            When the text lacks a joint, or a floating base.
+        """
+        found = []
+        for i, name in enumerate(map(str, list(self.robot.pin_model.names)[1:])):
+            floating = i == 0 and self.robot.free_flyer
+            if (body := root if floating else moved.get(name)) is None:
+                raise ExportError(
+                    f"{self.what}: the source has no joint '{'free joint' if floating else name}'; "
+                    f"give the {self.kind} of the same robot."
+                )
+            found.append(body)
+        return found
+
+    def name(self, body: int) -> str:
+        """Return the name of a body by number, for messages where it has none."""
+        return self.bodies[body].name or f"body {body}"
+
+    def frame(self, link: int) -> Array:
+        """Return the placement of a link's joint frame in that of the text's body."""
+        return np.eye(4)
+
+    def children(self, carrier: int) -> dict[int, FixedChild]:
+        """Return the bodies fixed to one, directly or through others, by number."""
+        bodies: Sequence[DescribedBody | MjcfBody] = self.bodies
+        own = bodies[carrier]
+        return {
+            k: FixedChild(
+                other.name,
+                np.zeros(10) if other.theta is None else other.theta,
+                relative(own.placement, other.placement),
+            )
+            for k, other in enumerate(bodies)
+            if k != carrier and other.carrier == own.carrier
+        }
+
+    @abstractmethod
+    def write(self, body: int, inertial: Inertial) -> None:
+        """Write the inertial of a body by number."""
+
+    @abstractmethod
+    def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
+        """Write attributes of joints by name."""
+
+    def write_bodies(self, bodies: Array, consistency: Consistency, fixed: Fixed = "keep") -> None:
+        """Write the links' identified bodies (links, 10), given in their joint frames.
+
+        Raises
+        ------
+        ExportError
+            When one can be no body, or cannot be split as asked.
+        """
+        for link, (carrier, body) in enumerate(zip(self.carriers, bodies, strict=True)):
+            T = self.frame(link)
+            if not np.array_equal(T, np.eye(4)):
+                body = transform(body, T[:3, :3], T[:3, 3])
+            children, name = self.children(carrier), self.name(carrier)
+            given = {
+                k: child._replace(body=np.asarray(fixed[child.name], dtype=np.float64))
+                for k, child in children.items()
+                if not isinstance(fixed, str) and child.name in fixed
+            }
+            heavy = {k: c for k, c in (children | given).items() if np.any(c.body)}
+            merged = fixed == "merge" and bool(heavy)
+            rest = None if merged else rest_of(body, list(heavy.values()), consistency)
+            if rest is None and given:
+                raise ExportError(
+                    f"{self.what}: link '{name}' cannot be split as asked: no body can be the rest "
+                    f"of its {body[0]:.6g} kg without {', '.join(c.name for c in heavy.values())}, "
+                    "or one of those cannot exist; give less, or fixed='keep'."
+                )
+            for k, child in given.items():
+                self.write(k, rounded([*map(Fraction, child.body.tolist())]))
+            if rest is None:
+                self.lumped.append(name)
+                for k in heavy:
+                    self.write(k, NOTHING)
+            own = body if rest is None else rest
+            exact = possible_body([*map(Fraction, own.tolist())], consistency, name, self.what)
+            written = rounded(exact)
+            if not exists(written.mass, written.moments, "pseudo_inertia"):
+                self.flat.append(name)
+            self.write(carrier, written)
+
+    def save(
+        self,
+        target: PathLike,
+        friction: JointAttributes,
+        notes: tuple[str, ...],
+        errors: FileErrors,
+    ) -> ExportReport:
+        """Write the text to a file, whole or not at all, and return what it holds."""
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(encode_xml(self.document.text()))
+        return ExportReport(
+            path=Path(target),
+            links_changed=tuple(self.changed),
+            joints_changed=tuple(self.joints_changed),
+            lumped=tuple(self.lumped),
+            left_out=friction.left_out,
+            friction_fitted=friction.fitted,
+            triangle_violations=tuple(self.flat),
+            kind=f"{'an' if self.kind == 'MJCF' else 'a'} {self.kind}",
+            notes=notes,
+            training=errors(None),
+            _errors=errors,
+        )
+
+
+def tag(name: str, attributes: Mapping[str, str]) -> str:
+    """Return the markup of an element without content."""
+    return f"<{name} {' '.join(f'{key}={quoteattr(x)}' for key, x in attributes.items())}/>"
 
 
 def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
@@ -195,6 +220,26 @@ def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
             f"which no {kind} can hold; use solve_sdp or another solver that returns theta."
         )
     return estimate.theta
+
+
+def source_text(robot: RobotModel, source: PathLike | None, what: str) -> str:
+    """Return the text to change: of a file, the source itself, or the robot's own URDF.
+
+    Raises
+    ------
+    ExportError
+        When there is none, or it cannot be read.
+    """
+    if source is None:
+        if robot.urdf is None:
+            raise ExportError(
+                f"{what}: the robot was not loaded from a URDF; give the file to change as source."
+            )
+        return robot.urdf
+    try:
+        return expand_xacro(read_description(source)).text
+    except ModelError as cause:
+        raise ExportError(f"{what}: {cause}") from None
 
 
 def _rounding(bodies: Array) -> Array:
@@ -229,15 +274,23 @@ def require_consistent(
             )
 
 
-def require_same_efforts(expected: Array, found: Array, what: str, reason: str) -> None:
-    """Refuse a written robot whose efforts differ from those of the identified bodies.
+def require_same_efforts(
+    robot: RobotModel,
+    bodies: Array,
+    found: Callable[[Array, Array, Array], Array],
+    what: str,
+    reason: str,
+) -> None:
+    """Refuse a written robot whose efforts at states differ from those of the identified bodies.
 
     Raises
     ------
     ExportError
         With the difference and a reason.
     """
-    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
+    states = generic_states(robot, _STATES, _SEED)
+    expected = robot.inverse_dynamics(bodies, *states)
+    error, scale = float(np.abs(found(*states) - expected).max()), float(np.abs(expected).max())
     if not error <= _READ_BACK * max(scale, 1.0):
         raise ExportError(
             f"{what}: the efforts of the written robot differ from the identified ones by "
@@ -257,15 +310,10 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
     """
     if not children:
         return body
-    own = np.array([child.body for child in children])
-    if not possible(own, consistency):
+    if not possible(np.array([child.body for child in children]), consistency):
         return None
-    inside = [
-        transform(c.body, c.placement[:3, :3], c.placement[:3, 3])
-        for c in children
-        if c.body is not None
-    ]
-    rest = body - np.sum(inside, axis=0)
+    parts = [transform(x, place[:3, :3], place[:3, 3]) for _, x, place in children]
+    rest = body - np.sum(parts, axis=0)
     enough = rest[0] > 0.0 and margin(rest, consistency) >= _INSIDE + _rounding(rest)
     return rest if enough else None
 

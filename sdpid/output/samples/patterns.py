@@ -23,16 +23,13 @@ from sdpid.assurance.descriptions.body_checks import consistent
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import PLACES as URDF_PLACES
-from sdpid.output.robots.joint_friction import Rows, nonnegative_fit
+from sdpid.output.robots.joint_friction import Kind, Places, Rows, nonnegative_fit
 from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
-from sdpid.output.robots.mjcf import Compiled, open_source
-from sdpid.output.robots.mjcf_skeleton import inertial_markup
-from sdpid.output.robots.places import Kind, Places
-from sdpid.output.robots.urdf import read_back, source_text, write_dynamics, write_inertial
-from sdpid.output.robots.written_bodies import UrdfTree
+from sdpid.output.robots.mjcf import open_source
+from sdpid.output.robots.urdf import Urdf
+from sdpid.output.robots.written_bodies import source_text
 from sdpid.robot.description.inertials import NOTHING, Inertial
 from sdpid.robot.description.mjcf import compiled
-from sdpid.robot.description.urdf import inertial_values, written_values
 
 # What the joints of one robot have: numbers by attribute, by joint.
 Joints = Mapping[str, Mapping[str, float]]
@@ -59,44 +56,40 @@ class UrdfPattern:
     places = URDF_PLACES
 
     def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
-        self.robot = problem.robot
-        what = f"URDF of '{self.robot.name}'"
-        self._tree = UrdfTree(source_text(self.robot, source, what))
-        self.names = self._tree.moving_links(self.robot)
+        robot = problem.robot
+        self._file = Urdf(robot, source_text(robot, source, f"URDF of '{robot.name}'"))
+        self.names = [self._file.name(k) for k in self._file.carriers]
         self.frames = np.tile(np.eye(4), (len(self.names), 1, 1))
-        counted = [
-            child.name
-            for link in self.names
-            for child in self._tree.fixed_children(link)
-            if child.body is not None and np.any(child.body)
-        ]
-        still = [body for body in self._tree.bodies if not body.moving]
+        inside = {k for carrier in self._file.carriers for k in self._file.children(carrier)}
+        counted = [k for k in inside if np.any(self._file.bodies[k].theta)]
         impossible = [
-            body.name
-            for body in still
-            if body.name not in (*self.names, *counted) and consistent(body) is False
+            k
+            for k, body in enumerate(self._file.bodies)
+            if not body.moving
+            and k not in (*self._file.carriers, *counted)
+            and consistent(body) is False
         ]
-        for name in (*counted, *impossible):
-            nothing = inertial_values(np.zeros(10))
-            write_inertial(self._tree.document, self._tree.links[name], nothing)
+        for k in (*counted, *impossible):
+            self._file.write(k, NOTHING)
+        self._document = self._file.document
         self.notes: tuple[str, ...] = ()
         if impossible:
             self.notes = (
                 "links that do not move, with inertials in the description that no body can have, "
-                "now zero: " + ", ".join(impossible),
+                "now zero: " + ", ".join(self._file.name(k) for k in impossible),
             )
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""
-        document = self._tree.document.branch()
-        for name, body in zip(self.names, bodies, strict=True):
-            write_inertial(document, self._tree.links[name], written_values(body))
-        write_dynamics(self._tree, document, {k: dict(v) for k, v in joints.items()})
-        return document.text()
+        self._file.document = self._document.branch()
+        for carrier, body in zip(self._file.carriers, bodies, strict=True):
+            self._file.write(carrier, body)
+        self._file.write_joints(joints)
+        return self._file.document.text()
 
-    def require_right(self, text: str, bodies: Array) -> None:
-        """Refuse a text that does not have the efforts of the bodies."""
-        read_back(self.robot, bodies, text)
+    def require_right(self, bodies: Array) -> None:
+        """Refuse a text, the last one, that does not have the efforts of the bodies."""
+        self._file.read_back(bodies)
 
     def require_loaded(self, text: str, name: str) -> None:
         """Do nothing: readers differ only in the inertials, and those are audited."""
@@ -109,39 +102,32 @@ class MjcfPattern:
     places = MJCF_PLACES
 
     def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
-        self.robot = problem.robot
-        self._what = f"MJCF of '{self.robot.name}'"
-        self._patch, self.notes = open_source(self.robot, source, self._what)
-        links = range(self.robot.n_links)
-        self._ours = self._patch.ours
-        self.names = [self._patch.name(k) for k in self._patch.carriers]
-        # In a text of our own, frames are those of the links.
-        self.frames = np.array([np.eye(4) if self._ours else self._patch.frame(k) for k in links])
-        for carrier in self._patch.carriers:
-            for number in self._patch.children(carrier):
-                self._patch.write(number, inertial_markup(NOTHING))
-        self._document = self._patch.document
+        robot = problem.robot
+        self._file, self.notes = open_source(robot, source, f"MJCF of '{robot.name}'")
+        self.names = [self._file.name(k) for k in self._file.carriers]
+        self.frames = np.array([self._file.frame(k) for k in range(robot.n_links)])
+        for carrier in self._file.carriers:
+            for k, child in self._file.children(carrier).items():
+                if np.any(child.body):
+                    self._file.write(k, NOTHING)
+        self._document = self._file.document
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""
-        self._patch.document = self._document.branch()
-        for carrier, body in zip(self._patch.carriers, bodies, strict=True):
-            self._patch.write(carrier, inertial_markup(body))
-        attributes = {key for values in joints.values() for key in values}
-        self._patch.joints(
-            {k: dict(v) for k, v in joints.items()}, clear_armature="armature" not in attributes
-        )
-        return self._patch.document.text()
+        self._file.document = self._document.branch()
+        for carrier, body in zip(self._file.carriers, bodies, strict=True):
+            self._file.write(carrier, body)
+        self._file.write_joints(joints)
+        return self._file.document.text()
 
-    def require_right(self, text: str, bodies: Array) -> None:
-        """Refuse a text that does not have the efforts of the bodies."""
-        read = Compiled(self.robot, text, self._what, folder=self._patch.folder, ours=True)
-        read.require_same_efforts(bodies)
+    def require_right(self, bodies: Array) -> None:
+        """Refuse a text, the last one, that does not have the efforts of the bodies."""
+        self._file.read_back(bodies)
 
     def require_loaded(self, text: str, name: str) -> None:
         """Refuse a text that MuJoCo does not load; one with meshes would take seconds."""
-        if self._ours:
-            compiled(text, None, None, f"{self._what} ({name})")
+        if self._file.ours:
+            compiled(text, None, None, f"{self._file.what} ({name})")
 
 
 Pattern: TypeAlias = UrdfPattern | MjcfPattern

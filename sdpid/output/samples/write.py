@@ -20,7 +20,7 @@ from sdpid.assurance.descriptions.body_checks import check_numbers
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.output.robots.places import Kind
+from sdpid.output.robots.joint_friction import Kind
 from sdpid.output.robots.written_bodies import possible_body
 from sdpid.output.samples.patterns import (
     Joints,
@@ -126,7 +126,7 @@ class SampleWriter:
                         bodies, written = moved[k], _audited(name, pattern, moved[k])
                     text = pattern.text(written, values[k])
                     if name == MEAN:
-                        pattern.require_right(text, own[k])
+                        pattern.require_right(own[k])
                     pattern.require_loaded(text, name)
                     (folder / f"{name}{pattern.suffix}").write_bytes(encode_xml(text))
                 advance(1)

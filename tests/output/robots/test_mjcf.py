@@ -20,13 +20,11 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFriction, Viscous
-from sdpid.output.robots.joint_friction import LeftOut, joint_attributes
+from sdpid.output.robots.joint_friction import LeftOut, added, joint_attributes
 from sdpid.output.robots.mjcf import PLACES, write_mjcf
-from sdpid.output.robots.mjcf_skeleton import inertial_markup
-from sdpid.output.robots.places import added
+from sdpid.output.robots.mjcf_skeleton import inertial_values
 from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
 from sdpid.robot.description.level import without_level
-from sdpid.robot.description.xml import parse_xml
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.model.base_parameters import generic_states
@@ -474,7 +472,7 @@ def test_the_edge(consistency: str) -> None:
 def test_principal_axes(body: np.ndarray) -> None:
     """Moments and quaternion give the tensor back to its rounding, and obey the inequality."""
     written = rounded(exactly(body))
-    found = parse_xml(inertial_markup(written), "a body").attrib
+    found = inertial_values(written)
     moments = np.array(found["diaginertia"].split(), dtype=float)
     R = Rotation.from_quat(np.roll(np.array(found["quat"].split(), dtype=float), -1)).as_matrix()
     wanted = np.array(tensor(written.moments))
