@@ -20,7 +20,6 @@ from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
     RobotText,
-    require_consistent,
     require_same_efforts,
     source_text,
     standard_parameters,
@@ -112,16 +111,15 @@ def write_mjcf(
     what = f"MJCF of '{robot.name}'"
     theta = standard_parameters(estimate, what, "MJCF")
     bodies = problem.feasible.bodies(theta)
-    # MuJoCo loads no other bodies, whatever consistency the problem has.
-    require_consistent(robot, bodies, "pseudo_inertia", what)
     text, notes = open_source(robot, source, what)
+    # MuJoCo loads no other bodies, whatever consistency the problem has.
+    text.write_bodies(bodies, "pseudo_inertia")
     friction = joint_attributes(problem, theta, PLACES, what, tendons=text.ours, offsets=offsets)
     notes = friction.notes + notes
     if any(lost.term == Offset.__name__ for lost in friction.left_out):
         notes += ("offsets have a place where they are asked for: offsets=True, or --offsets",)
     if not np.array_equal(robot.gravity, problem.robot.gravity):
         notes += (f"gravity is {text.write_gravity()} m/s²: its base stands tilted, as found",)
-    text.write_bodies(bodies, "pseudo_inertia")
     text.write_joints(friction.values)
     text.write_tendons(friction.tendons, problem.friction.joint_names)
     text.write_offsets(friction.offsets)
@@ -383,11 +381,10 @@ class Mjcf(RobotText):
         """Return the robot's positions as the file's model takes them."""
         if not self.robot.free_flyer:
             return position
-        import pinocchio as pin
-
-        model = self.robot.pin_model
-        angles = np.empty((len(position), model.nv))
-        angles[:, self._order] = [pin.difference(model, pin.neutral(model), q) for q in position]
+        angles = np.zeros((len(position), len(self._order)))
+        for joint, at in zip(list(self.robot.pin_model.joints)[2:], self._order[6:], strict=True):
+            own = position[:, joint.idx_q : joint.idx_q + joint.nq]
+            angles[:, at] = own[:, 0] if joint.nq == 1 else np.arctan2(own[:, 1], own[:, 0])
         found = self.model.configuration_of(angles)
         found[:, :7] = position[:, :7]
         return found

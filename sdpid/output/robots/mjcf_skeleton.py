@@ -6,7 +6,6 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from sdpid.errors import ExportError
 from sdpid.experiment.plant.mujoco_model import joint_axis
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import possible, possible_body
-from sdpid.robot.description.inertials import Inertial, rounded, tensor
+from sdpid.robot.description.inertials import Inertial, tensor
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.model.model import RobotModel
@@ -99,8 +98,7 @@ def _skeleton(robot: RobotModel, urdf: Urdf | None) -> tuple[str, tuple[str, ...
             if not possible(child.body, "pseudo_inertia"):
                 impossible.append(child.name)
                 continue
-            exact = [Fraction(x) for x in child.body.tolist()]
-            own = rounded(possible_body(exact, "pseudo_inertia", child.name, "MJCF"))
+            own = possible_body(child.body, "pseudo_inertia", child.name, "MJCF")
             add(fixed, "inertial", inertial_values(own))
     _add_equalities(robot, root)
     etree.indent(root, "  ")

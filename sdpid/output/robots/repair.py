@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_path
+from sdpid._common.tables import plain_dict
 from sdpid.assurance.descriptions.body_checks import consistent, thin, thin_limit
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
 from sdpid.assurance.descriptions.nearest_body import (
@@ -22,6 +22,7 @@ from sdpid.assurance.descriptions.nearest_body import (
     prove_nearest,
 )
 from sdpid.errors import ExportError
+from sdpid.output.robots.written_bodies import write_inertial
 from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import (
     TENSOR_NAMES,
@@ -32,7 +33,7 @@ from sdpid.robot.description.bodies import (
 )
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
-from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.description.xml_edits import Document
 from sdpid.robot.inertia import (
     complement,
     inertia_tensor,
@@ -124,12 +125,8 @@ class RepairReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, without the text."""
-        return {
-            "path": None if self.path is None else str(self.path),
-            "bodies": [asdict(body) for body in self.bodies],
-            "left": list(self.left),
-            "expanded": self.expanded,
-        }
+        found = {name: getattr(self, name) for name in ("path", "bodies", "left", "expanded")}
+        return plain_dict(found)
 
 
 def repair_urdf(
@@ -184,18 +181,13 @@ def repair_urdf(
         raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
     _, bodies = read_urdf_bodies(text, what)
     repair = _Repair(text, bodies)
-    for body in bodies:
-        repair.alone(body)
-    for carrier in carried(bodies):
-        repair.together(carrier)
     result = repair.document.text()
     if target is not None:
         with atomic_path(target) as temporary:
             temporary.write_bytes(encode_xml(result))
-    order = {body.name: k for k, body in enumerate(bodies)}
     return RepairReport(
         text=result,
-        bodies=tuple(sorted(repair.done.values(), key=lambda b: order[b.link])),
+        bodies=tuple(repair.done[body.name] for body in bodies if body.name in repair.done),
         left=tuple(repair.left),
         path=None if target is None else Path(target),
         expanded=found is not read,
@@ -207,104 +199,76 @@ class _Repair:
 
     def __init__(self, text: str, bodies: tuple[DescribedBody, ...]) -> None:
         self.document = Document(text)
-        self.links = {
-            link.attributes.get("name", ""): link for link in self.document.root.find_all("link")
-        }
         self.bodies = {body.name: body for body in bodies}
         self.done: dict[str, RepairedBody] = {}
-        self.left: list[str] = []
+        self.left = [b.name for b in bodies if b.problems or (b.mass is not None and b.mass < 0.0)]
+        for body in bodies:
+            if body.name not in self.left:
+                self._alone(body)
+        for carrier in carried(bodies):
+            self._together(carrier)
 
-    def alone(self, body: DescribedBody) -> None:
+    def _alone(self, body: DescribedBody) -> None:
         """Repair a body that is impossible or thin by itself."""
-        if body.problems or (body.mass is not None and body.mass < 0.0):
-            self.left.append(body.name)
-        elif consistent(body) is False:
-            if body.mass == 0.0:
-                self._write(body, "no mass", TOKEN_MASS)
-            else:
-                self._write(body, "impossible")
+        if consistent(body) is False:
+            self._write(body, "no mass" if body.mass == 0.0 else "impossible")
         elif thin(body):
             self._write(body, "no thickness")
 
-    def together(self, carrier: str) -> None:
+    def _together(self, carrier: str) -> None:
         """Repair bodies that are fixed together and have no mass or extent in sum."""
         group = carried(list(self.bodies.values()))[carrier]
         if any(body.name in self.left for body in group):
             return
         total = carried_theta(group)
         if total[0] == 0.0:
-            self._write(self.bodies[carrier], "no mass", TOKEN_MASS)
+            self._write(self.bodies[carrier], "no mass")
         elif not margin(total, "pseudo_inertia") >= thin_limit(inertia_tensor(total)):
-            heaviest = max(group, key=lambda body: body.mass or 0.0)
-            self._write(heaviest, "point")
+            self._write(max(group, key=lambda body: body.mass or 0.0), "point")
 
-    def _write(self, body: DescribedBody, reason: str, mass: float | None = None) -> None:
-        link, old = self.links[body.name], body.tensor
-        if old is None:
-            old = np.zeros((3, 3))
-        new_mass = mass if mass is not None else (body.mass or 0.0)
+    def _write(self, body: DescribedBody, reason: str) -> None:
+        """Write the nearest possible body, or a token one."""
+        old = np.zeros((3, 3)) if body.tensor is None else body.tensor
+        token = reason == "no mass"
+        mass = TOKEN_MASS if token else (body.mass or 0.0)
         given = second_moment_from_inertia(old)
-        proof = None
-        if old.any() or mass is None:
-            floor = moment_floor(given, new_mass)
+        floor, nearest = 0.0, 2.0 * mass * TOKEN_RADIUS**2 * np.eye(3)
+        if old.any() or not token:
+            floor = moment_floor(given, mass)
             nearest = complement(raise_eigenvalues(given, aim(floor)))
-        else:
-            floor = 0.0
-            nearest = 2.0 * new_mass * TOKEN_RADIUS**2 * np.eye(3)
-        values = {
-            key: repr(float(value) + 0.0)
-            for key, value in zip(TENSOR_NAMES, tensor_entries(nearest), strict=True)
-        }
-        entries = tuple(exact_decimal(value) for value in values.values())
-        if body.entries is not None:
-            values = {
-                key: value
-                for key, value, now, before in zip(
-                    values, values.values(), entries, body.entries, strict=True
-                )
-                if abs(float(now - before)) > _SAME * float(np.abs(old).max())
-            }
-            entries = tuple(
-                now if key in values else before
-                for key, now, before in zip(TENSOR_NAMES, entries, body.entries, strict=True)
-            )
+        values: dict[str, dict[str, str]] = {"mass": {"value": repr(mass)}} if token else {}
+        tensor, entries = values.setdefault("inertia", {}), []
+        before = body.entries or (None,) * len(TENSOR_NAMES)
+        for key, was, number in zip(TENSOR_NAMES, before, tensor_entries(nearest), strict=True):
+            text = repr(float(number) + 0.0)
+            entries.append(exact_decimal(text))
+            if was is None or abs(float(entries[-1] - was)) > _SAME * float(np.abs(old).max()):
+                tensor[key] = text
+            else:
+                entries[-1] = was
+        proof = None
         if floor:
             exact = body.entries or (Fraction(0),) * len(TENSOR_NAMES)
             proof = prove_nearest(
-                exact_second_moment(exact), exact_second_moment(entries), Fraction(floor)
+                exact_second_moment(exact), exact_second_moment(tuple(entries)), Fraction(floor)
             )
-        self._set(link, values, None if mass is None else repr(mass))
-        com = np.zeros(3) if body.com is None else body.com
+        links = self.document.root.find_all("link")
+        link = next(each for each in links if each.attributes.get("name", "") == body.name)
+        write_inertial(self.document, link, {tag: each for tag, each in values.items() if each})
         self.bodies[body.name] = replace(
-            body, described=True, mass=new_mass, com=com, entries=entries, half_digit=0.0
+            body,
+            described=True,
+            mass=mass,
+            com=np.zeros(3) if body.com is None else body.com,
+            entries=tuple(entries),
+            half_digit=0.0,
         )
         self.done[body.name] = RepairedBody(
             link=body.name,
             reason=reason,
-            moments=_moments(old),
-            new_moments=_moments(nearest),
+            moments=tuple(np.linalg.eigvalsh(old).tolist()),
+            new_moments=tuple(np.linalg.eigvalsh(nearest).tolist()),
             mass=body.mass or 0.0,
-            new_mass=new_mass,
+            new_mass=mass,
             proof=proof,
         )
-
-    def _set(self, link: Element, inertia: Mapping[str, str], mass: str | None) -> None:
-        inertial = link.find("inertial")
-        if inertial is None:
-            tensor = " ".join(f'{key}="{value}"' for key, value in inertia.items())
-            self.document.insert_child(
-                link,
-                f'<inertial>\n  <mass value="{mass}"/>\n  <inertia {tensor}/>\n</inertial>',
-            )
-            return
-        for name, attributes in (
-            ("mass", {} if mass is None else {"value": mass}),
-            ("inertia", inertia),
-        ):
-            element = inertial.find(name)
-            if element is not None and attributes:
-                self.document.set_attributes(element, attributes)
-
-
-def _moments(tensor: Array) -> tuple[float, ...]:
-    return tuple(float(x) for x in np.linalg.eigvalsh(tensor))

@@ -17,11 +17,11 @@ from sdpid.output.robots.written_bodies import (
     Fixed,
     FixedChild,
     RobotText,
-    require_consistent,
     require_same_efforts,
     source_text,
     standard_parameters,
     tag,
+    write_inertial,
 )
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
 from sdpid.robot.description.inertials import Inertial
@@ -94,7 +94,6 @@ def write_urdf(
     theta = standard_parameters(estimate, what, "URDF")
     text = Urdf(robot, without_level(source_text(robot, source, what)))
     bodies = problem.feasible.bodies(theta)
-    require_consistent(robot, bodies, problem.consistency, what)
     text.write_bodies(bodies, problem.consistency, _asked(fixed, text))
     text.require_unambiguous()
     friction = joint_attributes(problem, theta, PLACES, what)
@@ -276,20 +275,3 @@ class Urdf(RobotText):
 def _several(element: Element, what: str, tags: Iterable[str]) -> list[str]:
     """Return what an element has several of: readers might take either."""
     return [f"{what} has several <{tag}>" for tag in tags if len(element.find_all(tag)) > 1]
-
-
-def write_inertial(
-    document: Document, link: Element, values: Mapping[str, Mapping[str, str]]
-) -> None:
-    """Write the attributes of an ``<inertial>`` by tag into a link, which may lack one."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        lines = [f"  {tag(name, attributes)}" for name, attributes in values.items()]
-        document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
-        return
-    for name, attributes in values.items():
-        element = inertial.find(name)
-        if element is None:
-            document.insert_child(inertial, tag(name, attributes))
-        else:
-            document.set_attributes(element, attributes)

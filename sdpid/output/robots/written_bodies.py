@@ -144,6 +144,8 @@ class RobotText(ABC):
         ExportError
             When one can be no body, or cannot be split as asked.
         """
+        for each, body in zip(self.robot.link_names, bodies, strict=True):
+            possible_body(body, consistency, each, self.what)
         for link, (carrier, body) in enumerate(zip(self.carriers, bodies, strict=True)):
             T = self.frame(link)
             if not np.array_equal(T, np.eye(4)):
@@ -170,8 +172,7 @@ class RobotText(ABC):
                 for k in heavy:
                     self.write(k, NOTHING)
             own = body if rest is None else rest
-            exact = possible_body([*map(Fraction, own.tolist())], consistency, name, self.what)
-            written = rounded(exact)
+            written = possible_body(own, consistency, name, self.what)
             if not exists(written.mass, written.moments, "pseudo_inertia"):
                 self.flat.append(name)
             self.write(carrier, written)
@@ -204,6 +205,23 @@ class RobotText(ABC):
 def tag(name: str, attributes: Mapping[str, str]) -> str:
     """Return the markup of an element without content."""
     return f"<{name} {' '.join(f'{key}={quoteattr(x)}' for key, x in attributes.items())}/>"
+
+
+def write_inertial(
+    document: Document, link: Element, values: Mapping[str, Mapping[str, str]]
+) -> None:
+    """Write the attributes of an ``<inertial>`` by tag into a link, which may lack one."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        lines = [f"  {tag(name, attributes)}" for name, attributes in values.items()]
+        document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
+        return
+    for name, attributes in values.items():
+        element = inertial.find(name)
+        if element is None:
+            document.insert_child(inertial, tag(name, attributes))
+        else:
+            document.set_attributes(element, attributes)
 
 
 def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
@@ -245,33 +263,6 @@ def source_text(robot: RobotModel, source: PathLike | None, what: str) -> str:
 def _rounding(bodies: Array) -> Array:
     """Return the rounding error of the inertia about the center of mass, in kg·m²."""
     return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
-
-
-def require_consistent(
-    robot: RobotModel, bodies: Array, consistency: Consistency, what: str
-) -> None:
-    """Raise where a body (links, 10) has no mass or violates the consistency.
-
-    Raises
-    ------
-    ExportError
-        With the link's name and its margin.
-    """
-    margins = margin(bodies, consistency)
-    for name, body, value, error in zip(
-        robot.link_names, bodies, margins, _rounding(bodies), strict=True
-    ):
-        if not body[0] > 0.0:
-            raise ExportError(
-                f"{what}: link '{name}' has a mass of {body[0]:.6g} kg, it must "
-                "be positive; solve with a consistency."
-            )
-        if value < -error:
-            raise ExportError(
-                f"{what}: link '{name}' is not consistent, its margin is "
-                f"{value:.3g} kg·m² and the least is 0; solve with a consistency, or with a "
-                "positive Constraints.margin if the solver stopped just outside."
-            )
 
 
 def require_same_efforts(
@@ -318,20 +309,26 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
     return rest if enough else None
 
 
-def possible_body(
-    body: Sequence[Fraction], consistency: Consistency, link: str, what: str
-) -> list[Fraction]:
-    """Return a body off the edge of the consistent set by a few roundings, exactly.
+def possible_body(body: Array, consistency: Consistency, link: str, what: str) -> Inertial:
+    """Return the numbers of a body, off the edge of the consistent set by a few roundings.
 
     Raises
     ------
     ExportError
-        When it is further outside than rounding.
+        When it has no mass, or is further outside than rounding, with its margin.
     """
-    found = inside(body, consistency)
+    if not body[0] > 0.0:
+        raise ExportError(
+            f"{what}: link '{link}' has a mass of {body[0]:.6g} kg, it must be positive; solve "
+            "with a consistency."
+        )
+    found = None
+    if possible(body, consistency):
+        found = inside([*map(Fraction, body.tolist())], consistency)
     if found is None:
         raise ExportError(
-            f"{what}: link '{link}' is not consistent; solve with a consistency, or with a "
-            "positive Constraints.margin if the solver stopped just outside."
+            f"{what}: link '{link}' is not consistent, its margin is "
+            f"{margin(body, consistency):.3g} kg·m² and the least is 0; solve with a consistency, "
+            "or with a positive Constraints.margin if the solver stopped just outside."
         )
-    return found
+    return rounded(found)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,7 +30,7 @@ from sdpid.output.samples.patterns import (
 )
 from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
 from sdpid.robot.description.bodies import DescribedBody, exact_decimal
-from sdpid.robot.description.inertials import Inertial, rounded
+from sdpid.robot.description.inertials import Inertial
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
 
 RobotKind = Literal["urdf", "mjcf"]
@@ -141,10 +140,9 @@ def _audited(name: str, pattern: Pattern, bodies: Array) -> list[Inertial]:
         When one of them can be no body.
     """
     out = []
-    for link, body in zip(pattern.names, bodies.tolist(), strict=True):
+    for link, body in zip(pattern.names, bodies, strict=True):
         what = f"{name}{pattern.suffix}"
-        possible = possible_body([Fraction(x) for x in body], "pseudo_inertia", link, what)
-        out.append(rounded(possible))
+        out.append(possible_body(body, "pseudo_inertia", link, what))
         errors = [e for e in check_numbers(_as_read(link, out[-1])) if e.severity == "error"]
         if errors:
             raise ExportError(f"{what}: link '{link}': {errors[0].message}.")
