@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid import audit_urdf
-from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
 from sdpid.errors import ModelError
+from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description import mjcf_bodies
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.mjcf import parsed
@@ -161,7 +161,7 @@ def test_rounding_is_offered_as_a_reason() -> None:
 def test_what_is_inside_a_shape_fits_into_it(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.3, 0.3, (12, 3)) * rng.uniform(0.1, 1.0, 3)
-    shape = Shape.around(points)
+    shape = Hull.of(points, "points")
     masses = rng.uniform(0.0, 1.0, 12)
     body = point_masses(masses, points)
     com = body[1:4] / body[0]

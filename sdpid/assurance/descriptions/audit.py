@@ -10,69 +10,25 @@ from typing import Any
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.descriptions.body_checks import (
+    BodyAudit,
+    Shapes,
     check_numbers,
     check_shape,
-    consistent,
-    least_second_moment,
+    numbers_of,
 )
-from sdpid.assurance.descriptions.findings import GEOMETRY, Finding
-from sdpid.assurance.descriptions.link_shape import Shape, Shapes
+from sdpid.assurance.descriptions.findings import Finding, found
 from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
-from sdpid.errors import ModelError
-from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.hull import Hull
+from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import is_mjcf, read_description
 from sdpid.robot.model.geometry import link_points
 
 _ORDER = {"error": 0, "warning": 1, "note": 2}
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyAudit:
-    """The numbers of one body.
-
-    Attributes
-    ----------
-    link : str
-        The link.
-    moving : bool
-        Whether a joint moves it.
-    consistent : bool or None
-        Whether some body has these numbers, decided in exact arithmetic; None without numbers.
-    mass : float or None
-        kg.
-    com : tuple of float or None
-        Center of mass in the link's frame, m.
-    moments : tuple of float or None
-        Principal moments about the center of mass, rising, kg·m².
-    second_moment : float or None
-        Smallest eigenvalue of the second moments about the center of mass, kg·m²: the one of the
-        pseudo-inertia once its frame is moved there.
-    triangle_ratio : float or None
-        Largest principal moment over the sum of the others, at most 1 for a body; None where that
-        sum is not positive.
-    gyration : float or None
-        Radius of gyration about the center of mass, m; None where it is not real.
-    com_outside : float or None
-        Distance of the center of mass from the hull of the collision geometry (of the visual one
-        where there is no other), m; negative inside.
-    density : float or None
-        Mass over the volume of the hull of all geometry, kg/m³: the least that it can be.
-    """
-
-    link: str
-    moving: bool
-    consistent: bool | None
-    mass: float | None
-    com: tuple[float, ...] | None
-    moments: tuple[float, ...] | None
-    second_moment: float | None
-    triangle_ratio: float | None
-    gyration: float | None
-    com_outside: float | None
-    density: float | None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -134,10 +90,7 @@ class UrdfAudit(Shown):
             {
                 "link": [b.link + (" !" if b.consistent is False else "") for b in bodies],
                 "mass": [b.mass for b in bodies],
-                "moments": [
-                    None if b.moments is None else " ".join(f"{x:.3g}" for x in b.moments)
-                    for b in bodies
-                ],
+                "moments": [b.moments and " ".join(f"{x:.3g}" for x in b.moments) for b in bodies],
                 "second moment": [b.second_moment for b in bodies],
                 "triangle": [b.triangle_ratio for b in bodies],
                 "com outside": [b.com_outside for b in bodies],
@@ -211,39 +164,36 @@ def audit_urdf(
     >>> print(audit.describe())
     identified.urdf: 7 links, 0 errors, 0 warnings, 0 notes
     """
-    found = expand_xacro(read_description(source), xacro_args)
-    text, path, what = found.text, found.path, found.what
+    read = expand_xacro(read_description(source), xacro_args)
+    text, path, what = read.text, read.path, read.what
+    shapes: dict[str, Shapes] = {}
+    findings: list[Finding] = []
     if is_mjcf(text, what):
         from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies
 
         bodies = read_mjcf_bodies(text, path, what)
-        shapes: dict[str, Shapes] = {}
-        findings: list[Finding] = []
     else:
         root, bodies = read_urdf_bodies(text, what)
-        folders = [Path(folder) for folder in package_dirs]
-        if path is not None:
-            folders.append(path.parent)
-        shapes, findings = _shapes(root, what, folders)
+        folders = [*map(Path, package_dirs), *([] if path is None else [path.parent])]
+        failed: list[str] = []
+        shapes = dict(_shapes(root, what, folders, failed))
+        if failed:
+            findings.append(found("geometry", "", count=len(failed), first=failed[0]))
+    numbers = []
     for body in bodies:
+        numbers.append(numbers_of(body, shapes.get(body.name)))
         findings += check_numbers(body)
-        findings += check_shape(body, shapes.get(body.name))
+        findings += check_shape(body, numbers[-1], shapes.get(body.name))
     findings += check_copies(bodies, shapes)
     findings += check_moving(bodies)
     findings.sort(key=lambda finding: _ORDER[finding.severity])
-    return UrdfAudit(
-        name=what,
-        bodies=tuple(_numbers(body, shapes.get(body.name)) for body in bodies),
-        findings=tuple(findings),
-    )
+    return UrdfAudit(name=what, bodies=tuple(numbers), findings=tuple(findings))
 
 
 def _shapes(
-    root: Any, what: str, folders: Sequence[Path]
-) -> tuple[dict[str, Shapes], list[Finding]]:
-    """Return the hulls of the geometry by link, and what could not be read."""
-    shapes: dict[str, Shapes] = {}
-    failed: list[str] = []
+    root: Any, what: str, folders: Sequence[Path], failed: list[str]
+) -> Iterator[tuple[str, Shapes]]:
+    """Yield the hulls of each link's geometry that has a volume; list what cannot be read."""
     for link in root.findall("link"):
         points = {}
         for kind in ("collision", "visual"):
@@ -252,42 +202,13 @@ def _shapes(
             except ModelError as cause:
                 points[kind] = np.empty((0, 3))
                 failed.append(str(cause))
-        whole = Shape.around(np.concatenate([points["collision"], points["visual"]]))
+        whole = _hull(np.concatenate([points["collision"], points["visual"]]))
         if whole is not None:
-            collision = Shape.around(points["collision"]) or whole
-            shapes[link.get("name", "")] = Shapes(collision, whole)
-    if not failed:
-        return shapes, []
-    return shapes, [GEOMETRY.found("", count=len(failed), first=failed[0])]
+            yield link.get("name", ""), Shapes(_hull(points["collision"]) or whole, whole)
 
 
-def _numbers(body: DescribedBody, shapes: Shapes | None) -> BodyAudit:
-    """Return the numbers of a body, as far as they exist."""
-    tensor, mass = body.tensor, body.mass
-    moments = second = ratio = gyration = outside = density = None
-    if tensor is not None:
-        values = np.linalg.eigvalsh(tensor)
-        moments = tuple(float(x) for x in values)
-        second = least_second_moment(tensor)
-        if values[0] + values[1] > 0.0:
-            ratio = float(values[2] / (values[0] + values[1]))
-        trace = float(np.trace(tensor))
-        if mass is not None and mass > 0.0 and trace >= 0.0:
-            gyration = float(np.sqrt(0.5 * trace / mass))
-    if shapes is not None and mass is not None and mass > 0.0:
-        density = mass / shapes.whole.volume
-        if body.com is not None:
-            outside = shapes.collision.distance(body.com)
-    return BodyAudit(
-        link=body.name,
-        moving=body.moving,
-        consistent=consistent(body) if body.described else None,
-        mass=mass,
-        com=None if body.com is None else tuple(float(x) for x in body.com),
-        moments=moments,
-        second_moment=second,
-        triangle_ratio=ratio,
-        gyration=gyration,
-        com_outside=outside,
-        density=density,
-    )
+def _hull(points: Array) -> Hull | None:
+    try:
+        return Hull.of(points, "geometry")
+    except DataError:
+        return None

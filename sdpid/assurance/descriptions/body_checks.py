@@ -1,17 +1,16 @@
-"""Checks of the inertia of one body of a description."""
+"""Numbers of one body of a description, and checks of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions import findings
-from sdpid.assurance.descriptions.findings import Finding, Severity
-from sdpid.assurance.descriptions.link_shape import Shape, Shapes
+from sdpid.assurance.descriptions.findings import Finding, found
+from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia
 from sdpid.verifier.exact import positive_semidefinite
@@ -49,6 +48,59 @@ _INERTIA_UNITS = {
 _DECADES = 0.7
 
 
+@dataclass(frozen=True, kw_only=True)
+class BodyAudit:
+    """The numbers of one body.
+
+    Attributes
+    ----------
+    link : str
+        The link.
+    moving : bool
+        Whether a joint moves it.
+    consistent : bool or None
+        Whether some body has these numbers, decided in exact arithmetic; None without numbers.
+    mass : float or None
+        kg.
+    com : tuple of float or None
+        Center of mass in the link's frame, m.
+    moments : tuple of float or None
+        Principal moments about the center of mass, rising, kg·m².
+    second_moment : float or None
+        Smallest eigenvalue of the second moments about the center of mass, kg·m²: the one of the
+        pseudo-inertia once its frame is moved there.
+    triangle_ratio : float or None
+        Largest principal moment over the sum of the others, at most 1 for a body; None where that
+        sum is not positive.
+    gyration : float or None
+        Radius of gyration about the center of mass, m; None where it is not real.
+    com_outside : float or None
+        Distance of the center of mass from the hull of the collision geometry (of the visual one
+        where there is no other), m; negative inside.
+    density : float or None
+        Mass over the volume of the hull of all geometry, kg/m³: the least that it can be.
+    """
+
+    link: str
+    moving: bool
+    consistent: bool | None
+    mass: float | None
+    com: tuple[float, ...] | None
+    moments: tuple[float, ...] | None
+    second_moment: float | None
+    triangle_ratio: float | None
+    gyration: float | None
+    com_outside: float | None
+    density: float | None
+
+
+class Shapes(NamedTuple):
+    """Hulls of a link's collision geometry (of all where it has none) and of all its geometry."""
+
+    collision: Hull
+    whole: Hull
+
+
 def consistent(body: DescribedBody) -> bool | None:
     """Return whether some body has this mass and tensor, decided exactly; None if unreadable.
 
@@ -56,11 +108,9 @@ def consistent(body: DescribedBody) -> bool | None:
     """
     if body.mass is None or body.entries is None or body.com is None:
         return None
-    if body.mass < 0.0:
-        return False
-    if body.mass == 0.0:
-        return not any(body.entries)
-    return positive_semidefinite(exact_second_moment(body.entries))
+    if body.mass > 0.0:
+        return positive_semidefinite(exact_second_moment(body.entries))
+    return body.mass == 0.0 and not any(body.entries)
 
 
 def least_second_moment(tensor: Array) -> float:
@@ -81,33 +131,59 @@ def thin_limit(tensor: Array) -> float:
     return max(THIN, THIN_SHARE * float(np.abs(tensor).max()))
 
 
+def numbers_of(body: DescribedBody, shapes: Shapes | None) -> BodyAudit:
+    """Return the numbers of a body, as far as they exist."""
+    tensor, mass, com = body.tensor, body.mass, body.com
+    moments = second = ratio = gyration = outside = density = None
+    heavy = mass if mass is not None and mass > 0.0 else None
+    if tensor is not None:
+        moments = tuple(np.linalg.eigvalsh(tensor).tolist())
+        second, others = least_second_moment(tensor), moments[0] + moments[1]
+        ratio = moments[2] / others if others > 0.0 else None
+        trace = float(np.trace(tensor))
+        gyration = float(np.sqrt(0.5 * trace / heavy)) if heavy and trace >= 0.0 else None
+    if shapes is not None and heavy:
+        density = heavy / shapes.whole.volume
+        outside = None if com is None else shapes.collision.distance(com)
+    return BodyAudit(
+        link=body.name,
+        moving=body.moving,
+        consistent=consistent(body) if body.described else None,
+        mass=mass,
+        com=None if com is None else tuple(com.tolist()),
+        moments=moments,
+        second_moment=second,
+        triangle_ratio=ratio,
+        gyration=gyration,
+        com_outside=outside,
+        density=density,
+    )
+
+
 def check_numbers(body: DescribedBody) -> Iterator[Finding]:
     """Check what needs no geometry: the text, the mass and the tensor."""
     name = body.name
     for problem in body.problems:
-        rule = findings.NOT_SYMMETRIC if "symmetric" in problem else findings.UNREADABLE
-        yield rule.found(name, problem=problem)
+        kind = "not_symmetric" if "symmetric" in problem else "unreadable"
+        yield found(kind, name, problem=problem)
     mass, tensor, possible = body.mass, body.tensor, consistent(body)
     if mass is None or tensor is None or possible is None:
         return
     if mass < 0.0:
-        yield findings.NEGATIVE_MASS.found(name, value=mass, limit=0.0)
+        yield found("negative_mass", name, mass, 0.0)
     elif mass == 0.0 and not possible:
-        largest = float(np.abs(tensor).max())
-        yield findings.MASSLESS_INERTIA.found(name, value=largest, limit=0.0)
+        yield found("massless_inertia", name, float(np.abs(tensor).max()), 0.0)
     elif not possible:
         yield _impossible(body, tensor, mass)
     elif mass > 0.0 and not tensor.any():
         moves = body.moving and body.carrier == name
-        severity: Severity = "warning" if moves else "note"
-        yield findings.POINT.found(name, value=0.0, limit=0.0, severity=severity, mass=mass)
+        yield found("point", name, 0.0, 0.0, "warning" if moves else "note", mass=mass)
     elif thin(body):
-        value, moments = least_second_moment(tensor), _triple(np.linalg.eigvalsh(tensor))
-        limit = thin_limit(tensor)
-        yield findings.NO_THICKNESS.found(name, value=value, limit=limit, moments=moments)
+        value, moments = least_second_moment(tensor), np.linalg.eigvalsh(tensor)
+        yield found("no_thickness", name, value, thin_limit(tensor), moments=_triple(moments))
     if np.array_equal(tensor, np.eye(3)):
         gyration = np.sqrt(1.5 / mass) if mass > 0.0 else np.inf
-        yield findings.IDENTITY.found(name, value=1.0, mass=mass, gyration=gyration)
+        yield found("identity", name, 1.0, mass=mass, gyration=gyration)
 
 
 def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
@@ -133,92 +209,85 @@ def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
                 "that was taken off twice, or the tensor belongs to another point"
             )
     others = moments[0] + moments[1]
-    negative = moments[0] < -1e-15 * largest
-    return (findings.NEGATIVE_MOMENT if negative else findings.TRIANGLE).found(
+    return found(
+        "negative_moment" if moments[0] < -1e-15 * largest else "triangle",
         body.name,
-        value=least,
-        limit=0.0,
+        least,
+        0.0,
         moments=_triple(moments),
         excess=moments[2] / others if others > 0.0 else np.inf,
         hints="".join(f"{hint}; " for hint in hints),
     )
 
 
-def check_shape(body: DescribedBody, shapes: Shapes | None) -> Iterator[Finding]:
+def check_shape(
+    body: DescribedBody, numbers: BodyAudit, shapes: Shapes | None
+) -> Iterator[Finding]:
     """Check a body with mass against the geometry of its link, as far as there is one."""
     name, mass, com, tensor = body.name, body.mass, body.com, body.tensor
     if mass is None or tensor is None or not mass > 0.0:
         return
+    gyration, possible = numbers.gyration or 0.0, consistent(body)
     if shapes is None:
-        gyration = float(np.sqrt(max(0.5 * np.trace(tensor) / mass, 0.0)))
-        if consistent(body) and gyration > LARGEST_RADIUS:
-            rule = findings.TOO_WIDE_WITHOUT_SHAPE
-            yield rule.found(name, value=gyration, limit=LARGEST_RADIUS)
+        if possible and gyration > LARGEST_RADIUS:
+            yield found("too_wide without a shape", name, gyration, LARGEST_RADIUS)
         return
-    if com is None:
+    if com is None or numbers.com_outside is None or numbers.density is None:
         return
-    yield from _check_center(name, com, shapes)
-    yield from _check_density(name, mass, shapes.whole)
-    if tensor.any() and consistent(body):
-        P = second_moment_from_inertia(tensor)
-        turned = body.rotation @ P @ body.rotation.T / mass
-        yield from _check_spread(name, com, turned, shapes.whole)
-
-
-def _check_center(name: str, com: Array, shapes: Shapes) -> Iterator[Finding]:
-    """Check that the center of mass is inside the collision geometry."""
-    collision = shapes.collision
-    outside = collision.distance(com)
-    size = collision.radius(collision.corners.mean(axis=0))
+    collision, whole = shapes
+    outside, size = numbers.com_outside, collision.radius(collision.corners.mean(axis=0))
     limit = OUTSIDE + OUTSIDE_SHARE * size
     if outside > limit:
-        hidden = shapes.whole.distance(com) <= limit
-        yield findings.COM_OUTSIDE.found(
+        hidden = whole.distance(com) <= limit
+        yield found(
+            "com_outside",
             name,
-            value=outside,
-            limit=limit,
-            severity="note" if hidden else "warning",
+            outside,
+            limit,
+            "note" if hidden else "warning",
             visual=", inside the one with the visual geometry" if hidden else "",
             units=" (millimeters?)" if outside > 100.0 * size else "",
         )
-
-
-def _check_density(name: str, mass: float, shape: Shape) -> Iterator[Finding]:
-    """Check that the mass over the volume of the hull is that of some material."""
-    density = mass / shape.volume
-    advice = "check the mass and the geometry."
+    density, advice = numbers.density, "check the mass and the geometry."
     if density > DENSEST:
-        if LIGHTEST * 100.0 < density * 1e-3 < DENSEST:
-            advice = "is the mass in grams?"
-        yield findings.TOO_DENSE.found(name, value=density, limit=DENSEST, advice=advice)
+        grams = LIGHTEST * 100.0 < density * 1e-3 < DENSEST
+        yield found(
+            "too_dense", name, density, DENSEST, advice="is the mass in grams?" if grams else advice
+        )
     elif density < LIGHTEST:
-        if density < 1e-4:
-            advice = "is the geometry in millimeters (mesh scale)?"
-        yield findings.TOO_LIGHT.found(name, value=density, limit=LIGHTEST, advice=advice)
+        scale = "is the geometry in millimeters (mesh scale)?"
+        yield found(
+            "too_light", name, density, LIGHTEST, advice=scale if density < 1e-4 else advice
+        )
+    if tensor.any() and possible:
+        P = second_moment_from_inertia(tensor)
+        turned = body.rotation @ P @ body.rotation.T / mass
+        yield from _check_spread(name, com, turned, gyration, whole)
 
 
-def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> Iterator[Finding]:
+def _check_spread(
+    name: str, com: Array, covariance: Array, gyration: float, hull: Hull
+) -> Iterator[Finding]:
     """Check that the mass is spread neither wider nor far less than the geometry."""
-    radius = shape.radius(com)
-    gyration = float(np.sqrt(max(np.trace(covariance), 0.0)))
+    radius = hull.radius(com)
     slack = OUTSIDE + OUTSIDE_SHARE * radius
-    spread = shape.spread(com, covariance, slack=slack) or 0.0
+    spread = hull.spread(com, covariance, slack=slack) or 0.0
     if spread > SPREAD or gyration > radius + slack:
         about = covariance - np.outer(com, com)
-        other = shape.spread(com, about, slack=slack)
+        other = hull.spread(com, about, slack=slack)
         possible = np.linalg.eigvalsh(about)[0] >= -1e-12 * float(np.trace(covariance))
         fits = possible and other is not None and other <= 1.0
-        yield (findings.WRONG_POINT if fits else findings.TOO_WIDE).found(
+        yield found(
+            "wrong_point" if fits else "too_wide",
             name,
-            value=max(spread, gyration / radius),
-            limit=SPREAD,
+            max(spread, gyration / radius),
+            SPREAD,
             gyration=gyration,
             radius=radius,
             advice=_unit((gyration / (TYPICAL_RADIUS * radius)) ** 2),
         )
     elif gyration < CONCENTRATED * radius:
-        share = gyration / radius
-        yield findings.TOO_NARROW.found(name, value=share, limit=CONCENTRATED, gyration=gyration)
+        yield found("too_narrow", name, gyration / radius, CONCENTRATED, gyration=gyration)
 
 
 def _unit(factor: float) -> str:
@@ -229,6 +298,6 @@ def _unit(factor: float) -> str:
     return "check the tensor and the geometry"
 
 
-def _triple(values: NDArray[np.floating[Any]]) -> str:
+def _triple(values: Iterable[float]) -> str:
     """Return three numbers as text."""
-    return ", ".join(f"{float(x):.6g}" for x in values)
+    return ", ".join(f"{x:.6g}" for x in values)

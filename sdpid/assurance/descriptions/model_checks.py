@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions import findings
-from sdpid.assurance.descriptions.body_checks import consistent
-from sdpid.assurance.descriptions.findings import Finding
-from sdpid.assurance.descriptions.link_shape import Shape, Shapes
+from sdpid.assurance.descriptions.body_checks import Shapes, consistent
+from sdpid.assurance.descriptions.findings import Finding, found
 from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.inertia import transform
 
@@ -34,25 +32,22 @@ def check_copies(
         first, names = group[0].name, [body.name for body in group[1:]]
         if len(names) > 4:
             names[3:] = [f"{len(names) - 3} more"]
-        told: dict[str, Any] = {"value": float(len(group)), "others": ", ".join(names)}
+        many, others = float(len(group)), ", ".join(names)
         masses = sorted({body.mass for body in group if body.mass is not None})
+        hulls = [shapes[body.name].whole for body in group if body.name in shapes]
+        extents = [np.sort(np.ptp(hull.corners, axis=0)) for hull in hulls]
+        same = all(np.allclose(e, extents[0], rtol=_SAME_PART, atol=0.0) for e in extents)
         if len(masses) > 1:
-            yield findings.COPIED.found(first, **told, least=masses[0], most=masses[-1])
-        elif _differ([shapes[b.name].whole for b in group if b.name in shapes]):
-            yield findings.COPIED_WITH_MASS.found(first, **told)
-
-
-def _differ(shapes: Sequence[Shape]) -> bool:
-    """Return whether the shapes are not all of the same part or its mirror image."""
-    extents = [np.sort(np.ptp(shape.corners, axis=0)) for shape in shapes]
-    return any(not np.allclose(e, extents[0], rtol=_SAME_PART, atol=0.0) for e in extents[1:])
+            yield found("copied", first, many, others=others, least=masses[0], most=masses[-1])
+        elif not same:
+            yield found("copied with the mass", first, many, others=others)
 
 
 def check_moving(bodies: Sequence[DescribedBody]) -> Iterator[Finding]:
     """Find joints that move nothing, directly or at all."""
     groups = carried(bodies)
     if groups and not any(b.described or b.inferred or b.problems for b in bodies):
-        yield findings.NO_INERTIALS.found("")
+        yield found("no_inertials", "")
         return
     carriers = {body.name: body.carrier for body in bodies}
     heavy = {
@@ -69,9 +64,9 @@ def check_moving(bodies: Sequence[DescribedBody]) -> Iterator[Finding]:
             at = carriers.get(groups[at][0].parent or "")
     for carrier, group in groups.items():
         if carrier not in heavy:
-            rule = findings.MOVING_WITHOUT_MASS if carrier in moved else findings.MOVES_NOTHING
+            kind = "moving_without_mass" if carrier in moved else "moves_nothing"
             lacks = "has no mass" if any(b.described for b in group) else "has no inertial"
-            yield rule.found(carrier, value=0.0, limit=0.0, joint=group[0].joint, lacks=lacks)
+            yield found(kind, carrier, 0.0, 0.0, joint=group[0].joint, lacks=lacks)
 
 
 def carried(bodies: Sequence[DescribedBody]) -> dict[str, list[DescribedBody]]:

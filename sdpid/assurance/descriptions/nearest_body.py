@@ -28,7 +28,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import CertificateError
-from sdpid.verifier.exact import positive_semidefinite
+from sdpid.verifier.exact import inner, positive_semidefinite
 
 # Second moments of a repaired body are at least this share of the largest eigenvalue, in
 # magnitude, of the given ones. Older releases of MuJoCo find principal moments to some 1e-7 only
@@ -108,9 +108,9 @@ def prove_nearest(
         weight = max(floor - Fraction(float(value)), Fraction(0))
         q = [Fraction(float(x)) for x in vector]
         N = [[N[i][j] + weight * q[i] * q[j] for j in range(3)] for i in range(3)]
-    gain = floor * sum(N[i][i] for i in range(3)) - _inner(given, N)
+    gain = floor * sum(N[i][i] for i in range(3)) - inner(given, N)
     difference = [[written[i][j] - given[i][j] for j in range(3)] for i in range(3)]
-    distance2, size2 = _inner(difference, difference), _inner(N, N)
+    distance2, size2 = inner(difference, difference), inner(N, N)
     # Squared, so that no root has to be taken: bound² = gain²/‖N‖².
     bound2 = gain * gain / size2 if gain > 0 and size2 > 0 else Fraction(0)
     allowed = (1 + Fraction(NEAREST)) ** 2
@@ -121,11 +121,4 @@ def prove_nearest(
         )
     return NearestProof(
         distance=float(distance2) ** 0.5, lower_bound=float(bound2) ** 0.5, floor=float(floor)
-    )
-
-
-def _inner(A: list[list[Fraction]], B: list[list[Fraction]]) -> Fraction:
-    return sum(
-        (a * b for row, other in zip(A, B, strict=True) for a, b in zip(row, other, strict=True)),
-        Fraction(0),
     )

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
-from sdpid.estimation.constraints.hull import hull_facets
+from sdpid.estimation.constraints.hull import Hull, hull_facets
 from sdpid.robot.inertia import matrix_basis
 from sdpid.robot.model.geometry import collision_points
 
@@ -331,7 +331,7 @@ class CenterOfMassInHull(Condition):
         object.__setattr__(self, "package_dirs", tuple(self.package_dirs))
         if self.points is not None:
             points = frozen(real_array(self.points, f"{what}: points", ndim=2))
-            hull_facets(points, what)  # refuses what has no volume
+            Hull.of(points, what)  # refuses what has no volume
             object.__setattr__(self, "points", points)
 
     def compile(self, layout: Layout) -> Iterator[Row]:
