@@ -1,13 +1,14 @@
-"""Refuse recordings of currents from which no gains would follow, before they are estimated."""
+"""Refuse recordings of currents from which no gains would follow."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid.assurance.drive_gains.fit import Found, GainFit
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.errors import DataError, IdentifiabilityError
@@ -45,45 +46,31 @@ _INVISIBLE = 1e-6
 _NO_PART = 0.05
 
 
-def require_currents(logs: Sequence[Recording], name: str) -> None:
-    """Refuse recordings whose efforts are torques.
-
-    Raises
-    ------
-    DataError
-        Naming the recording.
-    """
-    for number, log in enumerate(logs, 1):
-        require_fixed_base(log, f"gains, {name} recording {number}")
-        if not log.currents:
-            why = (
-                "its currents were turned into torques by gains already"
-                if log.gains is not None
-                else "its efforts are torques in N·m"
-            )
-            raise DataError(
-                f"{name} recording {number}: {why}; give currents in A (read_recording(..., "
-                "currents=True), Recording(..., currents=True))."
-            )
-
-
-def require_different(bare: Sequence[Recording], loaded: Sequence[Recording]) -> None:
-    """Refuse a recording that is given both without and with load.
+def require_currents(bare: Sequence[Recording], loaded: Sequence[Recording]) -> None:
+    """Refuse recordings whose efforts are torques, and one given both without and with load.
 
     Raises
     ------
     DataError
         Naming the recordings.
     """
-    for k, first in enumerate(bare, 1):
-        for m, second in enumerate(loaded, 1):
-            same = first.effort.shape == second.effort.shape
-            if same and np.array_equal(first.effort, second.effort):
+    for name, logs in (("without_load", bare), ("with_load", loaded)):
+        for number, log in enumerate(logs, 1):
+            require_fixed_base(log, f"gains, {name} recording {number}")
+            if not log.currents:
+                turned = "its currents were turned into torques by gains already"
+                why = "its efforts are torques in N·m" if log.gains is None else turned
                 raise DataError(
-                    f"gains: recording {k} without load and recording {m} with load are the same: "
-                    "all their efforts are equal. Give the log of the run with the load "
-                    "(with_load=, --with)."
+                    f"{name} recording {number}: {why}; give currents in A (read_recording(..., "
+                    "currents=True), Recording(..., currents=True))."
                 )
+    for (k, first), (m, second) in itertools.product(enumerate(bare, 1), enumerate(loaded, 1)):
+        if np.array_equal(first.effort, second.effort):
+            raise DataError(
+                f"gains: recording {k} without load and recording {m} with load are the same: "
+                "all their efforts are equal. Give the log of the run with the load "
+                "(with_load=, --with)."
+            )
 
 
 def require_every_current(logs: Sequence[Recording]) -> None:
@@ -103,101 +90,82 @@ def require_every_current(logs: Sequence[Recording]) -> None:
         )
 
 
-def rough_gains(robot: RobotModel, samples: Sequence[Samples]) -> tuple[Array, Array]:
-    """Return rough gains (n,) by the described links, and at which joints they are shown.
+def rough_gains(robot: RobotModel, samples: Samples, accept: Iterable[str] = ()) -> Array:
+    """Return rough gains (n,) by the described links.
 
     Of joints that do not show it the median of the others; 10 N·m/A where there is no description.
-    """
-    gains, shown = np.full(robot.n, 10.0), np.zeros(robot.n, dtype=bool)
-    if not np.any(robot.prior[:, 0] > 0.0):
-        return gains, shown
-    for j in range(robot.n):
-        columns, currents = [], []
-        for each in samples:
-            used = each.used[:, j]
-            rigid = robot.efforts_of_bodies(
-                robot.prior, each.position, each.velocity, each.acceleration
-            )[used, j]
-            v, a = each.velocity[used, j], each.acceleration[used, j]
-            columns.append(np.column_stack([rigid, np.sign(v), v, a, np.ones(len(v))]))
-            currents.append(each.effort[used, j])
-        A, y = np.vstack(columns), np.concatenate(currents)
-        size = float(np.linalg.norm(A[:, 0]))
-        if len(y) < A.shape[1] or not size > 0.0:
-            continue
-        others = A[:, 1:]
-        x, left = (each - others @ least_squares(others, each) for each in (A[:, 0], y))
-        if np.linalg.norm(x) < _INVISIBLE * size:
-            continue
-        kappa = float(x @ left) / float(x @ x)
-        shown[j] = float(x @ left) > _FOLLOWS * np.linalg.norm(x) * np.linalg.norm(left)
-        if kappa > 0.0:
-            gains[j] = 1.0 / kappa
-    if shown.any():
-        gains[~shown] = float(np.median(gains[shown]))
-    return gains, shown
-
-
-def require_no_torques(gains: Array, shown: Array, accept: Iterable[str]) -> None:
-    """Refuse efforts that are what the description's bodies need: torques, not currents.
 
     Raises
     ------
     DataError
-        Unless ``effort_scale`` is accepted.
+        When the efforts are what the described bodies need, so torques, unless ``effort_scale`` is
+        accepted.
     """
+    gains, shown = np.full(robot.n, 10.0), np.zeros(robot.n, dtype=bool)
+    if not np.any(robot.prior[:, 0] > 0.0):
+        return gains
+    states = samples.position, samples.velocity, samples.acceleration
+    rigid = robot.efforts_of_bodies(robot.prior, *states)
+    for j, rows in enumerate(samples.used.T):
+        v, a = states[1][rows, j], states[2][rows, j]
+        friction = np.column_stack([np.sign(v), v, a, np.ones(len(v))])
+        x, left = (
+            each - friction @ least_squares(friction, each)
+            for each in (rigid[rows, j], samples.effort[rows, j])
+        )
+        if np.linalg.norm(x) <= _INVISIBLE * np.linalg.norm(rigid[rows, j]):
+            continue
+        along = float(x @ left)
+        shown[j] = along > _FOLLOWS * np.linalg.norm(x) * np.linalg.norm(left)
+        if along > 0.0:
+            gains[j] = float(x @ x) / along
+    if not shown.any():
+        return gains
+    gains[~shown] = float(np.median(gains[shown]))
+    least, most = gains[shown].min(), gains[shown].max()
     low, high = _LIKE_TORQUES
-    if not shown.any() or "effort_scale" in accept:
-        return
-    if np.all((gains[shown] > low) & (gains[shown] < high)):
+    if low < least and most < high and "effort_scale" not in accept:
         raise DataError(
             "gains: the efforts are torques, not currents: the described links need "
-            f"{gains[shown].min():.2g} to {gains[shown].max():.2g} times as much at every joint "
+            f"{least:.2g} to {most:.2g} times as much at every joint "
             f"that shows it, limits {low:g} and {high:g}. Give the columns of currents, or accept "
             "'effort_scale' for drives of about 1 N·m/A."
         )
+    return gains
 
 
 def looked_at(
     robot: RobotModel,
-    logs: Sequence[Recording],
+    bare: Sequence[Recording],
+    loaded: Sequence[Recording],
     gains: Array,
-    accept: Iterable[str],
-    name: str,
-    *,
-    together: bool,
+    accept: Sequence[str],
 ) -> tuple[Finding, ...]:
     """Return what is wrong with recordings of currents, but for their scale.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The arm.
-    logs : sequence of Recording
-        Recordings of the arm's joints in its order.
-    gains : ndarray, shape (n,)
-        Rough ones, by which the currents are compared with the description.
-    accept : iterable of str
-        Kinds of findings that do not refuse a recording.
-    name : str
-        What messages call them.
-    together : bool
-        Whether they carry the same.
+    They are compared with the description by rough gains (n,): those without load together, for
+    they carry the same, and each with load by itself.
 
     Raises
     ------
     DataError
-        When a finding refuses one.
+        When a finding refuses one, and its kind is not accepted.
     """
-    scaled = [replace(log, effort=np.asarray(log.effort) * gains, currents=False) for log in logs]
-    groups = [scaled] if together else [[each] for each in scaled]
-    found = tuple(f for group in groups for f in inspect_recordings(group, robot, name=name))
-    found = tuple(f for f in found if f.kind not in ("effort_scale", "effort_unlike_description"))
-    require_accepted(found, tuple(accept))
-    return found
+    findings: list[Finding] = []
+    for name, logs in [("without_load", bare), *(("with_load", [log]) for log in loaded)]:
+        scaled = [
+            replace(log, effort=np.asarray(log.effort) * gains, currents=False) for log in logs
+        ]
+        findings += [
+            each
+            for each in inspect_recordings(scaled, robot, name=name)
+            if each.kind not in ("effort_scale", "effort_unlike_description")
+        ]
+        require_accepted(findings, accept)
+    return tuple(findings)
 
 
-def require_bearable(robot: RobotModel, load: Load, samples: Samples, columns: Array) -> None:
+def require_bearable(robot: RobotModel, load: Load, samples: Samples, placed: Array) -> None:
     """Refuse a load whose weight alone is more than the arm's drives can hold.
 
     Parameters
@@ -208,19 +176,17 @@ def require_bearable(robot: RobotModel, load: Load, samples: Samples, columns: A
         The load.
     samples : Samples
         Of the recording that carries it.
-    columns : ndarray, shape (10·links,)
-        What 1 kg at the frame's origin adds to the links' parameters.
+    placed : ndarray, shape (10·links, 10)
+        What its parameters add to the links'.
 
     Raises
     ------
     DataError
         Naming the joint.
     """
-    still = np.zeros_like(samples.velocity)
-    weight = load.mass * np.abs(
-        robot.efforts_of_bodies(columns.reshape(-1, 10), samples.position, still, still)
-    ).max(axis=0)
-    limits = robot.effort_limits
+    bodies, still = placed[:, 0].reshape(-1, 10), np.zeros_like(samples.velocity)
+    per_kg = np.abs(robot.efforts_of_bodies(bodies, samples.position, still, still))
+    weight, limits = load.mass * per_kg.max(axis=0), robot.effort_limits
     worst = int(np.argmax(weight / limits))
     if weight[worst] > limits[worst]:
         raise DataError(
@@ -238,48 +204,44 @@ def require_one_arm(fit: GainFit, found: Found) -> None:
     DataError
         Naming the joints.
     """
-    errors, names = fit.errors(found), fit.model.robot.joint_names
+    errors, names = fit.mean_squares(found), fit.model.robot.joint_names
     ratio = np.sqrt(errors / np.maximum(fit.alone, 1e-300))
-    left = np.sqrt(errors) / np.maximum(fit.spread, 1e-150)
-    joints = np.flatnonzero((ratio > _ONE_ARM) & (left > _LEFT)).tolist()
-    if not joints:
-        return
+    left = np.sqrt(errors) / np.maximum(fit.model.spread, 1e-150)
     bad = ", ".join(
-        f"{100.0 * left[j]:.2g} % of the currents of {names[j]}, {ratio[j]:.2g} times as much as "
-        "each alone"
-        for j in joints
+        f"{100.0 * share:.2g} % of the currents of {name}, {times:.2g} times as much as each alone"
+        for name, share, times in zip(names, left, ratio, strict=True)
+        if times > _ONE_ARM and share > _LEFT
     )
-    raise DataError(
-        "gains: the recordings are not of one arm with one load: explained together they leave "
-        f"(rms) {bad}; limits {100.0 * _LEFT:g} % and {_ONE_ARM:g} times. Leave out recordings of "
-        "another arm, tool or mounting, and check which carry the load, and whether the robot's "
-        "description is of this arm."
-    )
+    if bad:
+        raise DataError(
+            "gains: the recordings are not of one arm with one load: explained together they leave "
+            f"(rms) {bad}; limits {100.0 * _LEFT:g} % and {_ONE_ARM:g} times. Leave out recordings "
+            "of another arm, tool or mounting, and check which carry the load, and whether the "
+            "robot's description is of this arm."
+        )
 
 
-def require_shown(fit: GainFit, log_kappa: Array, free: Mask, *, anchored: bool) -> None:
+def require_shown(fit: GainFit, logs: Array) -> None:
     """Refuse recordings that do not show a gain, naming what they do show.
 
     Parameters
     ----------
     fit : GainFit
         The fit; its weights are those of every joint alone.
-    log_kappa : ndarray, shape (n,)
-        Rough gains.
-    free : ndarray of bool, shape (n,)
-        Which are to be estimated.
-    anchored : bool
-        Whether a load, a gain or the description gives the scale.
+    logs : ndarray, shape (n,)
+        Logarithms of rough gains.
 
     Raises
     ------
     IdentifiabilityError
         With the joints.
     """
-    names = [name for name, each in zip(fit.model.robot.joint_names, free, strict=True) if each]
-    z, residual, slopes = fit.at(log_kappa)
+    model, free = fit.model, fit.model.free
+    anchored = bool(model.loads) or not free.all() or model.description_error is not None
+    names = [name for name, each in zip(model.robot.joint_names, free, strict=True) if each]
+    unknown, _, slopes = fit.at(logs)
     own = slopes[:, free]
-    whole = np.linalg.norm(fit.slopes(log_kappa, z, len(residual))[:, free], axis=0)
+    whole = np.linalg.norm(fit.slopes(logs, model.bodies(unknown))[:, free], axis=0)
     scale = np.where(whole > 0.0, whole, 1.0)
     _, singular, Vt = np.linalg.svd(own / scale, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
@@ -287,12 +249,12 @@ def require_shown(fit: GainFit, log_kappa: Array, free: Mask, *, anchored: bool)
     if len(invisible):
         raise IdentifiabilityError(_invisible_words(invisible, names, anchored))
     errors = _ALIKE * np.sqrt(np.diag(np.linalg.inv(own.T @ own)))
-    if np.any(errors > NOT_SHOWN):
-        bad = ", ".join(
-            f"{name} {f'to {100.0 * error:.0f} %' if error < _NOT_AT_ALL else 'not at all'}"
-            for name, error in zip(names, errors, strict=True)
-            if error > NOT_SHOWN
-        )
+    bad = ", ".join(
+        f"{name} {f'to {100.0 * error:.0f} %' if error < _NOT_AT_ALL else 'not at all'}"
+        for name, error in zip(names, errors, strict=True)
+        if error > NOT_SHOWN
+    )
+    if bad:
         known = [n for n, e in zip(names, errors, strict=True) if e <= NOT_SHOWN]
         rest = f"; those of {', '.join(known)} are" if known else ""
         load = f" {_NO_LOAD_SEEN}" if anchored and not known else ""

@@ -8,113 +8,97 @@ alike from sample to sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.drive_gains.fit import GainFit
+from sdpid._common.arrays import Array
+from sdpid.assurance.drive_gains.fit import Found, GainFit
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import FEWEST_BLOCKS, ScoreBlocks
-from sdpid.estimation.information import information_root, information_rows
+from sdpid.estimation.information import information_root, least_squares
 
 
-@dataclass(frozen=True, eq=False)
-class GainErrors:
-    """Errors of the logarithms of gains.
+def gain_errors(fit: GainFit, found: Found) -> tuple[Array, Array, int]:
+    """Return the errors of gains about the optimum of a fit.
 
-    Attributes
-    ----------
+    Returns
+    -------
     covariance : ndarray, shape (n, n)
-        Zero for gains that are held.
+        Of the gains' logarithms; zero for gains that are held.
     freedom : ndarray, shape (n,)
         Degrees of freedom of each variance.
     blocks : int
         How many independent groups of samples they rest on.
-    """
-
-    covariance: Array
-    freedom: Array
-    blocks: int
-
-
-def gain_errors(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> GainErrors:
-    """Return the errors of gains about the optimum of a fit; arguments as of `score_blocks`.
 
     Raises
     ------
     DataError
         When the recordings are too short.
     """
-    blocks = score_blocks(fit, log_kappa, z, free)
-    n, size = int(free.sum()), blocks.information.shape[1]
-    covariance, freedom = np.zeros((fit.n, fit.n)), np.full(fit.n, np.inf)
-    own = blocks.covariance
-    functionals = np.eye(n, size)
-    if fit.knowledge is not None:
-        # What is known has errors of variance one, and holds the fit of the blocks.
-        rows = np.zeros((len(fit.knowledge[0]), size))
-        rows[:, n : n + len(z)] = fit.knowledge[0]
-        H = blocks.information.sum(axis=0)
-        root = information_root(information_rows(H + rows.T @ rows))
-        inverse = root @ root.T
-        functionals = functionals @ inverse @ H
-        known = np.eye(n, size) @ inverse @ rows.T
-        found = functionals @ own @ functionals.T + known @ known.T
-    else:
-        found = own[:n, :n]
-    covariance[np.ix_(free, free)] = found
-    freedom[free] = blocks.freedom(functionals @ blocks.root)
-    return GainErrors(covariance, freedom, blocks.count)
-
-
-def score_blocks(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> ScoreBlocks:
-    """Return the blocks of the fit, linear at gains and links; the first unknowns are log kappa.
-
-    Parameters
-    ----------
-    fit : GainFit
-        The fit.
-    log_kappa, z : ndarray
-        Where it is linear: at its optimum.
-    free : ndarray of bool, shape (n,)
-        Which gains are not held.
-
-    Raises
-    ------
-    DataError
-        When there are too few.
-    """
-    n, q = int(free.sum()), len(z)
-    place = np.cumsum(free) - 1
-    frictions = [fit.friction(j, log_kappa, z) for j in range(fit.n)]
-    present = np.concatenate([-log_kappa[free], z, *frictions])
-    total, first = len(present), n + q
-    counts = [len(products) for products in (run.products[0] for run in fit.runs)]
-    H, target = np.zeros((sum(counts), total, total)), np.zeros((sum(counts), total))
-    for j, phi in enumerate(frictions):
-        kappa, own = np.exp(log_kappa[j]), slice(first, first + len(phi))
-        first = own.stop
-        # The columns of the joint by the unknowns, and the error as a combination of them.
-        T = np.zeros((len(phi) + q + 2, total))
-        T[: len(phi), own] = np.eye(len(phi))
-        T[len(phi) : -2, n : n + q] = kappa * np.eye(q)
-        if free[j]:
-            T[len(phi) : -1, place[j]] = -kappa * np.append(z, 1.0)
-        error = np.concatenate([-phi, -kappa * z, [-kappa, 1.0]])
-        kept, row = np.flatnonzero(T.any(axis=0)), 0
-        for run, expanded, count in zip(fit.runs, fit.maps(j)[0], counts, strict=True):
-            part = (expanded @ T[:, kept]) / fit.sigma[j]
-            seen = run.products[j] @ part
-            where = slice(row, row + count)
-            H[where, kept[:, None], kept] += part.T @ seen
-            target[where, kept] += (expanded @ error) @ seen / fit.sigma[j]
-            row += count
-    target += H @ present
-    blocks = ScoreBlocks("blocks", H, target, np.eye(total))
+    model, free = fit.model, fit.model.free
+    n, count = len(free), int(free.sum())
+    blocks, T = score_blocks(fit, found)
     if blocks.count < FEWEST_BLOCKS:
         raise DataError(
             f"gains: the recordings have {blocks.count} blocks of samples that are independent of "
             f"each other, at least {FEWEST_BLOCKS} are needed for errors; record longer."
         )
-    return blocks
+    # In these coordinates the information of the blocks and of what is believed, whose errors have
+    # variance one, is E.
+    blocks = replace(blocks, coordinates=T[:count] @ blocks.information.sum(axis=0))
+    believed = model.believed[0][:, model.unknown] @ T[count : count + len(found.unknown)]
+    moves = T[:count] @ believed.T
+    covariance, freedom = np.zeros((n, n)), np.full(n, np.inf)
+    covariance[np.ix_(free, free)] = blocks.covariance + moves @ moves.T
+    freedom[free] = blocks.freedom(blocks.root)
+    slopes = fit.at(found.logs)[2][:, free]
+    for load in {id(each): each for each in model.loads if each.mass_error > 0.0}.values():
+        # What the mass moves, the center of mass and the inertia about it as they are.
+        theta = replace(load, inertia=None).theta
+        same = [theta if each is load else np.zeros(10) for each in model.loads]
+        moved = fit.weighted(found.logs)[0] @ np.concatenate([np.zeros(model.n_arm), *same])
+        follows = np.zeros(n)
+        follows[free] = least_squares(slopes, moved)
+        covariance += (load.mass_error / load.mass) ** 2 * np.outer(follows, follows)
+    return covariance, freedom, blocks.count
+
+
+def score_blocks(fit: GainFit, found: Found) -> tuple[ScoreBlocks, Array]:
+    """Return the blocks of a fit, linear at its optimum, and T that takes them to all unknowns.
+
+    These are the steps of the free gains' logarithms and of the bodies, and friction.
+    """
+    model, gains, sigma = fit.model, np.exp(found.logs), fit.sigma
+    bodies, width = model.bodies(found.unknown), len(model.known) + 1
+    count = int(model.free.sum())
+    links = slice(count, count + len(found.unknown))
+    frictions = [rows.shape[1] - width for rows in fit.rows]
+    ends = links.stop + np.cumsum([0, *frictions])
+
+    def design(j: int, columns: Array) -> Array:
+        """Return the rows of joint j by all unknowns, and what is left without friction."""
+        needed = columns[:, -width:-1] / gains[j]
+        X = np.zeros((len(columns), ends[-1] + 1))
+        if model.free[j]:
+            X[:, int(model.free[:j].sum())] = -needed @ bodies
+        X[:, links] = needed[:, model.unknown]
+        X[:, ends[j] : ends[j + 1]] = columns[:, :-width]
+        X[:, -1] = columns[:, -1] - needed @ bodies
+        return np.asarray(X / sigma[j])
+
+    believed = np.zeros((len(model.believed[0]), ends[-1]))
+    believed[:, links] = model.believed[0][:, model.unknown]
+    whole = [design(j, rows)[:, :-1] for j, rows in enumerate(fit.rows)]
+    T = information_root(np.vstack([*whole, believed]))
+    products = []
+    for number, (samples, own) in enumerate(zip(model.samples, fit.links, strict=True)):
+        rows = np.stack([design(j, each) for j, each in enumerate(model.columns(number, own))])
+        # No block goes over a break.
+        for part in samples.parts:
+            for start in range(part.start, part.stop, samples.block):
+                block = rows[:, start : min(start + samples.block, part.stop)]
+                X, left = block[..., :-1].reshape(-1, len(T)) @ T, block[..., -1].ravel()
+                products.append(X.T @ np.column_stack([X, left]))
+    H = np.array(products)
+    return ScoreBlocks("blocks", H[..., :-1], H[..., -1], np.eye(T.shape[1])), T

@@ -1,246 +1,252 @@
 """Gains that fit currents best, by variable projection.
 
-For any gains the links, the loads' unknown parameters and the drives' friction are a linear
-least-squares problem [golub2003]_. Friction does not depend on the gains and is projected away
-once; what is left is a function of the n logarithms of kappa = 1 / gain alone.
+For any gains the bodies' parameters and the drives' friction are a linear least-squares problem
+[golub2003]_. Friction does not depend on the gains and is projected away once; what is left is a
+function of the n logarithms of the gains alone.
 """
 
 from __future__ import annotations
 
-import itertools
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.drive_gains.load import Load
-from sdpid.assurance.drive_gains.rows import GainModel, RunRows
+from sdpid._common.arrays import Array, Indices
+from sdpid.assurance.drive_gains.model import GainModel
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
 from sdpid.estimation.information import information_root, least_squares
+from sdpid.robot.inertia import matrix_basis
 
-# Steps of Gauss and Newton; from good starts 5 to 15 are needed.
-_STEPS = 60
-# No logarithm moves by more in a step: a factor of two.
-_LONGEST = 0.7
-# A step, as a share of the gains, that is none.
-_SETTLED = 1e-9
+# How far from its start a search may go: factors of 1e4, for currents that no arm explains.
+_FAR = np.log(1e4)
+# Steps that end a search: relative, of logarithms, and of the cost, which is flat there.
+_STEP, _FALL = 1e-10, 1e-14
 # A column of which friction leaves less than this share is explained by friction: a link's inertia
 # about the axis of a drive that has an inertia of its own.
 _EXPLAINED = 1e-9
 # A least standard deviation of a current's errors, as a share of the currents: rounding.
 _LEAST_SIGMA = 1e-6
-# Singular values below this share of the largest are rounding.
-_RANK = 1e-11
+
+# What the currents do not show of the bodies: this pull, beside rows of variance one, chooses it.
+_FAINT = 0.03
+# Lengths in which bodies are measured, m, and the mass of one of which nothing is known, kg.
+_LENGTH, _MASS = 0.1, 1.0
+# A radius of gyration of links that are described without mass, m.
+_GYRATION = 0.1
+_REGULARIZATIONS = (1e-10, 1e-8)
+# Steps among bodies that can exist, and the step of a logarithm that is none: a thousandth of what
+# intervals are wide.
+_STEPS, _STILL = 20, 1e-5
+
+
+class Found(NamedTuple):
+    """Where a search for gains ended.
+
+    Logarithms of the gains (n,), the bodies' unknown parameters, the weighted sum of squared
+    errors of the currents, and whether the last step was none.
+    """
+
+    logs: Array
+    unknown: Array
+    cost: float
+    settled: bool
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Where a search for gains ended.
-
-    Attributes
-    ----------
-    log_kappa : ndarray, shape (n,)
-    z : ndarray, shape (q,)
-        Links as base parameters, then what is not known of the loads.
-    cost : float
-        Weighted sum of squared currents' errors.
-    settled : bool
-        Whether the last step was none.
-    theta : ndarray, shape (p,), or None
-        Links, and parameters that all joints share, where they were demanded to exist.
-    """
-
-    log_kappa: Array
-    z: Array
-    cost: float
-    settled: bool
-    theta: Array | None = None
-
-
 class GainFit:
     """The least-squares problem of gains, for one choice of weights.
 
-    Parameters
+    Attributes
     ----------
     model : GainModel
         What currents are explained by.
-    runs : sequence of RunRows
-        Recordings.
-    loads : sequence of Load
-        What is known of the loads that recordings carry.
-    columns : ndarray, shape (b, 10)
-        What a load's ten parameters add to the base parameters.
-    knowledge : tuple of ndarray, optional
-        Rows and right-hand side of what is known of z, with errors of variance one.
-    errors : ndarray, shape (n,), optional
-        Mean squares of the currents' errors at each joint, A²: the weights. By default those of
-        each recording explained alone.
-
-    Attributes
-    ----------
-    sigma : ndarray, shape (n,)
-        Standard deviations of the currents' errors.
-    spread : ndarray, shape (n,)
-        Those of the currents about their means.
+    links : sequence of ndarray
+        The links (links, 10) that load the gears in each recording.
+    rows : tuple of ndarray
+        Of each joint the triangles (., c + Y + 1) of all recordings' columns.
     alone : ndarray, shape (n,)
         Mean squared errors of the currents, each recording explained alone, A². Such a fit knows no
         gains: the links at each joint are its own.
-    loads_at : tuple of slice
-        Where the unknowns of each load stand in z.
+    errors : ndarray, shape (n,)
+        Mean squares of the currents' errors, A²: the weights.
     """
 
-    def __init__(
-        self,
-        model: GainModel,
-        runs: Sequence[RunRows],
-        loads: Sequence[Load],
-        columns: Array,
-        knowledge: tuple[Array, Array] | None = None,
-        errors: Array | None = None,
-    ) -> None:
-        self.model, self.runs, self.loads, self.columns = model, tuple(runs), tuple(loads), columns
-        self.knowledge, self.n = knowledge, model.robot.n
-        self._used = np.maximum(np.sum([run.used for run in runs], axis=0), 1.0)
-        self.spread = np.sqrt(np.sum([run.squares for run in runs], axis=0) / self._used)
-        left = [[R[-1, -1] ** 2 for R in run.triangles] for run in runs]
-        self.alone = np.sum(left, axis=0) / self._used
-        least = np.maximum(_LEAST_SIGMA * self.spread, 1e-300)
-        self.sigma = np.maximum(np.sqrt(self.alone if errors is None else errors), least)
-        widths = [10 - load.first_unknown for load in self.loads]
-        ends = np.cumsum([model.base.count, *widths])
-        self.loads_at = tuple(slice(*pair) for pair in itertools.pairwise(ends.tolist()))
-        self.q = int(ends[-1])
+    model: GainModel
+    links: Sequence[Array]
+    rows: tuple[Array, ...]
+    alone: Array
+    errors: Array
 
-    def maps(self, j: int) -> tuple[list[Array], int]:
-        """Return what takes the columns of joint j in each run to those of all runs.
+    @classmethod
+    def of(cls, model: GainModel, links: Sequence[Array]) -> GainFit:
+        """Compress all rows; the weights are those of each recording explained alone."""
+        runs = [
+            [np.asarray(np.linalg.qr(columns, mode="r")) for columns in model.columns(number, own)]
+            for number, own in enumerate(links)
+        ]
+        left = [
+            [R[:, -1] - R[:, :-1] @ least_squares(R[:, :-1], R[:, -1]) for R in run] for run in runs
+        ]
+        alone = np.sum([[own @ own for own in run] for run in left], axis=0) / model.used
+        rows = tuple(np.vstack(joint) for joint in zip(*runs, strict=True))
+        return cls(model, links, rows, alone, alone)
 
-        These are friction, z, what is known of the loads, and the current; and how many are of
-        friction: of each run its own, but for those that are shared.
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the currents' errors, (n,)."""
+        least = np.maximum(_LEAST_SIGMA * self.model.spread, 1e-300)
+        return np.maximum(np.sqrt(self.errors), least)
+
+    @cached_property
+    def _system(self) -> tuple[Indices, Array, Array]:
+        """Joint of each row (R,), what multiplies the bodies (R, Y), and the current (R,), in A.
+
+        Friction is projected away. The last rows are what is believed of the links, as of one joint
+        more whose gain and weight are one.
         """
-        model, found = self.model, []
-        separate, b = model.separate[model.of_joint(j)], model.base.count
-        f, apart = len(separate), int(np.sum(separate))
-        count = f - apart + apart * len(self.runs)
-        for number, run in enumerate(self.runs):
-            T = np.zeros((f + b + 1, count + self.q + 2))
-            own = f - apart + number * apart + np.cumsum(separate) - 1
-            T[np.arange(f), np.where(separate, own, np.cumsum(~separate) - 1)] = 1.0
-            links, z = T[f:-1], T[f:-1, count:-2]
-            z[:, :b] = np.diag(model.own_share)
-            if run.load is not None:
-                load = self.loads[run.load]
-                z[:, self.loads_at[run.load]] = self.columns[:, load.first_unknown :]
-                links[:, -2] = self.columns @ load.theta
-            T[-1, -1] = 1.0
-            found.append(T)
-        return found, count
+        found, size = [], len(self.model.known) + 1
+        for rows in self.rows:
+            basis = rows[:, :-size] @ information_root(rows[:, :-size])
+            left = rows[:, -size:] - basis @ (basis.T @ rows[:, -size:])
+            # What is nothing but rounding must not be scaled up later.
+            whole = np.linalg.norm(rows[:, -size:], axis=0)
+            left[:, np.linalg.norm(left, axis=0) < _EXPLAINED * whole] = 0.0
+            found.append(np.asarray(np.linalg.qr(left, mode="r")))
+        found.append(np.column_stack(self.model.believed))
+        stacked = np.vstack(found)
+        joints = np.repeat(np.arange(len(found)), [len(each) for each in found])
+        return joints, stacked[:, :-1], stacked[:, -1]
 
-    @cached_property
-    def stacked(self) -> tuple[tuple[Array, int], ...]:
-        """The rows of each joint in these columns, and how many are of friction."""
-        found = []
-        for j in range(self.n):
-            maps, count = self.maps(j)
-            rows = [run.triangles[j] @ T for run, T in zip(self.runs, maps, strict=True)]
-            found.append((np.vstack(rows), count))
-        return tuple(found)
+    def weighted(self, logs: Array) -> tuple[Array, Array]:
+        """Return what multiplies the bodies (R, Y) and the current (R,), in standard deviations."""
+        joints, Z, current = self._system
+        sigma = np.append(self.sigma, 1.0)[joints]
+        gains = np.exp(np.append(logs, 0.0))[joints]
+        return Z / (sigma * gains)[:, None], current / sigma
 
-    def friction(self, j: int, log_kappa: Array, z: Array) -> Array:
-        """Return the parameters of the drive of joint j, in A, of all runs."""
-        rows, count = self.stacked[j]
-        links = rows[:, count:-2] @ z + rows[:, -2]
-        return least_squares(rows[:, :count], rows[:, -1] - np.exp(log_kappa[j]) * links)
+    def linear(self, logs: Array) -> tuple[Array, Array]:
+        """Return matrix and right-hand side of the least-squares problem in what is unknown."""
+        matrix, current = self.weighted(logs)
+        return matrix[:, self.model.unknown], current - matrix @ self.model.known
 
-    @cached_property
-    def systems(self) -> tuple[tuple[Array, Array, Array], ...]:
-        """Of each joint without friction: current ≈ kappa·(matrix·z + known), these three."""
-        found = []
-        for rows, count in self.stacked:
-            R = np.asarray(np.linalg.qr(_projected(rows[:, :count], rows[:, count:]), mode="r"))
-            found.append((R[:, :-2], R[:, -2], R[:, -1]))
-        return tuple(found)
+    def slopes(self, logs: Array, bodies: Array) -> Array:
+        """Return the derivative (R, n) by the logarithms of what bodies (Y,) leave of currents."""
+        own = self._system[0][:, None] == np.arange(len(logs))
+        return np.asarray((self.weighted(logs)[0] @ bodies)[:, None] * own)
 
-    def linear(self, log_kappa: Array) -> tuple[Array, Array]:
-        """Return matrix and right-hand side of the least-squares problem in z."""
-        matrices, rhs = [], []
-        for kappa, s, (matrix, known, current) in zip(
-            np.exp(log_kappa), self.sigma, self.systems, strict=True
-        ):
-            matrices.append(kappa / s * matrix)
-            rhs.append((current - kappa * known) / s)
-        if self.knowledge is not None:
-            matrices.append(self.knowledge[0])
-            rhs.append(self.knowledge[1])
-        return np.vstack(matrices), np.concatenate(rhs)
-
-    def at(self, log_kappa: Array) -> tuple[Array, Array, Array]:
-        """Return best z, residual, and the residual's derivative by log kappa, z following."""
-        matrix, rhs = self.linear(log_kappa)
+    def at(self, logs: Array) -> tuple[Array, Array, Array]:
+        """Return the best unknowns, residual, and its derivative by logs, unknowns following."""
+        matrix, rhs = self.linear(logs)
         root = information_root(matrix)
         basis = matrix @ root
-        z = root @ (basis.T @ rhs)
-        slopes = self.slopes(log_kappa, z, len(rhs))
-        return z, rhs - matrix @ z, slopes - basis @ (basis.T @ slopes)
+        unknown = root @ (basis.T @ rhs)
+        slopes = self.slopes(logs, self.model.bodies(unknown))
+        return unknown, rhs - matrix @ unknown, slopes - basis @ (basis.T @ slopes)
 
-    def slopes(self, log_kappa: Array, z: Array, rows: int) -> Array:
-        """Return the residual's derivative by log kappa at fixed z, (rows, n)."""
-        found, first = np.zeros((rows, self.n)), 0
-        for j, (matrix, known, current) in enumerate(self.systems):
-            stop = first + len(current)
-            weight = np.exp(log_kappa[j]) / self.sigma[j]
-            found[first:stop, j] = -weight * (matrix @ z + known)
-            first = stop
-        return found
-
-    def errors(self, found: Found) -> Array:
+    def mean_squares(self, found: Found) -> Array:
         """Return the mean squared errors of each joint's current, (n,), A²."""
-        left = [
-            current - kappa * (matrix @ found.z + known)
-            for kappa, (matrix, known, current) in zip(
-                np.exp(found.log_kappa), self.systems, strict=True
+        matrix, rhs = self.linear(found.logs)
+        squares = np.bincount(self._system[0], (rhs - matrix @ found.unknown) ** 2)
+        return np.asarray(squares[: len(found.logs)] * self.sigma**2 / self.model.used)
+
+    def search(self, start: Array) -> Found:
+        """Return where a search from logarithms of gains (n,) ends; known ones stay."""
+        from scipy.optimize import least_squares as minimize
+
+        free = self.model.free
+
+        @functools.lru_cache(maxsize=1)
+        def at(*moved: float) -> tuple[Array, Array, Array, Array]:
+            logs = start.copy()
+            logs[free] = moved
+            return (logs, *self.at(logs))
+
+        moved, settled = start[free], True
+        if free.any():
+            ended = minimize(
+                lambda x: at(*x)[2],
+                moved,
+                lambda x: at(*x)[3][:, free],
+                bounds=(moved - _FAR, moved + _FAR),
+                xtol=_STEP,
+                ftol=_FALL,
             )
-        ]
-        return np.asarray([float(each @ each) for each in left] / self._used)
+            moved, settled = ended.x, bool(ended.success)
+        logs, unknown, *_ = at(*moved)
+        return self._found(logs, unknown, settled)
 
-    def load_parameters(self, z: Array) -> list[Array]:
-        """Return the ten parameters of each load about its frame's origin."""
-        pairs = zip(self.loads, self.loads_at, strict=True)
-        return [load.theta + np.eye(10)[:, load.first_unknown :] @ z[own] for load, own in pairs]
+    def consistent(self, near: Found, *, hold: bool = False) -> Found:
+        """Return the best gains near others of links and loads that can exist.
 
-    def search(self, start: Array, free: Mask) -> Found:
-        """Return where Gauss-Newton steps with halving end, some gains held."""
-        log_kappa = np.array(start, dtype=np.float64)
-        z, residual, slopes = self.at(log_kappa)
-        cost = float(residual @ residual)
-        settled = not free.any()
+        Steps of Gauss and Newton, with the semidefinite program inside each: about the present
+        gains and bodies their product is linear, and each body is one that matter can have. With
+        `hold` the gains stay.
+        """
+        model, logs, unknown = self.model, near.logs.copy(), near.unknown
+        moving = np.flatnonzero(model.free & (not hold))
+        units, reference, blocks = self._existing
+        count, settled = len(unknown), False
+        pull = _FAINT * np.eye(count, count + len(moving))
         for _ in range(_STEPS):
+            matrix, rhs = self.linear(logs)
+            slopes = self.slopes(logs, model.bodies(unknown))[:, moving]
+            whole = np.column_stack([matrix * units, -slopes, rhs])
+            R = np.asarray(np.linalg.qr(whole, mode="r"))
+            program = ConicProgram(
+                M=np.vstack([R[:, :-1], pull]),
+                m=-np.concatenate([R[:, -1], _FAINT * reference]),
+                C=np.zeros((0, count + len(moving))),
+                lower=np.zeros(0),
+                upper=np.zeros(0),
+                blocks=blocks,
+            )
+            # The point of least cost, or the nearest to it that the solver came to.
+            best = solve_with_retries(
+                functools.partial(solve_conic, program),
+                _REGULARIZATIONS,
+                lambda point, solution: (point, 0.0 if solution.solved else solution.error),
+            ).value
+            if best is None:
+                break
+            unknown, step = best[:count] * units, best[count:]
+            logs[moving] += np.clip(step, -0.5, 0.5)
+            settled = float(np.abs(step).max(initial=0.0)) < _STILL
             if settled:
                 break
-            step = np.zeros(self.n)
-            step[free] = -np.linalg.lstsq(slopes[:, free], residual, rcond=_RANK)[0]
-            step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
-            size = 1.0
-            while size > 1e-6:
-                trial = log_kappa + size * step
-                new = self.at(trial)
-                value = float(new[1] @ new[1])
-                if value <= cost:
-                    break
-                size *= 0.5
-            else:
-                settled = True
-                break
-            settled = float(np.abs(size * step).max()) < _SETTLED or cost - value <= 1e-14 * cost
-            log_kappa, (z, residual, slopes), cost = trial, new, value
-        return Found(log_kappa, z, cost, settled)
+        return self._found(logs, unknown, settled)
 
+    def _found(self, logs: Array, unknown: Array, settled: bool) -> Found:
+        """Return where a search ended, with the cost there."""
+        matrix, rhs = self.linear(logs)
+        return Found(logs, unknown, float(np.sum((rhs - matrix @ unknown) ** 2)), settled)
 
-def _projected(nuisance: Array, others: Array) -> Array:
-    """Return columns less what others explain of them."""
-    basis = nuisance @ information_root(nuisance)
-    left = others - basis @ (basis.T @ others)
-    # What is nothing but rounding must not be scaled up later.
-    gone = np.linalg.norm(left, axis=0) < _EXPLAINED * np.linalg.norm(others, axis=0)
-    left[:, gone] = 0.0
-    return np.asarray(left)
+    @cached_property
+    def _existing(self) -> tuple[Array, Array, tuple[Matrix, ...]]:
+        """Units of what is unknown, where it is pulled to in them, and the bodies in them."""
+        model, robot = self.model, self.model.robot
+        body = _LENGTH ** np.array([0, 1, 1, 1, *[2] * 6])
+        thin = _MASS * np.array([1.0, 0, 0, 0, *(_GYRATION**2 * np.array([1, 0, 1, 0, 0, 1]))])
+        described = np.where(robot.prior[:, :1] > 0.0, robot.prior, thin)
+        shared = np.arange(len(model.placed), model.n_arm)
+        units = np.concatenate(
+            [
+                (described[:, :1] * body).ravel(),
+                np.ones(len(shared)),
+                *(load.mass * body for load in model.loads),
+            ]
+        )
+        reference = np.zeros(len(units))
+        reference[: described.size] = described.ravel()
+        basis, blocks = matrix_basis("pseudo_inertia"), []
+        place = np.cumsum(model.unknown) - 1
+        for own in np.delete(np.arange(len(units)), shared).reshape(-1, 10):
+            loose = model.unknown[own]
+            if loose.any():
+                constant = np.einsum("k,kij->ij", model.known[own] / units[own], basis)
+                blocks.append(Matrix(place[own[loose]], basis[loose], constant))
+        scaled = (reference / units)[model.unknown]
+        return units[model.unknown], scaled, tuple(blocks)

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen, is_number, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
-from sdpid.robot.inertia import margin
-
-_SHAPES = {"com": (3,), "inertia": (3, 3)}
+from sdpid.robot.inertia import margin, theta_from_physical
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -51,8 +49,7 @@ class Load(Settings):
     def __post_init__(self) -> None:
         for name in ("mass", "mass_error"):
             value = getattr(self, name)
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not number or not np.isfinite(value) or value < 0.0 or (name, value) == ("mass", 0):
+            if not is_number(value) or not 0.0 <= value < np.inf or (name, value) == ("mass", 0):
                 raise DataError(f"load: {name} is {value!r:.80}; give kg.")
             object.__setattr__(self, name, float(value))
         if self.mass_error >= self.mass:
@@ -60,33 +57,31 @@ class Load(Settings):
                 f"load: mass_error {self.mass_error:g} kg is not below the mass {self.mass:g} kg; "
                 "weigh the load."
             )
-        for name, shape in _SHAPES.items():
+        for name, shape in (("com", (3,)), ("inertia", (3, 3))):
             if getattr(self, name) is not None:
                 array = frozen(real_array(getattr(self, name), f"load: {name}", ndim=len(shape)))
                 if array.shape != shape:
                     raise DataError(f"load: {name} has shape {array.shape}, expected {shape}.")
                 object.__setattr__(self, name, array)
-        if self.inertia is not None:
-            if self.com is None:
-                raise DataError("load: an inertia about the center of mass needs com.")
-            if not np.allclose(self.inertia, self.inertia.T):
-                raise DataError("load: inertia is not symmetric.")
-            if not margin(self.theta, "pseudo_inertia") >= 0.0:
-                raise DataError(
-                    f"load: no body of {self.mass:g} kg has this inertia: its principal moments "
-                    f"are {np.linalg.eigvalsh(self.inertia).tolist()} kg·m², and none may be more "
-                    "than the sum of the others."
-                )
+        if self.inertia is None:
+            return
+        if self.com is None:
+            raise DataError("load: an inertia about the center of mass needs com.")
+        if not np.allclose(self.inertia, self.inertia.T):
+            raise DataError("load: inertia is not symmetric.")
+        if not margin(self.theta, "pseudo_inertia") >= 0.0:
+            raise DataError(
+                f"load: no body of {self.mass:g} kg has this inertia: its principal moments "
+                f"are {np.linalg.eigvalsh(self.inertia).tolist()} kg·m², and none may be more "
+                "than the sum of the others."
+            )
 
     @property
     def theta(self) -> Array:
         """The ten parameters about the frame's origin, what is not known as at the origin."""
-        m = self.mass
-        c = np.zeros(3) if self.com is None else self.com
-        own = np.zeros((3, 3)) if self.inertia is None else self.inertia
-        inertia = own + m * (float(c @ c) * np.eye(3) - np.outer(c, c))
-        xx, xy, xz, yy, yz, zz = inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        return np.array([m, *(m * c), xx, xy, yy, xz, yz, zz])
+        com = np.zeros(3) if self.com is None else self.com
+        inertia = np.zeros((3, 3)) if self.inertia is None else self.inertia
+        return theta_from_physical(self.mass, com, inertia)
 
     @property
     def first_unknown(self) -> int:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.assurance.drive_gains.load import Load
+from sdpid.assurance.drive_gains.model import GainModel
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.robot.inertia import physical_parameters
@@ -147,16 +148,9 @@ class IdentifiedGains(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         content = {
+            **vars(self),
             "gains": self.gains.to_dict(),
             "loads": [{**plain(load), "inertia": load.inertia} for load in self.loads],
-            "rmse": self.rmse,
-            "share": self.share,
-            "unconstrained": self.unconstrained,
-            "starts": self.starts,
-            "agreed": self.agreed,
-            "effects": self.effects,
-            "status": self.status,
-            "notes": self.notes,
             "findings": [finding.to_dict() for finding in self.findings],
         }
         return plain_dict(content)
@@ -181,61 +175,49 @@ def basis_in_words(
 
 
 def notes_on(
-    names: Sequence[str],
-    gains: Array,
-    unconstrained: Array,
-    covariance: Array,
-    free: Mask,
-    loads: Sequence[Load],
-    blocks: int,
-) -> tuple[str, ...]:
-    """Return notes on gains near 1, weak joints, errors in common, and what consistency changes.
+    model: GainModel, gains: Array, unconstrained: Array, covariance: Array, blocks: int
+) -> Iterator[str]:
+    """Yield notes on weak joints, gains near 1, what consistency changes, and errors in common.
 
     Parameters
     ----------
-    names : sequence of str
-        Of the joints.
+    model : GainModel
+        What currents were explained by.
     gains, unconstrained : ndarray, shape (n,)
-        N·m/A.
+        N·m/A, with and without the demand that bodies can exist.
     covariance : ndarray, shape (n, n)
         Of their logarithms.
-    free : ndarray of bool, shape (n,)
-        Which were not known.
-    loads : sequence of Load
-        The loads.
     blocks : int
         How many independent groups of samples the errors rest on.
     """
-    found = []
-    error = np.sqrt(np.diag(covariance))
+    free, error = model.free, np.sqrt(np.diag(covariance))
+    named = list(zip(model.robot.joint_names, free, error, strict=True))
     median = float(np.median(error[free])) if free.any() else 0.0
-    for j in np.flatnonzero(free & (error > max(_WEAK * median, _WEAK_SHARE))).tolist():
-        found.append(
-            f"the gain of {names[j]} is weak: its error is {100.0 * error[j]:.2g} %, the joints' "
-            f"median {100.0 * median:.2g} %; what is known changes its current least"
-        )
+    for name, loose, own in named:
+        if loose and own > max(_WEAK * median, _WEAK_SHARE):
+            yield (
+                f"the gain of {name} is weak: its error is {100.0 * own:.2g} %, the joints' "
+                f"median {100.0 * median:.2g} %; what is known changes its current least"
+            )
     low, high = _LIKE_TORQUES
     if free.any() and np.all((gains[free] > low) & (gains[free] < high)):
-        found.append(
+        yield (
             f"all gains are near 1 N·m/A ({gains[free].min():.2g} to {gains[free].max():.2g}), as "
             "if the efforts were torques in N·m already: check the columns and their unit; "
             "torques need no gains"
         )
-    shift = np.abs(np.log(gains / unconstrained))
-    moved = free & (shift > _MOVED * np.maximum(error, 1e-12)) & (shift > 1e-6)
-    for j in np.flatnonzero(moved).tolist():
-        found.append(
-            f"links and loads that can exist move the gain of {names[j]} by "
-            f"{100.0 * shift[j]:.2g} %, {shift[j] / error[j]:.2g} standard errors: the model, the "
-            "load or a recording contradicts it"
-        )
-    told = {load.mass: load for load in loads if load.mass_error > 0.0}
-    for load in told.values():
-        share = 100.0 * load.mass_error / load.mass
-        found.append(f"the mass of the load is known to {share:.2g} %: so are all gains together")
+    for (name, loose, own), shift in zip(named, np.abs(np.log(gains / unconstrained)), strict=True):
+        if loose and shift > max(_MOVED * own, 1e-6):
+            yield (
+                f"links and loads that can exist move the gain of {name} by "
+                f"{100.0 * shift:.2g} %, {shift / own:.2g} standard errors: the model, the "
+                "load or a recording contradicts it"
+            )
+    for mass, error_of_mass in {x.mass: x.mass_error for x in model.loads if x.mass_error}.items():
+        share = 100.0 * error_of_mass / mass
+        yield f"the mass of the load is known to {share:.2g} %: so are all gains together"
     if blocks < _FEW:
-        found.append(
+        yield (
             f"the errors rest on {blocks} independent blocks of samples: record longer for "
             "narrower intervals"
         )
-    return tuple(found)
