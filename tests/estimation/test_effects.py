@@ -16,9 +16,8 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.effects.bending import Bending
-from sdpid.estimation.effects.choose import close_terms
+from sdpid.estimation.effects.choose import VariableProjection, close_terms, closed, opened
 from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
-from sdpid.estimation.effects.variable_projection import OpenTerm, VariableProjection
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, describe
@@ -119,13 +118,9 @@ def test_several_terms_with_noise() -> None:
 def search_of(samples: Samples, terms: tuple[FrictionTerm | str, ...], sigma: Array) -> Any:
     """Return a search at the middle of the limits, and its rows."""
     model = friction_model(ARM3, terms)
-    speeds = list(np.abs(samples.velocity).T)
-    numbers = [term.open_parameters(speeds, NAMES) for term in model.terms]
-    opened = [OpenTerm(k, model.terms[k], own) for k, own in enumerate(numbers) if own]
-    closed = list(model.terms)
-    for each in opened:
-        closed[each.place] = each.closed
-    return VariableProjection(row_source(ARM3, samples, closed), sigma, opened), opened
+    found = opened(model, list(np.abs(samples.velocity).T))
+    rows = row_source(ARM3, samples, closed(model, found)[0].terms)
+    return VariableProjection(rows, sigma, found), found
 
 
 @pytest.mark.parametrize("kind", ["one", "each"])
@@ -137,10 +132,10 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool) -> None:
     samples = made(*terms, noise=0.1, mask=mask)
     sigma = random_covariance(rng, 3, None if kind == "one" else 400)
     asked = (Coulomb(width=None), Stribeck(), "viscous")
-    search, opened = search_of(samples, asked, sigma)
+    search, found = search_of(samples, asked, sigma)
     search.run()
-    closed = (opened[0].closed, opened[1].closed, "viscous")
-    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
+    terms = (*(each.closed() for each in found), "viscous")
+    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), terms)
     rows, effort = whitened(W, samples.effort, samples.used, sigma)
     matrix, rhs = rows.reshape(1200, -1), effort.ravel()
     best = np.linalg.lstsq(matrix, rhs, rcond=1e-10)[0]
@@ -283,12 +278,12 @@ def test_the_signed_fit_is_scipys(seed: int) -> None:
     # Efforts that pull both ways, so that signs matter.
     samples = replace(made("viscous", seed=seed), effort=rng.normal(size=(400, 3)))
     asked = (Coulomb(width=None), Stribeck(), SigmoidFriction(), "viscous", "offset")
-    search, opened = search_of(samples, asked, np.eye(3))
-    closed = (*(each.closed for each in opened), "viscous", "offset")
-    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), closed)
+    search, found = search_of(samples, asked, np.eye(3))
+    terms = (*(each.closed() for each in found), "viscous", "offset")
+    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), terms)
     matrix = W.reshape(-1, W.shape[2])
     # Terms without an open number may take any sign: they and the links are projected out.
-    names = [p.name for p in friction_model(ARM3, closed).parameters]
+    names = [p.name for p in friction_model(ARM3, terms).parameters]
     fixed = np.r_[0:30, 30 + np.array([k for k, n in enumerate(names) if n[:2] in ("Fv", "Fo")])]
     columns = np.delete(matrix, fixed, axis=1)
     U, s, _ = np.linalg.svd(matrix[:, fixed], full_matrices=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import close_terms
@@ -30,6 +30,8 @@ from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.model import RobotModel
 
 # An effect is chosen where a fall of the cost as large as its own has at most this probability if
 # it is absent: several are tried, and of twenty logs without any at most one may show one. On
@@ -84,23 +86,18 @@ def with_chosen_effects(
         # Whoever solves the problem itself is told why it has no optimum.
         return problem
     while taken:
+        effects = [trial.effect for trial in taken]
         try:
-            effects = [trial.effect for trial in taken]
-            final = _built(problem, given, effects, taken[-1].estimate, rebuild)
-            found = _named(_solved(final))
+            final, sizes = _built(problem, given, effects, taken[-1].estimate, rebuild)
         except (IdentifiabilityError, SolverError):
             # Without a prior what the data show may still not be determined joint by joint.
             left_out.append(taken.pop())
             continue
-        told = [
-            replace(
-                trial.told,
-                chosen=True,
-                words=f"{trial.effect.title} lowers the cost by {_percent(trial.told.fall, 0)}: "
-                f"{trial.effect.meaning}{_in_brackets(trial.effect.size(found))}",
-            )
-            for trial in taken
-        ]
+        told = []
+        for trial in taken:
+            fall = f"lowers the cost by {_percent(trial.told.fall, 0)}"
+            words = f"{trial.effect.title} {fall}: {trial.effect.meaning}{sizes[trial.effect]}"
+            told.append(replace(trial.told, chosen=True, words=words))
         return final.with_origin(effects=(*told, *(trial.told for trial in left_out)))
     return problem.with_origin(effects=tuple(trial.told for trial in left_out))
 
@@ -141,29 +138,29 @@ def with_effects(
         terms = (*terms, term)
     if not asked:
         return problem
-    final = _built(problem, given, asked, _solved(problem), rebuild)
-    found = _named(_solved(final))
-    told = (
-        Tried(
-            name=effect.name,
-            chosen=True,
-            words=f"{effect.title}: in the model "
-            + ("as asked" if effect.name in names else "with what was asked beside it")
-            + _in_brackets(effect.size(found)),
-        )
-        for effect in asked
-    )
+    final, sizes = _built(problem, given, asked, _solved(problem), rebuild)
+    told = []
+    for effect in asked:
+        why = "as asked" if effect.name in names else "with what was asked beside it"
+        words = f"{effect.title}: in the model {why}{sizes[effect]}"
+        told.append(Tried(name=effect.name, chosen=True, words=words))
     return final.with_origin(effects=tuple(told))
 
 
 def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
     """Return the trials that were taken, and those of the last round, which were not."""
-    terms, estimate = problem.friction.terms, _solved(problem)
+    robot, terms, estimate = problem.robot, problem.friction.terms, _solved(problem)
     taken: list[_Trial] = []
+    # Open numbers of terms are closed once: they are chosen again with the final terms.
     closed: dict[Effect, FrictionTerm] = {}
     while True:
-        terms = tuple(_at(term, estimate) for term in terms)
-        candidates = _candidates(problem, terms, closed, estimate)
+        terms, candidates = tuple(_at(term, estimate) for term in terms), {}
+        for effect in EFFECTS:
+            term = effect.term(robot, terms)
+            if term is not None:
+                if effect not in closed:
+                    closed[effect] = _closed(problem, terms, term)
+                candidates[effect] = _at(closed[effect], estimate)
         if not candidates:
             return taken, []
         largest, independent = with_every_term(problem, (*terms, *candidates.values()), prior)
@@ -188,11 +185,10 @@ def with_every_term(
     Its weights are one variance a joint, from the residuals of these terms; each of their
     parameters has its own column, which may depend on others.
     """
-    robot = problem.robot
-    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
     samples = problem.require_rows_here("choice of effects").samples.judged
-    samples = samples.thinned(_MOST_SAMPLES)
-    rows = RowSource(robot, friction, problem.base, samples).with_every_column()
+    friction = _model(problem.robot, terms)
+    rows = RowSource(problem.robot, friction, problem.base, samples.thinned(_MOST_SAMPLES))
+    rows = rows.with_every_column()
     found = Factor.of(rows, "residual")
     rows = rows.with_force_scale(found.force_scale)
     belief = None
@@ -200,29 +196,16 @@ def with_every_term(
         assert problem.prior is not None
         prior = replace(prior, kind="pullback", strength=problem.prior.strength)
         belief = replace(problem.prior, terms=prior_terms(prior, rows).terms)
-    largest = replace(
-        problem,
-        friction=friction,
-        base=rows.base,
-        A=frozen(found.A),
-        rhs=frozen(found.rhs),
-        floor=found.floor,
-        feasible=FeasibleSet.build(
-            problem.constraints, problem.consistency, Layout(robot, friction)
-        ),
-        prior=belief,
-        rows=rows,
-    ).with_origin(weighting="residual")
+    cost = {"A": frozen(found.A), "rhs": frozen(found.rhs), "floor": found.floor, "prior": belief}
+    largest = _of_cost(problem, friction, rows.base, cost, rows).with_origin(weighting="residual")
     return largest, float(found.used / found.time - np.linalg.matrix_rank(found.A))
 
 
 def with_terms(problem: Problem, terms: Sequence[FrictionTerm]) -> Problem:
     """Return a problem of `with_every_term` with some of its terms: the columns of these alone."""
-    robot, full, prior = problem.robot, problem.base, problem.prior
-    friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
-    layout = Layout(robot, friction)
-    places = [full.theta_names.index(name) for name in layout.names]
-    theta = np.array(places, dtype=np.intp)
+    full, prior, friction = problem.base, problem.prior, _model(problem.robot, terms)
+    layout = Layout(problem.robot, friction)
+    theta = np.array([full.theta_names.index(name) for name in layout.names], dtype=np.intp)
     kept = np.flatnonzero(np.isin(full.kept, theta))
     base = replace(
         full,
@@ -233,26 +216,32 @@ def with_terms(problem: Problem, terms: Sequence[FrictionTerm]) -> Problem:
         theta_names=layout.names,
         theta_units=layout.units,
     )
-    triangle = Triangle(len(kept) + 1)
-    triangle.add(np.column_stack([problem.A[:, kept], problem.rhs]))
-    triangle.add(np.append(np.zeros(len(kept)), np.sqrt(problem.floor))[None])
-    A, rhs, floor = triangle.split()
+    columns, b = np.column_stack([problem.A[:, kept], problem.rhs]), len(kept)
+    R = np.asarray(np.linalg.qr(columns, mode="r"))
     if prior is not None:
         (term,) = prior.terms
         assert isinstance(term, SquaredTerm)
-        term = SquaredTerm(frozen(term.matrix[:, theta]), term.rhs)
-        prior = replace(prior, terms=(term,))
-    return replace(
-        problem,
-        friction=friction,
-        base=base,
-        A=frozen(A),
-        rhs=frozen(rhs),
-        floor=floor,
-        feasible=FeasibleSet.build(problem.constraints, problem.consistency, layout),
-        prior=prior,
-        rows=None,
-    )
+        prior = replace(prior, terms=(SquaredTerm(frozen(term.matrix[:, theta]), term.rhs),))
+    floor = problem.floor + float(np.sum(R[b:, b] ** 2))
+    cost = {"A": frozen(R[:b, :b]), "rhs": frozen(R[:b, b]), "floor": floor, "prior": prior}
+    return _of_cost(problem, friction, base, cost)
+
+
+def _of_cost(
+    problem: Problem,
+    friction: FrictionModel,
+    base: BaseParameters,
+    cost: Mapping[str, Any],
+    rows: RowSource | None = None,
+) -> Problem:
+    """Return a problem of other terms: the fields of its cost, and its constraints."""
+    layout = Layout(problem.robot, friction)
+    feasible = FeasibleSet.build(problem.constraints, problem.consistency, layout)
+    return replace(problem, friction=friction, base=base, feasible=feasible, rows=rows, **cost)
+
+
+def _model(robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionModel:
+    return FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
 
 
 def _tried(
@@ -286,31 +275,9 @@ def _tried(
     return _Trial(effect, term, after, told, shown)
 
 
-def _candidates(
-    problem: Problem,
-    terms: tuple[FrictionTerm, ...],
-    closed: dict[Effect, FrictionTerm],
-    estimate: Estimate,
-) -> dict[Effect, FrictionTerm]:
-    """Return the terms of effects that have a place beside others, their open numbers closed.
-
-    Numbers are closed once, and kept in `closed`: they are chosen again with the final terms.
-    """
-    found = {}
-    for effect in EFFECTS:
-        term = effect.term(problem.robot, terms)
-        if term is None:
-            continue
-        if effect not in closed:
-            closed[effect] = _closed(problem, terms, term)
-        found[effect] = _at(closed[effect], estimate)
-    return found
-
-
 def _closed(problem: Problem, terms: tuple[FrictionTerm, ...], term: FrictionTerm) -> FrictionTerm:
     """Return a term with its open numbers fitted beside others."""
-    names, sigma = problem.robot.joint_names, pooled(problem.sigma)
-    model = FrictionModel.from_terms((*terms, term), names, first=problem.robot.n_base)
+    model, sigma = _model(problem.robot, (*terms, term)), pooled(problem.sigma)
     samples = problem.samples.thinned(_MOST_SAMPLES)
     return close_terms(model, problem.robot, samples, lambda _: sigma)[0].terms[-1]
 
@@ -321,22 +288,26 @@ def _built(
     effects: Sequence[Effect],
     estimate: Estimate,
     rebuild: Rebuild,
-) -> Problem:
-    """Return the problem with effects: linear about its own estimate, where they are products."""
-    terms: list[FrictionTerm] = []
+) -> tuple[Problem, dict[Effect, str]]:
+    """Return the problem with effects, and how large they are, in brackets where that says much.
+
+    It is linear about its own estimate, where terms are products.
+    """
+    terms: tuple[FrictionTerm, ...] = ()
     for effect in effects:
         term = effect.term(problem.robot, (*problem.friction.terms, *terms))
         assert term is not None
-        terms.append(_at(term, estimate))
+        terms = (*terms, _at(term, estimate))
     bent = any(effect.bends_friction for effect in effects)
-    built = rebuild((*(given if bent else problem.friction.terms), *terms))
-    if not bent:
-        built = built.with_origin(profiled=problem.origin.profiled)
-    if not any(isinstance(term, PosedTerm) for term in terms):
-        return built
-    found = _solved(built)
-    closed = tuple(_at(term, found) for term in built.friction.terms)
-    return rebuild(closed).with_origin(profiled=built.origin.profiled)
+    final = rebuild((*(given if bent else problem.friction.terms), *terms))
+    profiled = final.origin.profiled if bent else problem.origin.profiled
+    if any(isinstance(term, PosedTerm) for term in terms):
+        found = _solved(final)
+        final = rebuild(tuple(_at(term, found) for term in final.friction.terms))
+    final = final.with_origin(profiled=profiled)
+    found = _solved(final)
+    sizes = {effect: effect.size(_named(found)) for effect in effects}
+    return final, {effect: f" ({words})" if words else "" for effect, words in sizes.items()}
 
 
 def _solved(problem: Problem) -> Estimate:
@@ -360,10 +331,6 @@ def _at(term: FrictionTerm, estimate: Estimate) -> FrictionTerm:
 
 def _named(estimate: Estimate) -> Mapping[str, float]:
     return estimate.named_theta() or {}
-
-
-def _in_brackets(words: str) -> str:
-    return f" ({words})" if words else ""
 
 
 def _percent(share: float | None, digits: int) -> str:
