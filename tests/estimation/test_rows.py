@@ -19,8 +19,6 @@ from sdpid.estimation.closed_loop.instruments import InstrumentalRows
 from sdpid.estimation.closed_loop.rounds import SensitivityRows
 from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
-from sdpid.estimation.compression import whitening
-from sdpid.estimation.compression.ahead import one_ahead
 from sdpid.estimation.compression.covariance import (
     WEIGHTINGS,
     JointRows,
@@ -45,7 +43,7 @@ from tests.helpers.data import (
     raw_rows,
     row_source,
 )
-from tests.helpers.legged import NOISE, gait, quadruped
+from tests.helpers.legged import gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 from tests.helpers.strategies import SEEDS
@@ -100,18 +98,13 @@ def numba(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bo
 
 
 @pytest.mark.usefixtures("numba")
-def test_only_the_kept_columns_are_written_and_memory_is_used_again() -> None:
+def test_only_the_kept_columns_are_written() -> None:
     rows, _ = source(40)
     near(rows.regressor(slice(None)), plain(rows))
     near(rows.regressor(slice(3, 30, 4)), plain(rows)[3:30:4])
     stacked = rows.rows(slice(5, 25))
     near(stacked[:, :, :-1], plain(rows)[5:25])
     np.testing.assert_array_equal(stacked[:, :, -1], rows.samples.effort[5:25])
-    # Whatever was in it.
-    memory = np.full((25, ARM3.n, rows.base.count + 1), np.nan)
-    found = rows.rows(slice(0, 20), memory)
-    assert np.shares_memory(found, memory)
-    np.testing.assert_array_equal(found, rows.rows(slice(0, 20)))
 
 
 def test_terms_across_joints_have_their_columns() -> None:
@@ -148,9 +141,9 @@ def test_whitening(masked: bool, per_sample: bool, exponent: float) -> None:
     expected = plainly_whitened(rows, sigma, exponent)
     mask = rows.mask(slice(None))
     near(whiten(rows.rows(slice(None)), sigma, mask, exponent), expected)
-    found = [x.copy() for _, x, _ in whitened_chunks(rows, sigma, exponent)]
+    found = [x for _, x, _ in whitened_chunks(rows, sigma, exponent)]
     near(np.concatenate(found), expected)
-    kept = [x for _, x, _ in whitened_chunks(rows, sigma, exponent, size=7, keep=True)]
+    kept = [x for _, x, _ in whitened_chunks(rows, sigma, exponent, size=7)]
     assert [len(x) for x in kept] == [7] * 7 + [1]
     near(np.concatenate(kept), expected)
     assert not expected[~mask].any()
@@ -162,7 +155,7 @@ def test_whitening_by_independent_joints(exponent: float) -> None:
     rows, sigma = source(50)
     sigma = np.diag(np.diagonal(sigma))
     expected = plainly_whitened(rows, sigma, exponent)
-    near(np.concatenate([x.copy() for _, x, _ in whitened_chunks(rows, sigma, exponent, size=8)]),
+    near(np.concatenate([x for _, x, _ in whitened_chunks(rows, sigma, exponent, size=8)]),
          expected)  # fmt: skip
     W, effort = plain(rows), rows.samples.effort
     before = W.copy()
@@ -190,56 +183,6 @@ def test_the_rows_of_other_samples() -> None:
     other, _ = source(20, seed=1)
     assert rows.on(other.samples).n_samples == 20
     near(rows.on(other.samples).regressor(slice(None)), plain(other))
-
-
-# ---- What is computed ahead is what would be computed in turn.
-
-
-@pytest.mark.parametrize("ahead", [False, True])
-@pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_results_come_in_order_and_memory_of_one_turn_lasts_until_the_next(
-    ahead: bool, count: int
-) -> None:
-    memory = np.zeros(2, dtype=int)
-
-    def write(item: int, turn: int) -> Array:
-        memory[turn] = item
-        return memory[turn : turn + 1]
-
-    assert [int(found[0]) for found in one_ahead(write, range(count), ahead=ahead)] == [
-        *range(count)
-    ]
-
-
-def test_an_error_arrives_where_its_result_would() -> None:
-    found = one_ahead(lambda i, _: 1 // (i - 2), range(5))
-    assert [next(found), next(found)] == [-1, -1]
-    with pytest.raises(ZeroDivisionError):
-        next(found)
-
-
-@pytest.mark.parametrize("flying", [False, True])
-def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, flying: bool) -> None:
-    pytest.importorskip("numba")
-    monkeypatch.setattr(kernels, "WORTH", 0)
-    monkeypatch.setattr(rows_module, "CHUNK_BYTES", 1 << 19)
-    robot, samples = quadruped(), gait(240).samples
-    if flying:
-        samples = replace(samples, contacts=None)
-    rows = row_source(robot, samples, ("viscous",))
-    sigma = np.diag(NOISE**2)
-    found = []
-    for count in (1, 2):
-        monkeypatch.setattr(whitening, "threads", lambda count=count: count)
-        found.append(whitening.compress(rows, sigma))
-    (one, used), (two, again) = found
-    np.testing.assert_array_equal(one.R, two.R)
-    assert used == again
-    chunks = whitening.whitened_chunks(rows, sigma, keep=True)
-    whole = np.concatenate([block.reshape(-1, one.columns) for _, block, _ in chunks])
-    scale = np.linalg.norm(whole, axis=0) + 1e-300
-    R, W = one.R / scale, whole / scale
-    np.testing.assert_allclose(R.T @ R, W.T @ W, atol=1e-13)
 
 
 # ---- Rows have the columns that they are said to have, and no others.

@@ -68,16 +68,6 @@ class MadeRows(RowSource):
         """At which columns rows may not be zero: at all."""
         return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
 
-    def regressor(self, part: slice) -> Array:
-        """Return all but the last column of `rows`."""
-        return self.rows(part)[:, :, :-1]
-
-    def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
-        """Yield (slice, regressor, last column, mask); as `RowSource.chunks`."""
-        for part in self.parts(size):
-            found = self.rows(part)
-            yield part, found[:, :, :-1], found[:, :, -1], self.mask(part)
-
 
 @dataclass(frozen=True)
 class PairedRows(MadeRows):
@@ -98,7 +88,7 @@ class PairedRows(MadeRows):
         for own, others in zip(self.samples.pieces, self.instruments.pieces, strict=True):
             yield replace(self, samples=own, instruments=others)
 
-    def rows(self, part: slice, out: Array | None = None) -> Array:
+    def rows(self, part: slice) -> Array:
         """Return both regressors side by side, and the efforts, (k, n, 2 b + 1)."""
         Z = self.on(self.instruments).regressor(part)
         return np.concatenate([Z, super().rows(part)], axis=2)
@@ -130,7 +120,7 @@ class InstrumentalRows(PairedRows):
     fit: Array
     shift: Array
 
-    def rows(self, part: slice, out: Array | None = None) -> Array:
+    def rows(self, part: slice) -> Array:
         """Return X with the efforts of the second stage as last column; as `RowSource.rows`."""
         Z, W, y = np.split(super().rows(part), [self.base.count, -1], axis=2)
         X = Z @ self.link
@@ -165,7 +155,7 @@ def _products(rows: PairedRows, sigma: Array, root: Array) -> Array:
     """Return the products of one piece."""
     b, r = root.shape
     gram = np.zeros((2 * r + 1, 2 * r + 1))
-    for _, both, _ in whitened_chunks(rows, sigma, keep=True):
+    for _, both, _ in whitened_chunks(rows, sigma):
         parts = both[:, :, :b] @ root, both[:, :, b:-1] @ root, both[:, :, -1:]
         flat = np.concatenate(parts, axis=2).reshape(-1, 2 * r + 1)
         gram += flat.T @ flat

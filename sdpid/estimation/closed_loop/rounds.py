@@ -80,7 +80,7 @@ class SensitivityRows(MadeRows):
         for part, own in zip(self.samples.parts, self.samples.pieces, strict=True):
             yield replace(self, samples=own, slopes=self.slopes[part], target=self.target[part])
 
-    def rows(self, part: slice, out: Array | None = None) -> Array:
+    def rows(self, part: slice) -> Array:
         """Return the derivative with the target as last column; as `RowSource.rows`."""
         return np.concatenate([self.slopes[part], self.target[part][:, :, None]], axis=2)
 

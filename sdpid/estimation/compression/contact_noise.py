@@ -69,23 +69,21 @@ def contact_noise(rows: RowSource) -> tuple[Array, float, float]:
     DataError
         When every effort is zero, or contacts leave no row.
     """
-    samples = rows.samples
-    thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
-    groups = _groups(rows)
+    n, n_base = rows.robot.n, rows.robot.n_base
+    thin = RowSource(rows.robot, rows.friction, rows.base, rows.samples.thinned(_MOST_SAMPLES))
     begun, least = _beginning(thin)
     left = _Left(thin)
     kept, force = left.rows(thin)
 
     def updated(sizes: Array) -> Array:
         base, residual, freedom = left.fitted(kept, sizes)
-        if rows.robot.n_base:
-            _bound_base(least, force @ base, thin)
-        return left.settled(sizes, residual, groups, freedom, least, _INNER)
+        least[:n_base] = _least_of_base(thin, force @ base)
+        return left.settled(sizes, residual, _groups(n, n_base), freedom, least, _INNER)
 
     sizes = settled(updated, begun, _SETTLED)
     base, residual, freedom = left.fitted(kept, sizes)
     # One factor for all efforts, which were bounded one by one, beside that of forces.
-    alike = np.append(np.zeros(rows.robot.n, dtype=np.intp), 1)
+    alike = _groups(n, 0) // n
     least = np.append(LEAST_NOISE * sizes[:-1], 1.0)
     sizes = left.settled(sizes, residual, alike, freedom, least)
     shown = float(left.settled(sizes, residual, alike, freedom, 0.0 * least)[-1])
@@ -111,15 +109,14 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
     predicted : ndarray, shape (K, n)
         Efforts without those of forces.
     """
-    samples, groups = rows.samples, np.minimum(_groups(rows), rows.robot.n_base)
+    samples, n, n_base = rows.samples, rows.robot.n, rows.robot.n_base
+    groups = np.minimum(_groups(n, n_base), n_base)
     groups[-1] += 1
-    missed = replace(samples, effort=samples.effort - predicted)
-    thin = rows.on(missed.thinned(_MOST_SAMPLES))
+    thin = rows.on(replace(samples, effort=samples.effort - predicted).thinned(_MOST_SAMPLES))
     left = _Left(thin)
     residual = left.of(np.concatenate([thin.effort(part) for part in thin.parts()]))
     sizes, least = _beginning(rows)
-    if rows.robot.n_base:
-        _bound_base(least, predicted[:, :3], rows)
+    least[:n_base] = _least_of_base(rows, predicted[:, :3])
     return left.settled(sizes, residual, groups, 1.0, least, ROUNDS * _INNER)[:-1]
 
 
@@ -129,44 +126,36 @@ def _beginning(rows: RowSource) -> tuple[Array, Array]:
     They are variances of efforts and, last, the factor of the covariance of forces.
     """
     mask, n_base = rows.samples.used, rows.robot.n_base
-    square = np.where(mask, rows.samples.effort, 0.0)[:, n_base:] ** 2
-    used = int(np.count_nonzero(mask[:, n_base:]))
-    if used:
-        effort = float(square.sum()) / used
+    own = np.where(mask, rows.samples.effort, 0.0)[:, n_base:]
+    used = np.count_nonzero(mask[:, n_base:], axis=0)
+    square, mean = (np.sum(each, axis=0) / np.maximum(used, 1) for each in (own**2, own))
+    if used.any():
+        effort = float(square @ used / used.sum())
     else:
         # The base's rows alone: forces that are known take the place of efforts.
         known = [np.where(rows.mask(p), rows.effort(p), 0.0)[:, :3] for p in rows.parts()]
         effort = _reach(rows) ** 2 * float(np.mean(np.concatenate(known) ** 2))
-    require_effort(effort, used or int(mask.sum()))
+    require_effort(effort, int(used.sum()) or int(mask.sum()))
     variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
     variance[: min(3, n_base)] /= _reach(rows) ** 2
-    return np.append(variance, 1.0), np.append(_least(rows, effort, square), 1.0)
+    least = least_variance(square - mean**2, effort)
+    return np.append(variance, 1.0), np.concatenate([np.zeros(n_base), least, [1.0]])
 
 
-def _bound_base(least: Array, weight: Array, rows: RowSource) -> None:
-    """Write the least variances of the base, of which forces (K, 3) are the weight."""
+def _least_of_base(rows: RowSource, weight: Array) -> Array:
+    """Return the least variances of the base, of which forces (K, 3) are the weight; none else."""
     force = _WEIGHT_SHARE**2 * float(np.mean(weight**2)) * 3.0
-    least[:3], least[3:6] = force, force * _reach(rows) ** 2
+    return force * np.repeat([1.0, _reach(rows) ** 2], 3)[: rows.robot.n_base]
 
 
 def _reach(rows: RowSource) -> float:
     return float(max(rows.robot.reach, np.finfo(float).tiny))
 
 
-def _groups(rows: RowSource) -> Indices:
+def _groups(n: int, n_base: int) -> Indices:
     """Return which rows share a variance, and that the factor of forces is alone, (n + 1,)."""
-    n_base = rows.robot.n_base
-    own = np.arange(rows.robot.n + 1)
+    own = np.arange(n + 1)
     return np.asarray(np.where(own < n_base, own // 3, own), dtype=np.intp)
-
-
-def _least(rows: RowSource, effort: float, square: Array) -> Array:
-    """Return the least variances (n,): those of joints as in `JointRows.least_variance`."""
-    n_base, mask = rows.robot.n_base, rows.samples.used
-    used = np.maximum(np.count_nonzero(mask[:, n_base:], axis=0), 1)
-    signed = np.where(mask, rows.samples.effort, 0.0)[:, n_base:]
-    own = square.sum(axis=0) / used - (signed.sum(axis=0) / used) ** 2
-    return np.append(np.zeros(n_base), least_variance(own, effort))
 
 
 class _Left:
@@ -181,9 +170,7 @@ class _Left:
             touching = rows.contacts(part)
             assert touching is not None
             for some, N in touching.unforced(rows.mask(part)):
-                spread = np.zeros((len(N), N.shape[2], 0))
-                if touching.spread is not None:
-                    spread = np.swapaxes(N, 1, 2) @ touching.spread[some]
+                spread = np.swapaxes(N, 1, 2) @ touching.spread[some]
                 pieces.setdefault(N.shape[2], []).append((part.start + some, N, spread))
         alike = (zip(*each, strict=True) for each in pieces.values())
         self.pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
@@ -214,22 +201,21 @@ class _Left:
 
     def fitted(self, kept: list[Array], sizes: Array) -> tuple[Array, list[Array], float]:
         """Return the best fit under sizes, what it leaves, and rows a degree of freedom."""
-        count = sum(X.shape[0] * X.shape[1] for X in kept)
-        if count < 1:
+        rows = sum(X.shape[0] * X.shape[1] for X in kept)
+        if rows < 1:
             raise DataError(
                 "samples: the forces of the contacts explain every row, nothing is left to fit; "
                 "check the mask and the contacts (flags, kinds), or give measured forces."
             )
         triangle = Triangle(kept[0].shape[2])
         for X, root in zip(kept, self.roots(sizes), strict=True):
-            size = max(1, CHUNK_BYTES // max(8 * X.shape[1] * X.shape[2], 1))
-            for start in range(0, len(X), size):
-                own = slice(start, start + size)
-                triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
+            count = 1 + X.nbytes // CHUNK_BYTES
+            for G, own in zip(*(np.array_split(each, count) for each in (root, X)), strict=True):
+                triangle.add((G @ own).reshape(-1, X.shape[2]))
         # Along directions that rows without the forces do not show, the shortest in SI units.
         base, _, rank, _ = np.linalg.lstsq(triangle.R[:, :-1], triangle.R[:, -1], rcond=None)
         residual = [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
-        return np.asarray(base), residual, count / max(count - int(rank), 1.0)
+        return np.asarray(base), residual, rows / max(rows - int(rank), 1.0)
 
     def settled(
         self,

@@ -46,22 +46,22 @@ class ContactRows:
         Efforts of every force or moment that nobody measured, A.
     active : ndarray of bool, shape (k, m)
         Whether there may be one.
-    effort : ndarray, shape (k, n), or None
+    effort : ndarray, shape (k, n)
         Efforts of measured forces.
-    spread : ndarray, shape (k, n, s), or None
+    spread : ndarray, shape (k, n, s)
         Efforts of independent errors of measured forces, each of one standard deviation: L, so that
-        their covariance is L·L^T.
+        their covariance is L·L^T. Without measured forces there are none, and s is zero.
     """
 
     directions: Array
     active: Mask
-    effort: Array | None
-    spread: Array | None
+    effort: Array
+    spread: Array
 
     @property
-    def covariance(self) -> Array | None:
+    def covariance(self) -> Array:
         """The covariance of the efforts of measured forces, (k, n, n)."""
-        return None if self.spread is None else self.spread @ np.swapaxes(self.spread, 1, 2)
+        return np.asarray(self.spread @ np.swapaxes(self.spread, 1, 2))
 
     @classmethod
     def of(
@@ -90,28 +90,26 @@ class ContactRows:
         if known is not None:
             infinite = np.isinf(np.diagonal(known, axis1=1, axis2=2))
         found: list[Array] = []
-        active: list[Array] = []
         axes = None
         for i, kind in enumerate(contacts.kind):
-            own = J[:, i, :3][:, infinite[i, :3]]
-            moments = infinite[i, 3:]
-            if kind == "line" and moments.all():
+            moments, transmitted = J[:, i, 3:], infinite[i, 3:]
+            if kind == "line" and transmitted.all():
                 # An edge transmits no moment about itself, the frame's y axis.
                 if axes is None:
                     axes = frame_axes(robot, q, contacts.frames)
-                across = np.swapaxes(axes[:, i][:, :, [0, 2]], 1, 2)
-                own = np.concatenate([own, across @ J[:, i, 3:]], axis=1)
-            elif kind != "point":
-                own = np.concatenate([own, J[:, i, 3:][:, moments]], axis=1)
-            found.append(own)
-            active.append(np.repeat(down[:, i, None], own.shape[1], axis=1))
+                moments = np.swapaxes(axes[:, i][:, :, [0, 2]], 1, 2) @ moments
+            else:
+                moments = moments[:, transmitted & (kind != "point")]
+            found.append(np.concatenate([J[:, i, :3][:, infinite[i, :3]], moments], axis=1))
         directions = np.swapaxes(np.concatenate(found, axis=1), 1, 2)
+        active = np.repeat(down, [each.shape[1] for each in found], axis=1)
         if any(contacts.against):
             size = np.einsum("knm,knm->km", directions, directions)
-            acts = size > _NOTHING**2 * size.max(axis=1, keepdims=True, initial=0.0)
-            active = [np.concatenate(active, axis=1) & acts]
+            active &= size > _NOTHING**2 * size.max(axis=1, keepdims=True, initial=0.0)
         if known is None or contacts.forces is None:
-            return cls(directions, np.concatenate(active, axis=1), None, None)
+            return cls(
+                directions, active, np.zeros(q.shape[:1] + J.shape[3:]), directions[:, :, :0]
+            )
         values, vectors = np.linalg.eigh(scale * np.where(np.isinf(known), 0.0, known))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         f = np.where(infinite, 0.0, contacts.forces[part])
@@ -119,22 +117,14 @@ class ContactRows:
         J = np.where(down[:, :, None, None], J, 0.0)
         return cls(
             directions,
-            np.concatenate(active, axis=1),
+            active,
             np.einsum("kcin,kci->kn", J, f),
             np.einsum("kcin,cij->kncj", J, root)[:, :, root.any(axis=1)],
         )
 
-    def _patterns(self) -> Iterator[tuple[Indices, Indices]]:
-        """Yield samples with the same active directions, and these directions."""
-        patterns, index = np.unique(self.active, axis=0, return_inverse=True)
-        order = np.argsort(index.reshape(-1), kind="stable")
-        ends = np.cumsum(np.bincount(index.reshape(-1), minlength=len(patterns)))[:-1]
-        for own, some in zip(patterns, np.split(order, ends), strict=True):
-            yield some, np.flatnonzero(own)
-
     def _left(self, powers: Array, index: Indices) -> Iterator[tuple[Indices, Array, Array]]:
         """Yield samples, bases N (s, n, r) of what forces leave of whitened rows, and N^T·P."""
-        for some, own in self._patterns():
+        for some, own in alike(self.active):
             P = powers[index[some]]
             for few, N in complements(P @ self.directions[some][:, :, own]):
                 yield some[few], N, np.swapaxes(N, 1, 2) @ P[few]
@@ -145,20 +135,17 @@ class ContactRows:
         They are the same for all weights: a covariance C of the rows makes
         ``Omega = N·(N^T·C·N)^-1·N^T``. Samples without a row in use have none.
         """
-        for some, own in self._patterns():
-            used, index = np.unique(mask[some], axis=0, return_inverse=True)
-            for i in np.flatnonzero(used.any(axis=1)):
-                rows = used[i]
-                alike = some[index.reshape(-1) == i]
-                A = self.directions[alike][:, rows][:, :, own]
-                for few, kept in complements(A):
+        for some, pattern in alike(np.hstack([self.active, mask])):
+            own, rows = np.split(pattern, [self.active.shape[1]])
+            if rows.any():
+                for few, kept in complements(self.directions[some][:, rows][:, :, own]):
                     N = np.zeros((len(few), len(rows), kept.shape[2]))
                     N[:, rows] = kept
-                    yield alike[few], N
+                    yield some[few], N
 
     def roots(self, powers: Array, index: Indices) -> tuple[Array, Indices]:
         """Return roots and which each sample has, errors of measured forces added to efforts'."""
-        if self.spread is None:
+        if not self.spread.shape[2]:
             return powers, index
         return with_spread(powers[index], self.spread), np.arange(len(index))
 
@@ -193,16 +180,21 @@ class ContactRows:
         """
         out: Array = residual.copy()
         weighted = np.zeros_like(residual)
-        for some, own in self._patterns():
+        for some, own in alike(self.active):
             P, r = powers[index[some]], residual[some]
             A = self.directions[some][:, :, own]
             # Least squares by the pseudo-inverse: a repeated direction has no force of its own.
             left = r - A @ (np.linalg.pinv(P @ A, rcond=RANK) @ (P @ r))
             out[some] = left
             weighted[some] = np.swapaxes(P, 1, 2) @ (P @ left)
-        if self.spread is None:
-            return out
         return out - self.spread @ (np.swapaxes(self.spread, 1, 2) @ weighted)
+
+
+def alike(flags: Mask) -> Iterator[tuple[Indices, Mask]]:
+    """Yield samples with the same flags (m,), of (k, m), and these flags."""
+    patterns, index = np.unique(flags, axis=0, return_inverse=True)
+    for i, pattern in enumerate(patterns):
+        yield np.flatnonzero(index.reshape(-1) == i), pattern
 
 
 def with_spread(P: Array, L: Array) -> Array:

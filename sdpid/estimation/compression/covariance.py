@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -98,57 +99,44 @@ class JointRows:
     columns : tuple of ndarray of int
         Of each joint, the columns where its rows may not be zero, efforts last.
     triangles : tuple of Triangle
-        One a joint, of those columns, not whitened.
-    used : ndarray, shape (n,)
-        Rows that are not masked.
-    squares : ndarray, shape (n,)
-        Sum of the squared efforts of those, (N·m)².
-    sums : ndarray, shape (n, b + 1)
-        Sum of those rows, efforts last.
+        One a joint, of those columns and a column of ones, not whitened. So their products with
+        themselves are sums over rows: of their number, of efforts, and of squared efforts.
     """
 
     columns: tuple[Indices, ...]
     triangles: tuple[Triangle, ...]
-    used: Array
-    squares: Array
-    sums: Array
 
     @classmethod
     def of(cls, rows: RowSource) -> JointRows:
         """Compress the rows of every joint."""
-        n, count = rows.robot.n, rows.base.count
         columns = tuple(np.flatnonzero(own) for own in rows.reached)
-        triangles = tuple(Triangle(len(own)) for own in columns)
-        used, squares, sums = np.zeros(n), np.zeros(n), np.zeros((n, count + 1))
+        triangles = tuple(Triangle(len(own) + 1) for own in columns)
         for part in rows.parts():
             stacked, mask = rows.rows(part), rows.mask(part)
-            everything = bool(mask.all())
-            for j, triangle in enumerate(triangles):
-                own = stacked[:, j] if everything else stacked[mask[:, j], j]
-                own = own[:, columns[j]]
-                triangle.add(own)
-                used[j] += len(own)
-                squares[j] += float(own[:, -1] @ own[:, -1])
-                sums[j, columns[j]] += own.sum(axis=0)
-        return cls(columns, triangles, used, squares, sums)
+            for j, (own, triangle) in enumerate(zip(columns, triangles, strict=True)):
+                used = slice(None) if mask[:, j].all() else mask[:, j]
+                found = stacked[used, j][:, own]
+                triangle.add(np.column_stack([found, np.ones(len(found))]))
+        return cls(columns, triangles)
 
     @classmethod
     def merged(cls, pieces: Sequence[JointRows]) -> JointRows:
         """Return the rows of several pieces as if they were one: nothing is approximated."""
-        first = pieces[0]
-        if len(pieces) == 1:
-            return first
-        triangles = tuple(Triangle(len(own)) for own in first.columns)
-        for piece in pieces:
-            for triangle, own in zip(triangles, piece.triangles, strict=True):
-                triangle.add(own.R)
-        return cls(
-            first.columns,
-            triangles,
-            np.sum([piece.used for piece in pieces], axis=0),
-            np.sum([piece.squares for piece in pieces], axis=0),
-            np.sum([piece.sums for piece in pieces], axis=0),
-        )
+        first, *others = pieces
+        for other in others:
+            for triangle, own in zip(first.triangles, other.triangles, strict=True):
+                triangle.merge(own)
+        return first
+
+    @cached_property
+    def used(self) -> Array:
+        """Rows that are not masked, (n,)."""
+        return np.round([np.sum(t.R[:, -1] ** 2) for t in self.triangles])
+
+    @cached_property
+    def squares(self) -> Array:
+        """Sum of the squared efforts of those, (N·m)², (n,)."""
+        return np.array([np.sum(t.R[:, -2] ** 2) for t in self.triangles])
 
     @property
     def effort(self) -> float:
@@ -157,15 +145,16 @@ class JointRows:
 
     def mean_residual(self, base: Array) -> Array:
         """Return the mean of every joint's residual ``effort − W @ base``, (n,)."""
-        return np.asarray(self.sums @ np.append(-base, 1.0) / np.maximum(self.used, 1.0))
+        pairs = zip(self.triangles, self._residuals(base), strict=True)
+        return np.array([t.R[:, -1] @ r for t, r in pairs]) / np.maximum(self.used, 1.0)
 
     def joined(self, variance: Array) -> Triangle:
         """Return the triangle of all rows over the standard deviations of their joints."""
-        joined = Triangle(self.sums.shape[1])
+        joined = Triangle(int(self.columns[0][-1]) + 1)
         # First rows first: together they have all columns.
         for part in (slice(1), slice(1, None)):
             for own, triangle, s in zip(self.columns, self.triangles, variance, strict=True):
-                joined.add(triangle.R[part] / np.sqrt(s), own)
+                joined.add(triangle.R[part, :-1] / np.sqrt(s), own)
         return joined
 
     def fit(self, variance: Array) -> tuple[Array, int]:
@@ -175,9 +164,12 @@ class JointRows:
 
     def squared_residuals(self, base: Array) -> Array:
         """Return the sum of every joint's squared residuals at some base parameters, (n,)."""
-        error = np.append(base, -1.0)
-        pairs = zip(self.columns, self.triangles, strict=True)
-        return np.array([float(np.sum((t.R @ error[own]) ** 2)) for own, t in pairs])
+        return np.array([np.sum(r**2) for r in self._residuals(base)])
+
+    def _residuals(self, base: Array) -> list[Array]:
+        """Return every joint's residuals in the rows of its triangle."""
+        error, pairs = np.append(-base, 1.0), zip(self.columns, self.triangles, strict=True)
+        return [t.R[:, :-1] @ error[own] for own, t in pairs]
 
     def residual_variance(self, base: Array, rank: int) -> Array:
         """Return the variance of every joint's residuals at some base parameters, (n,).
@@ -199,7 +191,8 @@ class JointRows:
     def least_variance(self) -> Array:
         """Added to the variance of each joint's residuals, (n,)."""
         used = np.maximum(self.used, 1.0)
-        return least_variance(self.squares / used - (self.sums[:, -1] / used) ** 2, self.effort)
+        mean = self.mean_residual(np.zeros(self.columns[0][-1]))
+        return least_variance(self.squares / used - mean**2, self.effort)
 
 
 def least_variance(own: Array, effort: float) -> Array:
@@ -289,8 +282,7 @@ def integrated_time(correlation: Array) -> float:
     return float(max(1.0, 2.0 * pairs[: stop[0] if stop.size else None].sum() - 1.0))
 
 
-@dataclass(frozen=True, eq=False)
-class LaggedSums:
+class LaggedSums(NamedTuple):
     """Sums of lagged products ``Σ_k x[k]·x[k + lag]`` of each signal, and the number of pairs.
 
     Dividing gives the autocovariance. The two are kept apart so that recordings can be added.
@@ -346,16 +338,13 @@ class LaggedSums:
         longest = max(piece.products.shape[1] for piece in pieces)
         products, pairs = np.zeros((2, len(pieces[0].products), longest))
         for piece in pieces:
-            lags = piece.products.shape[1]
-            products[:, :lags] += piece.products
-            pairs[:, :lags] += piece.pairs
+            products[:, : piece.products.shape[1]] += piece.products
+            pairs[:, : piece.products.shape[1]] += piece.pairs
         return cls(products, pairs)
 
     @property
     def correlation(self) -> Array:
         """Autocorrelations (n, lags), 1 at the first lag; a constant has none at others."""
         found = self.products / np.maximum(self.pairs, 1.0)
-        first = found[:, :1]
-        none = np.zeros_like(found)
-        none[:, 0] = 1.0
-        return np.where(first > 0.0, found / np.where(first > 0.0, first, 1.0), none)
+        none = np.eye(1, found.shape[1]).repeat(len(found), axis=0)
+        return np.divide(found, found[:, :1], out=none, where=found[:, :1] > 0.0)

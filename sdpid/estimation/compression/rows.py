@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -204,27 +204,44 @@ class RowSource:
 
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""
-        q = self.samples.position[part]
-        return self._fill(part, np.empty((len(q), self.robot.n, self.base.count)))
+        return self.rows(part)[:, :, :-1]
 
-    def rows(self, part: slice, out: Array | None = None) -> Array:
+    def rows(self, part: slice) -> Array:
         """Return the base regressor of some samples with the efforts as last column.
 
         Parameters
         ----------
         part : slice
             The samples.
-        out : ndarray, optional
-            Memory to use, of at least as many samples.
 
         Returns
         -------
         ndarray, shape (k, n, b + 1)
         """
-        effort = self.effort(part)
-        if out is None:
-            out = np.empty((len(effort), self.robot.n, self.base.count + 1))
-        return self._fill(part, out[: len(effort)], effort)
+        s, n, links = self.samples, self.robot.n, 10 * self.robot.n_links
+        effort, first = self.effort(part), self.friction.first
+        out = np.empty((len(effort), n, self.base.count + 1))
+        motion, places = self.motion(part), self._places[links:]
+        # Terms that have one entry a row, and the efforts; then columns across joints.
+        entries: list[Entries] = [(effort, np.arange(n), np.full(n, self.base.count))]
+        columns: list[tuple[Indices, Array]] = []
+        for term, place in self.friction.placed:
+            to = places[place]
+            kept = np.flatnonzero(to >= 0)
+            if _is_diagonal(term):
+                entries.append((term.shape_in(motion)[:, kept], first + kept, to[kept]))
+            else:
+                every = term.columns_in(motion, self.friction.joint_names)
+                columns.append((to[kept], every[:, :, kept]))
+        values, *where = (np.concatenate(each, axis=-1) for each in zip(*entries, strict=True))
+        self.robot.regressor_columns(
+            s.position[part], s.velocity[part], s.acceleration[part],
+            places=self._places[:links], out=out, compiled=self.many,
+            entries=(values, where[0], where[1]),
+        )  # fmt: skip
+        for to, block in columns:
+            out[:, first:, to] = block
+        return out
 
     def contacts(self, part: slice) -> ContactRows | None:
         """Return what contacts do to the rows of some samples, None where there are none."""
@@ -239,7 +256,6 @@ class RowSource:
             return effort
         touching = self.contacts(part)
         assert touching is not None
-        assert touching.effort is not None
         return effort + touching.effort
 
     def mask(self, part: slice) -> Mask:
@@ -251,7 +267,8 @@ class RowSource:
     def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
         """Yield (slice, base regressor, effort, mask) by `size` samples, else `chunk_size`."""
         for part in self.parts(size):
-            yield part, self.regressor(part), self.effort(part), self.mask(part)
+            found = self.rows(part)
+            yield part, found[:, :, :-1], found[:, :, -1], self.mask(part)
 
     def parts(self, size: int = 0, within: slice = slice(None)) -> Iterator[slice]:
         """Yield the slices of chunks of `size` samples, else of `chunk_size`, of some neighbors."""
@@ -260,46 +277,9 @@ class RowSource:
         for start in range(first, stop, size):
             yield slice(start, min(start + size, stop))
 
-    def _fill(self, part: slice, out: Array, effort: Array | None = None) -> Array:
-        """Write the regressor, and efforts as last column where they are given."""
-        s = self.samples
-        links = 10 * self.robot.n_links
-        entries, columns = self._friction(self.motion(part), self._places[links:])
-        if effort is not None:
-            n = self.robot.n
-            entries.append((effort, np.arange(n), np.full(n, out.shape[2] - 1)))
-        whole = None
-        if entries:
-            values, rows, to = zip(*entries, strict=True)
-            whole = np.concatenate(values, axis=1), np.concatenate(rows), np.concatenate(to)
-        self.robot.regressor_columns(
-            s.position[part], s.velocity[part], s.acceleration[part],
-            places=self._places[:links], out=out, compiled=self.many, entries=whole,
-        )  # fmt: skip
-        for at, block in columns:
-            out[:, self.friction.first :, at] = block
-        return out
-
     def motion(self, part: slice) -> Motion:
         """Return the motion of some samples, at which friction columns are evaluated."""
         return motion_of(self.robot, self.samples, part, first=self.friction.first)
-
-    def _friction(
-        self, motion: Motion, places: Indices
-    ) -> tuple[list[Entries], list[tuple[Indices, Array]]]:
-        """Return the entries of terms that have one a row, and the columns of others."""
-        friction = self.friction
-        names, first = friction.joint_names, friction.first
-        entries: list[Entries] = []
-        columns: list[tuple[Indices, Array]] = []
-        for term, place in friction.placed:
-            to = places[place]
-            kept = np.flatnonzero(to >= 0)
-            if isinstance(term, JointwiseTerm) and _is_diagonal(term):
-                entries.append((term.shape_in(motion)[:, kept], first + kept, to[kept]))
-            else:
-                columns.append((to[kept], term.columns_in(motion, names)[:, :, kept]))
-        return entries, columns
 
 
 def _moved(tree: Tree) -> Mask:
@@ -314,7 +294,7 @@ def _moved(tree: Tree) -> Mask:
     return found
 
 
-def _is_diagonal(term: FrictionTerm) -> bool:
+def _is_diagonal(term: FrictionTerm) -> TypeGuard[JointwiseTerm]:
     """Return whether each joint has one column of its own."""
     own = type(term).columns, type(term).columns_in
     return isinstance(term, JointwiseTerm) and own == _DIAGONAL

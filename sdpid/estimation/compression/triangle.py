@@ -45,11 +45,11 @@ class Triangle:
     Parameters
     ----------
     columns : int
-        Columns of the rows.
+        Columns of the rows, also kept as an attribute.
     """
 
     def __init__(self, columns: int) -> None:
-        self._columns = columns
+        self.columns = columns
         # The factor of everything is T, or root(G)·T of the columns seen while rows are divided.
         self._T: Array = np.zeros((0, columns))
         self._G: Any = None
@@ -62,17 +62,12 @@ class Triangle:
 
     def __getstate__(self) -> tuple[int, Array]:
         """Return what is sent: the rows' triangle stands for all of them."""
-        return self._columns, self.R
+        return self.columns, self.R
 
     def __setstate__(self, state: tuple[int, Array]) -> None:
         """Go on from a triangle."""
         self.__init__(state[0])  # type: ignore[misc]
         self._restart(state[1])
-
-    @property
-    def columns(self) -> int:
-        """Columns of the rows."""
-        return self._columns
 
     @property
     def R(self) -> Array:  # noqa: N802
@@ -91,23 +86,20 @@ class Triangle:
         """Fold further rows (k, columns) in, or (k, c) of those columns alone; k may be zero."""
         rows = np.asarray(rows, dtype=np.float64)
         if at is not None:
-            whole = np.zeros((len(rows), self._columns))
+            whole = np.zeros((len(rows), self.columns))
             whole[:, at] = rows
             rows = whole
         self._R = None
-        few = _FEW * self._columns
+        few = _FEW * self.columns
         if self._count + len(rows) < few:
             if len(rows):
                 self._waiting.append(rows.copy())
                 self._count += len(rows)
             return
         if self._waiting:
-            need = few - self._count
-            first, rows = rows[:need], rows[need:]
-            waiting = [*self._waiting, first]
+            rows = np.concatenate([*self._waiting, rows])
             self._waiting, self._count = [], 0
-            self._fold(np.concatenate(waiting))
-        size = max(PIECE // (8 * self._columns), few)
+        size = max(PIECE // (8 * self.columns), few)
         for start in range(0, len(rows), size):
             self._fold(rows[start : start + size])
 
@@ -117,7 +109,7 @@ class Triangle:
 
     def split(self) -> tuple[Array, Array, float]:
         """Return A (b, b), rhs (b,) and floor, the last column being the right-hand side."""
-        columns = self._columns
+        columns = self.columns
         R, found = np.zeros((columns, columns)), self.R
         R[: len(found)] = found[:columns]
         b = columns - 1
@@ -127,7 +119,7 @@ class Triangle:
         """Return the triangle of everything folded in."""
         if self._G is None:
             return self._T
-        factor = np.zeros((self._columns, self._columns))
+        factor = np.zeros((self.columns, self.columns))
         factor[np.ix_(self._seen, self._seen)] = _root(self._G) @ self._T
         return factor
 
@@ -138,7 +130,7 @@ class Triangle:
 
     def _fold(self, rows: Array) -> None:
         if self._G is None:
-            if len(self._T) < self._columns:
+            if len(self._T) < self.columns:
                 self._fold_plainly(rows)
                 return
             self._divide_by(self._T)

@@ -13,16 +13,10 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.compression.ahead import one_ahead
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
-from sdpid.robot.model.regressor_kernel import threads
-
-# The first rows folded in are those of samples spread over the whole record, this many times as
-# many rows as columns: the others then have little that these have not.
-_FIRST = 12
 
 
 def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, Indices]:
@@ -87,8 +81,8 @@ def weights_and_shares(
     Without contacts it is one for each row that is used; forces that nobody measured take as many
     as they have components.
     """
-    touching, mask = _touching(rows, part, exponent), rows.mask(part)
-    powers, index = _roots(rows, part, sigma, exponent, touching)
+    touching, powers, index = _roots(rows, part, sigma, exponent)
+    mask = rows.mask(part)
     if touching is None:
         return powers, index, mask.astype(np.float64)
     T, shares = touching.eliminated(powers, index, mask)
@@ -101,10 +95,11 @@ def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -
     Without contacts they are the residuals; else forces that were not measured explain what they
     can (see `ContactRows.errors`).
     """
-    touching = _touching(rows, part, -0.5)
-    if touching is None:
+    if rows.samples.contacts is None:
         return residual
-    return touching.errors(*_roots(rows, part, sigma, -0.5, touching), residual)
+    touching, powers, index = _roots(rows, part, sigma)
+    assert touching is not None
+    return touching.errors(powers, index, residual)
 
 
 def with_contact_forces(rows: RowSource, part: slice, sigma: Array, predicted: Array) -> Array:
@@ -119,35 +114,35 @@ def with_contact_forces(rows: RowSource, part: slice, sigma: Array, predicted: A
     return rows.samples.effort[part] - effort_errors(rows, part, sigma, residual)[:, :, 0]
 
 
-def _touching(rows: RowSource, part: slice, exponent: float) -> ContactRows | None:
-    """Return the contacts of some samples."""
+def _roots(
+    rows: RowSource, part: slice, sigma: Array, exponent: float = -0.5
+) -> tuple[ContactRows | None, Array, Indices]:
+    """Return the contacts of some samples, and powers of the covariance that they have otherwise.
+
+    That is the covariance of efforts and measured forces; powers as of `weights`.
+    """
+    powers, index = weights(sigma if sigma.ndim == 2 else sigma[part], rows.mask(part), exponent)
     touching = rows.contacts(part)
-    if touching is not None and exponent != -0.5:
+    if touching is None:
+        return None, powers, index
+    if exponent != -0.5:
         raise DataError(
             "weighting: samples with contacts have no covariance of their own to take other powers "
             "of; use 'residual', 'gls' or 'gls_per_sample'."
         )
-    return touching
+    return touching, *touching.roots(powers, index)
 
 
-def _roots(
-    rows: RowSource, part: slice, sigma: Array, exponent: float, touching: ContactRows | None
-) -> tuple[Array, Indices]:
-    """Return the powers of the covariance of effort and measured forces, as `weights`."""
-    powers, index = weights(sigma if sigma.ndim == 2 else sigma[part], rows.mask(part), exponent)
-    return (powers, index) if touching is None else touching.roots(powers, index)
-
-
-def apply(powers: Array, index: Indices, rows: Array, out: Array | None = None) -> Array:
+def apply(powers: Array, index: Indices, rows: Array) -> Array:
     """Return every sample's rows (k, n, c) times its power, which `weights` found; as `whiten`."""
     if are_diagonal(powers):
         rows *= np.diagonal(powers, axis1=1, axis2=2)[index][:, :, None]
         return rows
-    return np.matmul(powers[index] if len(powers) > 1 else powers[0], rows, out=out)
+    return np.asarray((powers[index] if len(powers) > 1 else powers[0]) @ rows)
 
 
 def whitened_chunks(
-    rows: RowSource, sigma: Array, exponent: float = -0.5, *, size: int = 0, keep: bool = False
+    rows: RowSource, sigma: Array, exponent: float = -0.5, *, size: int = 0
 ) -> Iterator[tuple[slice, Array, Mask]]:
     """Yield (slice, Sigma^exponent times the rows (k, n, b + 1), efforts last, mask), in order.
 
@@ -161,14 +156,13 @@ def whitened_chunks(
         -1/2 makes rows of unit covariance.
     size : int, optional
         Samples at a time, by default `RowSource.chunk_size`.
-    keep : bool, optional
-        Give every chunk memory of its own; by default the next one uses it again.
     """
-    memory = None if keep else _memory(rows, size)
     for part in rows.parts(size):
-        block = rows.rows(part, None if memory is None else memory[0])
-        out = None if memory is None else memory[1][: len(block)]
-        yield part, apply(*weights_of(rows, part, sigma, exponent), block, out), rows.mask(part)
+        yield (
+            part,
+            apply(*weights_of(rows, part, sigma, exponent), rows.rows(part)),
+            rows.mask(part),
+        )
 
 
 def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tuple[Triangle, int]:
@@ -183,67 +177,21 @@ def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tupl
     within : slice, optional
         Neighboring samples, by default all.
     """
-    columns, n = rows.base.count + 1, rows.robot.n
-    triangle, used = Triangle(columns), 0
-    begin, end, _ = within.indices(len(rows.samples.effort))
-    count = end - begin
-    step = max(1, count * n // (_FIRST * columns))
-    memory = [_memory(rows)]
-    # Their order makes no difference but to the speed, and to the last bits.
-    size = len(memory[0][0])
-    first = range(begin, end, step) if size < count else range(0)
-    again = slice(0)
-    chunks = []
-    for start in range(0, len(first), size):
-        some = first[start : start + size]
-        chunks.append((slice(some.start, some.stop, step), again, 0))
+    triangle, used = Triangle(rows.base.count + 1), 0
     for part in rows.parts(within=within):
-        done = slice((begin - part.start) % step, None, step) if first else again
-        chunks.append((part, done, 1))
-    ahead = rows.many and len(chunks) > 2 and threads() > 1
-    if ahead:
-        memory.append(_memory(rows))
-
-    def made(chunk: tuple[slice, slice, int], turn: int) -> tuple[Array, int]:
-        part, done, counted = chunk
-        found, own = _independent(rows, part, sigma, memory[turn % len(memory)], done)
-        return found, counted * own
-
-    for found, own in one_ahead(made, chunks, ahead=ahead):
-        triangle.add(found)
-        used += own
+        touching, powers, index = _roots(rows, part, sigma)
+        block = rows.rows(part)
+        used += int(np.count_nonzero(rows.mask(part)))
+        if touching is None:
+            block = apply(powers, index, block)
+        else:
+            block, lost = touching.independent(powers, index, block)
+            used -= lost
+        triangle.add(block.reshape(-1, triangle.columns))
     return triangle, used
-
-
-def _independent(
-    rows: RowSource, part: slice, sigma: Array, memory: tuple[Array, Array], done: slice = slice(0)
-) -> tuple[Array, int]:
-    """Return independent whitened rows (r, b + 1) of some samples, and how many there are.
-
-    The rows of samples that were done before are zero, but counted.
-    """
-    touching = _touching(rows, part, -0.5)
-    if touching is None:
-        powers, index = weights_of(rows, part, sigma)
-        block = rows.rows(part, memory[0])
-        whitened = apply(powers, index, block, memory[1][: len(block)])
-        whitened[done] = 0.0
-        return whitened.reshape(-1, whitened.shape[2]), int(np.count_nonzero(rows.mask(part)))
-    block = rows.rows(part, memory[0])
-    block[done] = 0.0
-    powers, index = _roots(rows, part, sigma, -0.5, touching)
-    found, lost = touching.independent(powers, index, block)
-    return found, int(np.count_nonzero(rows.mask(part))) - lost
 
 
 def are_diagonal(powers: Array) -> bool:
     """Return whether weights leave the rows of a sample unmixed."""
     diagonal = np.diagonal(powers, axis1=1, axis2=2)
     return bool(np.count_nonzero(powers) == np.count_nonzero(diagonal))
-
-
-def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:
-    """Return room for the rows of a chunk, and for the whitened ones."""
-    size = min(size or rows.chunk_size, len(rows.samples.effort))
-    shape = (size, rows.robot.n, rows.base.count + 1)
-    return np.empty(shape), np.empty(shape)

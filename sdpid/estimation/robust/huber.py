@@ -96,7 +96,7 @@ class WhitenedRows:
             yield from self._kept
             return
         made = []
-        for part, rows, _ in whitened_chunks(self.rows, self.problem.sigma, keep=self._keeps):
+        for part, rows, _ in whitened_chunks(self.rows, self.problem.sigma):
             if self._keeps:
                 made.append((part, rows))
             yield part, rows
@@ -176,7 +176,7 @@ class WhitenedRows:
             root = np.take(*powers_of(own, self.rows.mask(part), 0.5), axis=0)
             out[part] = (root / w[:, None, :]) @ root
             touching = self.rows.contacts(part)
-            if touching is not None and touching.covariance is not None:
+            if touching is not None:
                 # Errors of measured forces, which are added to it, grow as well.
                 out[part] += (1.0 / w[:, :, None] - 1.0) * touching.covariance
         return out
