@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.errors import ModelError
 from sdpid.excitation.geometry.obstacles import Box, Mesh, Obstacle, Plane
-from sdpid.robot.description.xml import parse_xml
-from sdpid.robot.model.geometry import described_bodies
+from sdpid.robot.model.geometry import described_links, described_shapes
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.shapes import Shape, collision_library, link_shapes
+from sdpid.robot.model.shapes import Shape, collision_library, hull_faces
 
 # Radius of assumed links as a share of the way to the farthest joint, and its largest value in m:
 # industrial and collaborative arms of 0.5 to 1.3 m have links of 5 to 8 cm.
@@ -138,16 +136,15 @@ def robot_solids(
     folders = [Path(folder) for folder in package_dirs]
     if radius is None:
         radius = assumed_radius(robot)
-    elements: dict[str, Any] = {}
-    if robot.urdf is not None:
-        root = parse_xml(robot.urdf, robot.name)
-        elements = {element.get("name"): element for element in root.findall("link")}
+    links = described_links(robot)
     solids: list[Solid] = []
     hulls, visuals, missing, bare = [], [], [], []
     for joint in range(robot.n_links + 1):
         body = body_name(robot, joint)
-        own = [(elements[name], at) for name, at in _bodies(robot, joint) if name in elements]
-        shapes, kind, lacks = _described(own, robot.name, folders)
+        own = [each for each in links if each.joint == joint]
+        found, kind, lacks = described_shapes(own, ("collision", "visual"), robot.name, folders)
+        # Meshes as the corners of their convex hulls.
+        shapes = [_hull(x.vertices, x.placement) if x.kind == "mesh" else x for x in found]
         if kind == "visual":
             visuals.append(body)
         if any(shape.kind == "mesh" for shape in shapes):
@@ -165,7 +162,8 @@ def robot_solids(
                 Solid(body=body_name(robot, joint), joint=joint, shape=shape)
                 for shape in assumed_shapes(robot, joint, radius)
             ]
-        lacks = "has no shapes" if elements else "is no URDF, so its shapes are not read"
+        described = any(each.element is not None for each in links)
+        lacks = "has no shapes" if described else "is no URDF, so its shapes are not read"
         return tuple(solids), (
             f"The description of '{robot.name}' {lacks}: links are taken as {capsules}.",
         )
@@ -188,7 +186,7 @@ def body_name(robot: RobotModel, joint: int) -> str:
     """Return the name of a moving link by Pinocchio's index of its joint, or of the base at 0."""
     if joint > 0:
         return robot.link_names[joint - 1]
-    return next((name for name, _ in _bodies(robot, 0)), "base")
+    return next((each.name for each in described_links(robot) if each.joint == 0), "base")
 
 
 def assumed_radius(robot: RobotModel) -> float:
@@ -228,44 +226,6 @@ def _capsule(end: Array, radius: float) -> Shape:
     return Shape.of("capsule", [radius, length], placement=placement)
 
 
-def _bodies(robot: RobotModel, joint: int) -> Iterator[tuple[str, Array]]:
-    """Yield the links of the description that move with a joint, placed in its frame."""
-    for own, name, placement in described_bodies(robot):
-        if own == joint:
-            yield name, placement
-
-
-def _described(
-    own: list[tuple[Any, Array]], robot: str, folders: list[Path]
-) -> tuple[list[Shape], str, str]:
-    """Return a body's shapes, of which kind they are, and why they are missing."""
-    lacks = ""
-    for kind in ("collision", "visual"):
-        if not any(element.find(kind) is not None for element, _ in own):
-            continue
-        try:
-            return (
-                [
-                    _placed(shape, place)
-                    for element, place in own
-                    for shape in link_shapes(element, kind, robot, folders)
-                ],
-                kind,
-                "",
-            )
-        except ModelError as cause:
-            lacks = lacks or str(cause)
-    return [], "", lacks
-
-
-def _placed(shape: Shape, place: Array) -> Shape:
-    """Return a shape in the frame of a joint, a mesh as the corners of its convex hull."""
-    placement = place @ shape.placement
-    if shape.kind == "mesh":
-        return _hull(shape.vertices, placement)
-    return Shape.of(shape.kind, shape.sizes, placement=placement)
-
-
 def _hull(vertices: Array, placement: Array) -> Shape:
     """Return the corners of the convex hull of points, or a thin box around a flat mesh."""
     from scipy.spatial import ConvexHull, QhullError
@@ -284,18 +244,9 @@ def _hull(vertices: Array, placement: Array) -> Shape:
 
 def _convex(vertices: Array) -> Any:
     """Return Coal's convex polyhedron of the corners of a convex hull."""
-    from scipy.spatial import ConvexHull
-
     coal = collision_library()
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     points.extend(np.array(vertices))
-    # Joggled, for faces of hundreds of corners would be cut into fans from one of them, and Coal
-    # takes at most 255 neighbors; what this shifts is far below the accuracy of distances.
-    hull = ConvexHull(vertices, qhull_options="QJ")
-    # Qhull's triangles face any way; Coal wants their corners counterclockwise from outside.
-    corners = vertices[hull.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flipped = np.einsum("mi,mi->m", normals, hull.equations[:, :3]) < 0.0
-    faces = np.where(flipped[:, None], hull.simplices[:, ::-1], hull.simplices)
+    faces = hull_faces(vertices)
     triangles.extend([coal.Triangle(int(a), int(b), int(c)) for a, b, c in faces])
     return coal.Convex(points, triangles)

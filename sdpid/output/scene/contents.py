@@ -9,7 +9,7 @@ that are physically consistent. Of a plate or a rod one or two lengths are zero.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,9 +202,9 @@ def still_picture(
     """
     turned = view(*eye)
     few = thinned(surfaces, _TRIANGLES)
-    seen = [_seen(each.points, placements[each.link], turned) for each in few]
+    seen = [moved(each.points, placements[each.link]) @ turned.T for each in few]
     outlines = [(key, _outline(each, placements[link], turned)) for link, key, each in ellipsoids]
-    joints = _seen(placements[:, :3, 3], np.eye(4), turned)
+    joints = placements[:, :3, 3] @ turned.T
     every = np.concatenate([*(each[:, :2] for each in (*seen, joints)), *(o for _, o in outlines)])
     low, high = every.min(axis=0), every.max(axis=0)
     scale = _FILLED * float(np.min([_WIDTH, _HEIGHT] / np.maximum(high - low, 1e-6)))
@@ -219,8 +219,16 @@ def still_picture(
     for group in groups:
         paint = 'fill="currentColor" stroke="currentColor" stroke-linejoin="round"'
         lines.append(f'<g {paint} opacity="{group.opacity:g}">')
-        own = [(each, at) for each, at in zip(few, seen, strict=True) if each.group == group.key]
-        lines += [f'<path color="{c}" {path(points)}/>' for points, c in _painted(own, group.color)]
+        own = [
+            (each.color or group.color, points[each.faces])
+            for each, points in zip(few, seen, strict=True)
+            if each.group == group.key
+        ]
+        triangles = np.concatenate([np.empty((0, 3, 3)), *(corners for _, corners in own)])
+        colors, lights = [color for color, corners in own for _ in corners], _lights(triangles)
+        # From far to near.
+        for k in np.argsort(triangles[:, :, 2].mean(axis=1), kind="stable"):
+            lines.append(f'<path color="{_shaded(colors[k], lights[k])}" {path(triangles[k])}/>')
         lines.append("</g>")
     for group in groups:
         paint = f'fill="{group.color}" fill-opacity="{group.filled:g}" stroke="{group.color}"'
@@ -230,20 +238,13 @@ def still_picture(
     return f"data:image/svg+xml;base64,{base64.b64encode(text.encode()).decode('ascii')}"
 
 
-def _painted(own: Sequence[tuple[Surface, Array]], color: str) -> Iterator[tuple[Array, str]]:
-    """Yield the triangles of surfaces from far to near, and their colors."""
-    corners = [seen[each.faces] for each, seen in own]
-    if not corners:
-        return
-    colors = [each.color or color for each, _ in own for _ in each.faces]
-    triangles = np.concatenate(corners)
-    sides = triangles[:, 1:] - triangles[:, :1]
-    normals = np.cross(sides[:, 0], sides[:, 1])
+def _lights(triangles: Array) -> Array:
+    """Return how light triangles (M, 3, 3) are, whichever way they face."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     normals *= np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
-    light = 0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0.0)
-    for k in np.argsort(triangles[:, :, 2].mean(axis=1), kind="stable"):
-        yield triangles[k], _shaded(colors[k], float(light[k]))
+    return np.asarray(0.45 + 0.55 * np.maximum(normals @ _LIGHT, 0.0))
 
 
 def _shaded(color: str, light: float) -> str:
@@ -258,9 +259,10 @@ def view(yaw: float, pitch: float) -> Array:
     return np.array([[-sy, cy, 0.0], [-sp * cy, -sp * sy, cp], [cp * cy, cp * sy, sp]])
 
 
-def _seen(points: Array, placement: Array, view: Array) -> Array:
-    """Return points of a link in the frame of the view, (N, 3)."""
-    return np.asarray((points @ placement[:3, :3].T + placement[:3, 3]) @ view.T)
+def moved(points: Array, placements: Array) -> Array:
+    """Return points (N, 3) of a link in the base frame, for placements (…, 4, 4)."""
+    turns, ways = placements[..., :3, :3], placements[..., None, :3, 3]
+    return np.asarray(points @ np.swapaxes(turns, -1, -2) + ways)
 
 
 def _outline(ellipsoid: Ellipsoid, placement: Array, view: Array) -> Array:
@@ -269,4 +271,5 @@ def _outline(ellipsoid: Ellipsoid, placement: Array, view: Array) -> Array:
     sides, lengths, _ = np.linalg.svd(flat)
     angles = np.linspace(0.0, 2.0 * np.pi, _OUTLINE + 1)[:-1]
     ring = np.stack([lengths[0] * np.cos(angles), lengths[1] * np.sin(angles)], axis=-1)
-    return np.asarray(ring @ sides.T + _seen(ellipsoid.center[None], placement, view)[0, :2])
+    middle = view @ moved(ellipsoid.center[None], placement)[0]
+    return np.asarray(ring @ sides.T + middle[:2])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from sdpid._common.arrays import Array
@@ -21,6 +19,13 @@ _GROUPS = (
 
 # Ellipsoids that reach farther than this many lengths of the arm from their link are not drawn.
 _FAR = 2.0
+
+# What is told of links without an ellipsoid: their names, and what is far, m.
+_BARE = "has no inertia of {0}."
+_WRONG = "has inertias that no body can have of {0}: there is no ellipsoid to draw."
+_LARGE = (
+    "has ellipsoids that reach farther than {1:.2g} m from their joint, which are not drawn: {0}."
+)
 
 # What a picture of ellipsoids is.
 _MEANING = (
@@ -51,55 +56,35 @@ def identified_scene(
     bodies = {} if theta is None else {"identified": theta[: 10 * robot.n_links].reshape(-1, 10)}
     bodies["described"] = robot.prior
     reach = max(robot.reach, *(float(np.abs(each.points).max()) for each in surfaces))
-    drawn, told = [], []
+    drawn: list[tuple[int, str, Ellipsoid]] = []
+    told: list[str] = []
     for key, own in bodies.items():
-        found, lacking = _ellipsoids(robot, own, key, _FAR * reach)
-        drawn += found
-        told += lacking
+        whose = "The description" if key == "described" else "The estimate"
+        # Links without an ellipsoid, by what is told of them.
+        names: dict[str, list[str]] = {_BARE: [], _WRONG: [], _LARGE: []}
+        for link, (name, body) in enumerate(zip(robot.link_names, own, strict=True)):
+            if not np.any(body):
+                names[_BARE].append(name)
+            elif (found := inertia_ellipsoid(body)) is None:
+                names[_WRONG].append(name)
+            elif np.linalg.norm(found.center) + found.lengths[-1] > _FAR * reach:
+                names[_LARGE].append(name)
+            else:
+                drawn.append((link, key, found))
+        told += [
+            f"{whose} {text.format(', '.join(each), _FAR * reach)}"
+            for text, each in names.items()
+            if each
+        ]
+    both = "the description and the estimate" if len(bodies) > 1 else "the description"
     return robot_scene(
         robot,
         motion,
         [each for each in _GROUPS if each.key == "links" or each.key in bodies],
         surfaces,
-        label=_label(robot, list(bodies)),
+        label=f"{robot.name} along the recorded motion, with the inertia ellipsoids of {both}",
         ellipsoids=drawn,
         instants=None if instants is None else instants[motion.sample],
         lines=[] if robot.free_flyer else [grid(np.zeros(3), 0.7 * reach * np.eye(3)[:2])],
         notes=[*told, *(each for each in (*notes, motion.note, _MEANING) if each)],
     )
-
-
-def _ellipsoids(
-    robot: RobotModel, bodies: Array, key: str, far: float
-) -> tuple[list[tuple[int, str, Ellipsoid]], list[str]]:
-    """Return the ellipsoids of bodies, and what is told of those that have none."""
-    whose = "The description" if key == "described" else "The estimate"
-    drawn = []
-    # Sentences about bodies without one, and whom they are about.
-    bare: tuple[str, list[str]] = "has no inertia of {}.", []
-    wrong: tuple[str, list[str]] = (
-        "has inertias that no body can have of {}: there is no ellipsoid to draw.",
-        [],
-    )
-    large: tuple[str, list[str]] = (
-        f"has ellipsoids that reach farther than {far:.2g} m from their joint, which are not "
-        "drawn: {}.",
-        [],
-    )
-    for link, (name, body) in enumerate(zip(robot.link_names, bodies, strict=True)):
-        if not np.any(body):
-            bare[1].append(name)
-        elif (found := inertia_ellipsoid(body)) is None:
-            wrong[1].append(name)
-        elif np.linalg.norm(found.center) + found.lengths[-1] > far:
-            large[1].append(name)
-        else:
-            drawn.append((link, key, found))
-    told = [f"{whose} {text.format(', '.join(n))}" for text, n in (bare, wrong, large) if n]
-    return drawn, told
-
-
-def _label(robot: RobotModel, keys: Sequence[str]) -> str:
-    """Return what the picture shows."""
-    both = "the description and the estimate" if len(keys) > 1 else "the description"
-    return f"{robot.name} along the recorded motion, with the inertia ellipsoids of {both}"

@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.output.charts.charts import packed, packed_indices
 from sdpid.output.charts.page import beside, rendered
-from sdpid.output.scene.contents import Ellipsoid, Group, Motion, still_picture, view
+from sdpid.output.scene.contents import Ellipsoid, Group, Motion, moved, still_picture, view
 from sdpid.output.scene.surfaces import Surface, thinned
 from sdpid.robot.model.model import RobotModel
 
@@ -132,13 +132,7 @@ def robot_scene(
         "follow": robot.free_flyer,
         "groups": [vars(each) for each in groups],
         "surfaces": [
-            {
-                "link": each.link,
-                "group": each.group,
-                "color": each.color,
-                "points": packed(each.points),
-                "faces": packed_indices(each.faces),
-            }
+            vars(each) | {"points": packed(each.points), "faces": packed_indices(each.faces)}
             for each in few
         ],
         "ellipsoids": [
@@ -152,7 +146,7 @@ def robot_scene(
             }
             for link, key, each in ellipsoids
         ],
-        "lines": [{"pairs": each.pairs, "points": packed(each.points)} for each in lines],
+        "lines": [vars(each) | {"points": packed(each.points)} for each in lines],
         "frames": {
             "rate": motion.rate_hz,
             "count": len(placements),
@@ -184,27 +178,21 @@ def _extent(
     placements: Array,
 ) -> tuple[Array, float, float]:
     """Return middle and half diagonal of all links over time, and the first view's distance, m."""
-    parts = [(each.link, _corners(each.points)) for each in surfaces if each.group == "links"]
-    parts += [
-        (k, each.center + np.vstack([each.axes.T, -each.axes.T])) for k, _, each in ellipsoids
-    ]
     seen = [placements[:, :-1, :3, 3].reshape(-1, 3)]
-    for link, points in parts:
-        place = placements[:, link]
-        turned = np.einsum("fij,cj->fci", place[:, :3, :3], points)
-        seen.append((turned + place[:, None, :3, 3]).reshape(-1, 3))
+    for each in surfaces:
+        if each.group == "links":
+            ends = np.stack([each.points.min(axis=0), each.points.max(axis=0)])
+            corners = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(-1, 3)
+            seen.append(moved(corners, placements[:, each.link]).reshape(-1, 3))
+    for link, _, ellipsoid in ellipsoids:
+        ends = ellipsoid.center + np.vstack([ellipsoid.axes.T, -ellipsoid.axes.T])
+        seen.append(moved(ends, placements[:, link]).reshape(-1, 3))
     every = np.concatenate(seen)
     low, high = every.min(axis=0), every.max(axis=0)
-    across, up, back = ((every - 0.5 * (low + high)) @ view(*_EYE).T).T
+    across, up, back = view(*_EYE) @ (every - 0.5 * (low + high)).T
     distance = float(np.max(np.maximum(_ACROSS * np.abs(across), _UP * np.abs(up)) + back))
     size = float(np.linalg.norm(high - low)) / 2.0
     return 0.5 * (low + high), max(size, _LEAST_SIZE), max(distance, _LEAST_SIZE)
-
-
-def _corners(points: Array) -> Array:
-    """Return the corners of the box around points, (8, 3)."""
-    ends = np.stack([points.min(axis=0), points.max(axis=0)])
-    return np.stack(np.meshgrid(*ends.T), axis=-1).reshape(-1, 3)
 
 
 def _poses(placements: Array) -> Array:

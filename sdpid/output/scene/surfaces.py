@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.errors import ModelError
 from sdpid.excitation.geometry.solids import assumed_radius, assumed_shapes
-from sdpid.robot.description.xml import parse_xml
-from sdpid.robot.model.geometry import described_bodies
+from sdpid.robot.model.geometry import described_links, described_shapes
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.shapes import Shape, link_shapes, mesh_faces
+from sdpid.robot.model.shapes import Shape, hull_faces, mesh_faces
 
 # Cells of the finest grid along the robot: what is nearer than a cell becomes one corner.
 _FINEST = 2000.0
@@ -72,27 +68,22 @@ def described_surfaces(robot: RobotModel) -> tuple[list[Surface], tuple[str, ...
     notes : tuple of str
         Sentences.
     """
-    elements: dict[str, Any] = {}
-    if robot.urdf is not None:
-        root = parse_xml(robot.urdf, robot.name)
-        elements = {element.get("name"): element for element in root.findall("link")}
+    links = described_links(robot)
     folders = [] if robot.folder is None else [robot.folder]
     surfaces: list[Surface] = []
     missing: list[str] = []
-    for joint, name, placement in described_bodies(robot):
-        if name not in elements:
-            continue
-        link = joint - 1
-        shapes, lacks = _shapes(elements[name], robot.name, folders)
-        drawn = [surface_of(shape, link, placement) for shape in shapes]
-        surfaces += (fit := [each for each in drawn if _drawable(each)])
+    for each in links:
+        kinds = ("visual", "collision")
+        shapes, _, lacks = described_shapes([each], kinds, robot.name, folders)
+        drawn = [surface_of(shape, each.joint - 1) for shape in shapes]
+        surfaces += (fit := [surface for surface in drawn if _drawable(surface)])
         if lacks or len(fit) < len(drawn):
-            missing.append(name)
-            surfaces += _capsules(robot, link)
+            missing.append(each.name)
+            surfaces += _capsules(robot, each.joint)
     if not surfaces:
-        for link in range(-1, robot.n_links):
-            surfaces += _capsules(robot, link)
-        why = "has no shapes" if elements else "is no URDF, so its shapes are not read"
+        for joint in range(robot.n_links + 1):
+            surfaces += _capsules(robot, joint)
+        why = "is no URDF, so its shapes are not read" if robot.urdf is None else "has no shapes"
         return surfaces, (f"The description {why}: links are drawn as capsules between joints.",)
     if not missing:
         return surfaces, ()
@@ -102,35 +93,25 @@ def described_surfaces(robot: RobotModel) -> tuple[list[Surface], tuple[str, ...
     )
 
 
-def surface_of(shape: Shape, link: int, placement: Array | None = None) -> Surface:
+def surface_of(shape: Shape, link: int) -> Surface:
     """Return the surface of a shape: a mesh's triangles, the convex hull of anything else."""
     if shape.mesh is None:
-        points, faces = hull(shape.points())
-    else:
-        points, faces = shape.points(), mesh_faces(shape.mesh)
-    if placement is not None:
-        points = points @ placement[:3, :3].T + placement[:3, 3]
-    return Surface(link, points, faces)
+        return Surface(link, *hull(shape.points()))
+    return Surface(link, shape.points(), mesh_faces(shape.mesh))
 
 
 def hull(points: Array) -> tuple[Array, Indices]:
     """Return corners and outward triangles of the convex hull of points; none of a single one."""
-    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial import QhullError
 
     nothing = np.empty((0, 3), dtype=np.intp)
     if not np.ptp(points, axis=0).any():
         return points, nothing
     try:
-        # Joggled: a plate has faces, too.
-        found = ConvexHull(points, qhull_options="QJ")
+        used, faces = np.unique(hull_faces(points), return_inverse=True)
     except (QhullError, ValueError):
         return points, nothing
-    used, faces = np.unique(found.simplices, return_inverse=True)
-    corners = points[found.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("mi,mi->m", normals, found.equations[:, :3]) < 0.0
-    faces = faces.reshape(-1, 3)
-    return points[used], np.where(inward[:, None], faces[:, ::-1], faces)
+    return points[used], faces.reshape(-1, 3)
 
 
 def thinned(surfaces: Sequence[Surface], most: int) -> list[Surface]:
@@ -163,14 +144,12 @@ def _clustered(surface: Surface, cell: float) -> Surface:
     faces = owner[surface.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    _, kept = np.unique(np.sort(faces, axis=1) @ _weights(len(cells)), return_index=True)
+    # One number of three indices below `count`, of at most two million.
+    count = len(cells)
+    numbers = np.sort(faces, axis=1) @ np.array([count * count, count, 1])
+    _, kept = np.unique(numbers, return_index=True)
     used, faces = np.unique(faces[np.sort(kept)], return_inverse=True)
     return replace(surface, points=points[used], faces=faces.reshape(-1, 3))
-
-
-def _weights(count: int) -> Indices:
-    """Return weights that make one number of three indices below `count`: at most two million."""
-    return np.array([count * count, count, 1], dtype=np.int64)
 
 
 def _drawable(surface: Surface) -> bool:
@@ -178,19 +157,7 @@ def _drawable(surface: Surface) -> bool:
     return len(surface.faces) > 0 and bool(np.abs(surface.points).max() < _FARTHEST)
 
 
-def _shapes(element: Any, robot: str, folders: Sequence[Path]) -> tuple[list[Shape], bool]:
-    """Return the shapes of a link to draw, and whether it has some that cannot be read."""
-    lacks = False
-    for kind in ("visual", "collision"):
-        try:
-            if shapes := link_shapes(element, kind, robot, folders):
-                return shapes, False
-        except ModelError:
-            lacks = True
-    return [], lacks
-
-
-def _capsules(robot: RobotModel, link: int) -> list[Surface]:
-    """Return what stands for a moving link, or for the base at -1."""
+def _capsules(robot: RobotModel, joint: int) -> list[Surface]:
+    """Return what stands for the link that a joint moves, or for the base at 0."""
     radius = max(assumed_radius(robot), _LEAST_RADIUS)
-    return [surface_of(shape, link) for shape in assumed_shapes(robot, link + 1, radius)]
+    return [surface_of(shape, joint - 1) for shape in assumed_shapes(robot, joint, radius)]

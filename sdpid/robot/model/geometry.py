@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import ModelError
 from sdpid.robot.description.xml import parse_xml
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.shapes import link_shapes
+from sdpid.robot.model.shapes import Shape, link_shapes
 
 
 def collision_points(
@@ -60,13 +61,11 @@ def collision_points(
         )
     folders = [Path(folder) for folder in package_dirs]
     own = robot.link_names.index(link) + 1
-    bodies = {name: place for joint, name, place in described_bodies(robot) if joint == own}
     points = []
-    for element in parse_xml(robot.urdf, robot.name).findall("link"):
-        name = element.get("name")
-        if name in bodies:
-            found = link_points(element, "collision", robot.name, folders)
-            points.append(found @ bodies[name][:3, :3].T + bodies[name][:3, 3])
+    for each in described_links(robot):
+        if each.joint == own and each.element is not None:
+            found = link_points(each.element, "collision", robot.name, folders)
+            points.append(found @ each.placement[:3, :3].T + each.placement[:3, 3])
     if not any(len(found) for found in points):
         raise ModelError(
             f"'{robot.name}': link '{link}' and what is fixed to it have no collision geometry; "
@@ -103,18 +102,85 @@ def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     return np.concatenate([np.empty((0, 3)), *(shape.points() for shape in shapes)])
 
 
-def described_bodies(robot: RobotModel) -> list[tuple[int, str, Array]]:
-    """Return the links of the description: joint, name and placement in the joint's frame.
+class DescribedLink(NamedTuple):
+    """A link of a description, and where it is.
 
-    The joint is Pinocchio's index of the one that moves the link, 0 where none does.
+    Attributes
+    ----------
+    joint : int
+        Pinocchio's index of the joint that moves it, 0 where none does.
+    name : str
+        Its name.
+    placement : ndarray, shape (4, 4)
+        Its frame in that of the joint.
+    element : element or None
+        Its ``<link>`` in a URDF.
     """
+
+    joint: int
+    name: str
+    placement: Array
+    element: Any
+
+
+def described_links(robot: RobotModel) -> list[DescribedLink]:
+    """Return the links of a robot's description."""
     import pinocchio as pin
 
+    elements: dict[str, Any] = {}
+    if robot.urdf is not None:
+        root = parse_xml(robot.urdf, robot.name)
+        elements = {element.get("name"): element for element in root.findall("link")}
     return [
-        (int(frame.parentJoint), frame.name, np.array(frame.placement.homogeneous))
+        DescribedLink(
+            int(frame.parentJoint),
+            frame.name,
+            np.array(frame.placement.homogeneous),
+            elements.get(frame.name),
+        )
         for frame in robot.pin_model.frames
         if frame.type == pin.FrameType.BODY
     ]
+
+
+def described_shapes(
+    links: Iterable[DescribedLink], kinds: Sequence[str], robot: str, folders: Sequence[Path]
+) -> tuple[list[Shape], str, str]:
+    """Return the shapes of links that one joint moves, in its frame.
+
+    Parameters
+    ----------
+    links : iterable of DescribedLink
+        The links.
+    kinds : sequence of {"collision", "visual"}
+        Of these the first is taken that they have and that can be read.
+    robot : str
+        What the robot is called in messages.
+    folders : sequence of Path
+        Folders in which the names of meshes are looked up.
+
+    Returns
+    -------
+    shapes : list of Shape
+    kind : str
+        Their kind; empty where there are none.
+    lacks : str
+        Why there are none, although the links have some.
+    """
+    own, lacks = [each for each in links if each.element is not None], ""
+    for kind in kinds:
+        try:
+            shapes = [
+                replace(shape, placement=frozen(each.placement @ shape.placement))
+                for each in own
+                for shape in link_shapes(each.element, kind, robot, folders)
+            ]
+        except ModelError as cause:
+            lacks = lacks or str(cause)
+        else:
+            if shapes:
+                return shapes, kind, ""
+    return [], "", lacks
 
 
 def neutral(robot: RobotModel) -> Array:
