@@ -17,7 +17,7 @@ from scipy.stats import t
 
 import sdpid
 from sdpid.assurance.recipe.inputs import recording_digest
-from sdpid.assurance.rollouts import setting
+from sdpid.assurance.rollouts.rollout import _prepared
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.choose import choose_processing
@@ -553,7 +553,7 @@ TWO_JOINTS = sdpid.load_robot(ARM_URDF)
         (lambda: sdpid.identify_payload(TWO_JOINTS, commanded()), "payload"),
         (lambda: sdpid.identify_drive_gains(TWO_JOINTS, log(currents=True)), "gains"),
         (lambda: Twin.of(TWO_JOINTS, commanded()), "simulated motion"),
-        (lambda: setting._prepared(TWO_JOINTS, commanded(), None), "rollout"),
+        (lambda: _prepared(TWO_JOINTS, commanded(), None), "rollout"),
     ],
 )
 def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:

@@ -19,6 +19,9 @@ CLOSED_LOOP = "closed loop"
 # What needs no model.
 CONSTANT_VELOCITY, STAND_STILL, FLOOR = "constant velocity", "stand still", "noise alone"
 
+# What the reference itself is called, beside the models.
+REFERENCE = "reference followed exactly"
+
 # The verdict is on the first horizon from here on, s: before, a motion is mostly its own start, and
 # what holds its velocity beats the models of most arms (docs/evidence/rollouts.md).
 _JUDGED = 0.3
@@ -182,27 +185,20 @@ class Rollout(Shown):
         k, own, others, better = self._judged
         horizon, diverged = f"{self.horizons[k]:g} s", self.diverged[k]
         loop = CLOSED_LOOP if self.free == CLOSED_LOOP else "open loop"
-        told = (FRICTION_FITTED, LEAST_SQUARES, CONSTANT_VELOCITY, STAND_STILL, FLOOR)
-        beside = "".join(
-            f"{', ' if number else '; '}{name} {_angle(others[name])}"
-            for number, name in enumerate(
-                name
-                for name in told
-                if name in others and not (name == FLOOR and others[name] < _SMOOTHED)
-            )
-        )
+        hidden = (DESCRIPTION, REFERENCE, *(FLOOR,) * (others.get(FLOOR, 1.0) < _SMOOTHED))
+        told = [f"{name} {_angle(off)}" for name, off in others.items() if name not in hidden]
+        beside = f"; {', '.join(told)}" if told else ""
         if not np.isfinite(own):
             return (
                 f"Simulated in {loop} it runs away: within {horizon} from {diverged:.0%} of the "
                 f"starts{beside}."
             )
-        models = [each for each in (DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES) if each in better]
+        models = [each for each in better if each in (DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES)]
+        head = "It moves as the robot does"
         if self.level == "bad":
             head = "It does not move as the robot does"
         elif models:
             head = f"It moves less like the robot than {' and '.join(models)}"
-        else:
-            head = "It moves as the robot does"
         return f"{head}: after {horizon} in {loop} it is off by {_angle(own)}{beside}."
 
     @property
@@ -216,28 +212,27 @@ class Rollout(Shown):
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done, and what to know about the numbers."""
-        first, last, gone = self.horizons[0], self.horizons[-1], self.diverged[-1]
-        still, floor = self.models.get(CONSTANT_VELOCITY), self.models.get(FLOOR)
+        gone, still, floor = (self.diverged[-1], *map(self.models.get, (CONSTANT_VELOCITY, FLOOR)))
         notes = []
-        if first < _JUDGED and still is not None:
+        if self.horizons[0] < _JUDGED and still is not None:
             held, own = (
                 f"is off by {_angle(value)}" if np.isfinite(value) else "runs away"
                 for value in (float(still.quantile(0.5)[0]), float(self.median[0]))
             )
             notes.append(
-                f"never judge at {first:g} s alone: holding the starting velocity, without any "
-                f"model, {held} there, {self.own} {own}"
+                f"never judge at {self.horizons[0]:g} s alone: holding the starting velocity, "
+                f"without any model, {held} there, {self.own} {own}"
             )
-        if floor is not None and float(floor.quantile(0.5)[-1]) < _SMOOTHED:
+        if floor is not None and floor.quantile(0.5)[-1] < _SMOOTHED:
             notes.append(
                 "the floor of noise is not known: nothing is left of it at high frequencies, as in "
                 "a recording that was smoothed before it was logged"
             )
         if gone > 0.0:
             notes.append(
-                f"{gone:.0%} of the starts ran away before {last:g} s: an arm under given efforts "
-                "has nothing that brings it back, so that errors grow with time even for a good "
-                "model"
+                f"{gone:.0%} of the starts ran away before {self.horizons[-1]:g} s: an arm under "
+                "given efforts has nothing that brings it back, so that errors grow with time even "
+                "for a good model"
             )
         notes += [each.words for each in self.light]
         if self.light:
@@ -254,15 +249,12 @@ class Rollout(Shown):
         """
         header = ["model"]
         for horizon in self.horizons:
-            named = ("mrad", "90 %", "tip, mm", "away, %")
-            header += [f"{horizon:g} s: {each}" for each in named]
+            header += [f"{horizon:g} s: {each}" for each in ("mrad", "90 %", "tip, mm", "away, %")]
         rows = []
         for name, errors in self.models.items():
-            row: list[object] = [name]
-            columns = errors.quantile(0.5), errors.quantile(0.9), errors.tips(), errors.diverged
-            for middle, high, tip, gone in zip(*(c.tolist() for c in columns), strict=True):
-                row += [1e3 * middle, 1e3 * high, 1e3 * tip, 100.0 * gone]
-            rows.append(tuple(row))
+            lengths = 1e3 * np.array([errors.quantile(0.5), errors.quantile(0.9), errors.tips()])
+            row = np.vstack([lengths, 100.0 * errors.diverged])
+            rows.append((name, *row.T.ravel().tolist()))
         return Table(tuple(header), tuple(rows))
 
     def joint_table(self) -> Table:
