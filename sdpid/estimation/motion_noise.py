@@ -118,15 +118,14 @@ def with_motion_bias(
             )
     mask = problem.samples.mask
     fit, bias = _fits(problem, [_of(problem, rows, replace(each, mask=mask)) for each in noisy])
-    sources = [ErrorSource.bias("motion", bias)]
+    found: dict[str, Array | None] = {"motion": bias}
     name, others = _others(problem, logs, pairs, noisy, processing)
     if others:
         apart, *moved = (_of(problem, rows, each) for each in others)
         fit_apart, bias_apart = _fits(apart, moved)
-        counted = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
-        sources += [] if counted is None else [ErrorSource.bias(name, counted)]
-    if (law := friction_bias(problem, rows)) is not None:
-        sources.append(ErrorSource.bias("friction", law))
+        found[name] = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
+    found["friction"] = friction_bias(problem, rows)
+    sources = (ErrorSource.bias(n, each) for n, each in found.items() if each is not None)
     return replace(problem, errors=tuple(sources))
 
 
@@ -185,28 +184,26 @@ def twins(log: Recording, rng: np.random.Generator) -> tuple[Recording, Recordin
         return np.asarray(level * rng.standard_normal(signals.shape))
 
     base, imu = log.base, None if log.base is None else log.base.imu
-    owners = log, base, imu
-    channels = [
+    noise = [
         {
-            name: np.asarray(each)
+            name: like(np.asarray(value))
             for name in names
-            if (each := getattr(owner, name, None)) is not None
+            if (value := getattr(owner, name, None)) is not None
         }
-        for owner, names in zip(owners, _NOISY, strict=True)
+        for owner, names in zip((log, base, imu), _NOISY, strict=True)
     ]
-    noise = [{name: like(values) for name, values in own.items()} for own in channels]
 
     def moved(sign: float) -> Recording:
-        joints, bases, imus = (
-            {name: own[name] + sign * drawn[name] for name in own}
-            for own, drawn in zip(channels, noise, strict=True)
+        own: dict[str, Any]
+        own, of_base, of_imu = (
+            {name: getattr(owner, name) + sign * each for name, each in drawn.items()}
+            for owner, drawn in zip((log, base, imu), noise, strict=True)
         )
-        changes: dict[str, Any] = {**joints}
         if base is not None:
-            bases["orientation"] = unit(bases["orientation"])
-            sensed = None if imu is None else replace(imu, **imus)
-            changes["base"] = replace(base, imu=sensed, **bases)  # type: ignore[arg-type]
-        return replace(log, **changes)
+            of_base["orientation"] = unit(of_base["orientation"])
+            sensed = None if imu is None else replace(imu, **of_imu)
+            own["base"] = replace(base, imu=sensed, **of_base)
+        return replace(log, **own)
 
     return moved(1.0), moved(-1.0)
 
@@ -243,9 +240,8 @@ def _away_from_landings(
     if not landings_used(problem, logs, processing):
         return None
 
-    def rows(**changed: float | None) -> Mask:
-        own = replace(processing, **changed)  # type: ignore[arg-type]
-        return _processed(problem, logs, own).used
+    def rows(**changed: Any) -> Mask:
+        return _processed(problem, logs, replace(processing, **changed)).used
 
     try:
         if processing.impact_s is None:
@@ -280,9 +276,8 @@ def beyond_noise(problem: Problem, apart: Problem, moved: Array) -> Array | None
     """
     if len(apart.excitation.weak()) > len(problem.excitation.weak()):
         return None
-    return _beyond(
-        moved, *(np.diag(NoiseSpectrum.of(each).covariance) for each in (problem, apart))
-    )
+    own, others = (np.diag(NoiseSpectrum.of(each).covariance) for each in (problem, apart))
+    return _beyond(moved, own, others)
 
 
 def _beyond(moved: Array, own: Array, others: Array) -> Array:
@@ -316,25 +311,24 @@ def friction_bias(problem: Problem, rows: RowSource) -> Array | None:
     ]
     if not curves:
         return None
-    n, joints, first = rows.robot.n, len(names), rows.friction.first
-    b = rows.base.count
-    triangle = Triangle(b + joints * len(curves) + 1)
+    joints, first, b = np.arange(len(names)), rows.friction.first, rows.base.count
+    triangle = Triangle(b + len(joints) * len(curves) + 1)
     for part in rows.parts():
         block, motion = rows.rows(part), rows.motion(part)
-        more = np.zeros((len(block), n, joints * len(curves)))
+        more = np.zeros((*block.shape[:2], len(curves), len(joints)))
         for i, curve in enumerate(curves):
-            at = i * joints + np.arange(joints)
-            more[:, np.arange(first, n), at] = curve.shape_in(motion)
+            more[:, first + joints, i, joints] = curve.shape_in(motion)
+        more = more.reshape(*block.shape[:2], -1)
         stacked = np.concatenate([block[:, :, :-1], more, block[:, :, -1:]], axis=2)
         weighted = apply(*weights_of(rows, part, problem.sigma), stacked)
         triangle.add(weighted.reshape(-1, triangle.columns))
     R = triangle.R
     plain, own = _fit(R[:, :b], R[:, -1])
     rich, others = _fit(R[:, :-1], R[:, -1])
-    inertia = [np.ones(10 * rows.robot.n_links, dtype=bool)]
+    compared = np.ones(problem.n_theta, dtype=bool)
     for term, place in rows.friction.placed:
-        inertia.append(np.full(place.stop - place.start, isinstance(term, RotorInertia)))
-    compared = np.concatenate(inertia)[rows.base.kept]
+        compared[10 * rows.robot.n_links :][place] = isinstance(term, RotorInertia)
+    compared = compared[rows.base.kept]
     moved = np.where(compared, plain - rich[:b], 0.0)
     return _beyond(moved, np.where(compared, own, 0.0), others[:b])
 
