@@ -1,9 +1,10 @@
-"""Predictions and their bands, what was held out, and what errors go with."""
+"""Predictions, bands, what was held out, what errors go with, and where parameters come from."""
 
 import csv
+import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,40 +14,47 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp
+from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics import bands
-from sdpid.assurance.diagnostics.bands import (
-    held_out_blocks,
-    parameter_root,
-    predicted_by,
-    random_motion,
-)
+from sdpid.assurance.diagnostics import bands, held_out
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back, joint_errors
 from sdpid.assurance.diagnostics.described import described_dynamics
-from sdpid.assurance.diagnostics.held_out import (
-    DESCRIPTION,
-    FRICTION_FITTED,
-    LEAST_SQUARES,
-    hold_out,
-)
 from sdpid.assurance.diagnostics.mass_matrix import proven_bound
-from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words
+from sdpid.assurance.diagnostics.provenance import (
+    Provenance,
+    _active_normals,
+    collinear_friction,
+    in_words,
+    provenance,
+)
 from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, moving_and_resting
 from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
 from sdpid.cli.printing import errors_table
 from sdpid.errors import DataError
-from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.contacts.held import base_held
+from sdpid.output.tables.parameter_tables import theta_table
 from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.inertia import spatial_inertia
+from sdpid.robot.inertia import Consistency, from_pseudo_inertia, point_masses, spatial_inertia
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from tests.helpers import legged
-from tests.helpers.arm import ARM, BOTH, arm_problem
-from tests.helpers.data import make_samples, random_links, random_theta
+from tests.helpers.arm import (
+    ARM,
+    BOTH,
+    CONDITIONS,
+    FIRST,
+    LAST,
+    LIGHT,
+    TURNED,
+    arm_problem,
+    body_of,
+)
+from tests.helpers.data import flat_links, make_samples, random_links, random_theta
 from tests.helpers.identified import FRICTION, RATE, arm_theta, identified, moved
 from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
@@ -135,11 +143,8 @@ def test_coordinates_of_a_base_are_no_joints_in_tables() -> None:
 def test_a_held_base_leaves_an_arm_of_legs() -> None:
     """An arm's recording predicts the same with its base said to be held as with a fixed one."""
     arm = sdpid.load_robot("solo12")
-    t = 0.002 * np.arange(1000)
-    rates = np.linspace(0.6, 1.7, arm.n)
-    q, v = np.sin(np.outer(t, 2 * np.pi * rates)), np.cos(np.outer(t, 2 * np.pi * rates))
-    q, a = 0.4 * q, -0.4 * (2 * np.pi * rates) ** 2 * q
-    v = 0.4 * 2 * np.pi * rates * v
+    t, rates = 0.002 * np.arange(1000), 2.0 * np.pi * np.linspace(0.6, 1.7, arm.n)[None]
+    q, v, a = sines(t, rates, np.zeros_like(rates), 0.4)
     effort = 1.1 * arm.inverse_dynamics(arm.prior, q, v, a)
     log = sdpid.Recording(time=t, position=q, effort=effort, joint_names=arm.joint_names)
     held = log.with_held_base("base_link")
@@ -208,7 +213,7 @@ def test_the_covariance_is_that_of_the_estimate() -> None:
     theta = arm_theta()
     drawn = [identified(moved(theta, 1, noise_seed=k)) for k in range(40)]
     bases = np.array([each.wls.base for each in drawn])
-    root, _ = parameter_root(drawn[0].estimate)
+    root, _ = bands.parameter_root(drawn[0].estimate)
     expected = np.sqrt(np.sum(root**2, axis=1))
     assert np.std(bases, axis=0) == pytest.approx(expected, rel=0.45)
 
@@ -226,8 +231,8 @@ def test_the_deviation_on_other_motion_is_what_noise_brings() -> None:
     theta = arm_theta()
     drawn = [identified(moved(theta, 1, seconds=5.0, noise_seed=k)).estimate for k in range(20)]
     truth = replace(drawn[0], base=drawn[0].problem.base_of(theta))
-    told, expected = random_motion(drawn[0])[0], random_motion(truth)[1]
-    errors = [random_motion(estimate)[1] - expected for estimate in drawn]
+    told, expected = bands.random_motion(drawn[0])[0], bands.random_motion(truth)[1]
+    errors = [bands.random_motion(estimate)[1] - expected for estimate in drawn]
     assert told == pytest.approx(np.sqrt(np.mean(np.square(errors), axis=(0, 1))), rel=0.4)
 
 
@@ -244,7 +249,7 @@ def problem() -> Problem:
 
 
 def test_a_block_is_predicted_by_the_fit_to_the_rows_outside_it(problem: Problem) -> None:
-    found = held_out_blocks(problem)
+    found = bands.held_out_blocks(problem)
     assert len(found.estimates) == 5
     for k, estimate in enumerate(found.estimates):
         start, *_, stop = np.flatnonzero(found.owner == k)
@@ -264,7 +269,8 @@ def test_what_happens_in_a_block_does_not_reach_its_prediction(problem: Problem)
     changed = replace(problem, rows=rows)
     ways = {"": lambda fit: fit.base}
     before, after = (
-        predicted_by(held_out_blocks(each), each, ways)[""] for each in (problem, changed)
+        bands.predicted_by(bands.held_out_blocks(each), each, ways)[""]
+        for each in (problem, changed)
     )
     np.testing.assert_array_equal(before[200:400], after[200:400])
     assert np.abs(before - after).max() > 0.1
@@ -275,17 +281,17 @@ def test_every_recording_is_cut_and_short_ones_are_left_alone() -> None:
     pieces = [moved(theta, seed, seconds=s, block=BLOCK) for seed, s in ((1, 20.0), (2, 0.5))]
     samples = Samples.join([pieces[0], pieces[1], moved(theta, 3, block=BLOCK)])
     estimate = identified(samples).estimate
-    inside = held_out_blocks(estimate.problem).inside
+    inside = bands.held_out_blocks(estimate.problem).inside
     assert not inside[1000:1025].any()
     assert inside.sum() == 2000
-    held = hold_out(estimate, sdpid.solve_wls(estimate.problem), None)
+    held = held_out.hold_out(estimate, sdpid.solve_wls(estimate.problem), None)
     assert held.fit.rows.tolist() == [2000, 2000]
 
 
 def test_short_records_get_fewer_blocks_or_none() -> None:
     theta = arm_theta()
     for block, count in ((100, 5), (500, 4), (600, 3), (800, 0)):
-        found = held_out_blocks(identified(moved(theta, 1, block=block)).problem)
+        found = bands.held_out_blocks(identified(moved(theta, 1, block=block)).problem)
         assert (0 if found is None else len(found.estimates)) == count
 
 
@@ -294,9 +300,9 @@ def test_blocks_are_not_held_out_where_they_cannot_be(
 ) -> None:
     samples = replace(problem.samples, covariance=np.eye(2))
     printed = build_problem(ARM, samples, friction=FRICTION, weighting="eq18")
-    assert held_out_blocks(printed) is None
+    assert bands.held_out_blocks(printed) is None
     monkeypatch.setattr(bands, "MOST_ROWS", problem.n_rows - 1)
-    assert held_out_blocks(replace(problem)) is None
+    assert bands.held_out_blocks(replace(problem)) is None
 
 
 def test_blocks_without_which_nothing_is_determined() -> None:
@@ -307,31 +313,29 @@ def test_blocks_without_which_nothing_is_determined() -> None:
     for each in (*fields.values(), q):
         each[200:, 1] = 0.0
     still = replace(samples, position=q, **fields)
-    assert held_out_blocks(identified(still).problem) is None
+    assert bands.held_out_blocks(identified(still).problem) is None
 
 
 def test_an_estimate_stands_beside_what_costs_less() -> None:
     result = sdpid.identify(arm(), recorded(1), validation=recorded(2), intervals=False)
+    names = [held_out.DESCRIPTION, held_out.FRICTION_FITTED, held_out.LEAST_SQUARES]
     for fresh, by in ((result.validation_samples, "recording"), (None, "blocks")):
-        held = hold_out(result.estimate, result.wls, fresh)
-        assert held.by == by
-        assert list(held.baselines) == [DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES]
+        held = held_out.hold_out(result.estimate, result.wls, fresh)
+        assert held.by == by == held.to_dict()["by"]
+        assert list(held.baselines) == names
         # The recording is of the description's links, with friction that it does not tell.
-        errors = {name: fit.relative for name, fit in held.every.items()}
-        assert errors[DESCRIPTION] > 2.0 * errors[FRICTION_FITTED]
-        assert held.fit.relative < errors[DESCRIPTION]
-        assert held.to_dict()["by"] == by
+        described, fitted, _, ours = (fit.relative for fit in held.every.values())
+        assert described > 2.0 * fitted
+        assert described > ours
         assert [row[0] for row in held.as_table().rows] == list(held.every)
-    np.testing.assert_allclose(
-        hold_out(result.estimate, result.wls, result.validation_samples).fit.rmse,
-        result.validation.rmse,
-    )
+        if fresh is not None:
+            np.testing.assert_allclose(held.fit.rmse, result.validation.rmse)
 
 
 def test_a_robot_without_masses_has_no_baselines_of_its_description() -> None:
     result = identified(moved(arm_theta(), 1), robot=replace(ARM, prior=0.0 * ARM.prior))
-    held = hold_out(result.estimate, result.wls, None)
-    assert list(held.baselines) == [LEAST_SQUARES]
+    held = held_out.hold_out(result.estimate, result.wls, None)
+    assert list(held.baselines) == [held_out.LEAST_SQUARES]
 
 
 # ---- Rest is told from motion, and the errors of the two are kept apart.
@@ -359,13 +363,8 @@ def test_a_stop_is_rest_and_a_reversal_is_not() -> None:
     assert np.abs(samples.velocity).min(axis=0) < REST_SPEED
     short = round(REST_SECONDS * RESTING_RATE) - 5
     assert not resting(stopped((300, 300 + short)))
-
-
-def test_rest_ends_with_the_recording_and_needs_a_time() -> None:
-    samples = stopped((300, 400))
-    cut = replace(samples, starts=(0, 340))
-    # Forty samples before the break are too short, sixty behind it are not.
-    assert resting(cut) == list(range(340, 400))
+    # Forty samples before a break are too short, sixty behind it are not.
+    assert resting(replace(samples, starts=(0, 340))) == list(range(340, 400))
     assert not resting(replace(samples, time=None))
 
 
@@ -629,13 +628,6 @@ def least_on_a_grid(estimate: Estimate, bounds: Any, count: int) -> float:
 
 
 @pytest.mark.parametrize("consistency", BOTH)
-@given(q=st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=2))
-def test_constrained_estimates_stay_positive_definite(consistency: str, q: list[float]) -> None:
-    estimate = estimate_of(consistency, 1e-3)
-    assert smallest_eigenvalues(estimate, np.array([q]))[0] > 0.0
-
-
-@pytest.mark.parametrize("consistency", BOTH)
 def test_the_search_finds_the_worst_and_the_bound_is_below(consistency: str) -> None:
     estimate = estimate_of(consistency, 1e-3)
     worst = sdpid.smallest_mass_eigenvalue(estimate)
@@ -735,3 +727,420 @@ def test_published_parameters_can_fail(denso: RobotModel, column: str) -> None:
     other = np.linalg.pinv(matrix) @ base + free.T @ rng.standard_normal(len(free))
     M = denso.mass_matrix(other, worst.q)
     assert np.linalg.eigvalsh(M)[0] == pytest.approx(worst.value, abs=1e-8)
+
+
+# ---- Slacks and multipliers of constraints, against optimal costs under other limits.
+
+
+# Central differences of optimal costs, which are known to some 1e-9 of the cost.
+SLOPE = 1e-3
+
+
+def least_cost(problem: Problem, *limits: str, at: int, by: float) -> float:
+    """Return the optimal cost with some limits of one parameter or row moved."""
+    feasible = problem.feasible
+    changes = {name: np.array(getattr(feasible, name)) for name in limits}
+    for each in changes.values():
+        each[at] += by
+    return solve_sdp(replace(problem, feasible=replace(feasible, **changes))).cost
+
+
+def slope(cost: Callable[[float], float], step: float) -> float:
+    """Return the derivative at zero, by central differences of fourth order."""
+    near = (cost(step) - cost(-step)) / (2.0 * step)
+    far = (cost(2.0 * step) - cost(-2.0 * step)) / (4.0 * step)
+    return (4.0 * near - far) / 3.0
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize(
+    ("field", "words", "value", "numbers"),
+    [
+        ("margin", "consistency", 5e-3, {}),
+        ("mass_max", "mass of .* most 0.2 kg", 0.2, {}),
+        ("mass_min", "mass of .* least 4 kg", 4.0, {"mass_max": 10.0}),
+        ("friction_max", "(least -|most )0.25$", 0.25, {"mass_max": 0.2}),
+    ],
+)
+def test_multipliers_of_the_numbers(
+    field: str, words: str, value: float, numbers: dict[str, Any], consistency: Consistency
+) -> None:
+    # Heavy links cost something only where their center of mass may not follow.
+    boxes = {FIRST: ((0.1,) * 3, (0.2,) * 3), LAST: ((-0.01,) * 3, (0.01,) * 3)}
+    box, wanted = sdpid.constraints.CenterOfMassInBox, boxes if field == "mass_min" else {}
+    others = (box(link, *ends) for link, ends in wanted.items())
+    problem = arm_problem(*others, consistency=consistency, **{**numbers, field: value})
+
+    def cost(step: float) -> float:
+        moved = problem.constraints.replace(**{field: value + step})
+        return solve_sdp(problem.constrained(constraints=moved)).cost
+
+    states = [s for s in constraint_states(solve_sdp(problem)) if re.search(words, s.name)]
+    assert states
+    # Raising the widest bound of friction raises upper limits and lowers the others.
+    found = sum((s.multiplier or 0.0) * (-1.0 if "least -" in s.name else 1.0) for s in states)
+    assert abs(found) > 1.0
+    assert slope(cost, 0.02 * value) == pytest.approx(found, rel=SLOPE)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize(
+    "name", ["total", "group", "box", "hull", "fixed", "fixed link", "equal", "symmetric"]
+)
+def test_multipliers_of_rows(name: str, consistency: Consistency) -> None:
+    """Each limit of each row that matters, moved by itself."""
+    *first, condition = CONDITIONS[name]
+    problem = arm_problem(*first, condition, consistency=consistency)
+    estimate = solve_sdp(problem)
+    rows = problem.feasible.row_names
+    pressing = [
+        (abs(multiplier), multiplier, k)
+        for k, multiplier in enumerate(estimate.multipliers.rows)
+        if abs(multiplier) > 1e-2 and not (first and rows[k] == "total mass")
+    ]
+    assert pressing
+    # The three that press most, in units of their own.
+    for _, multiplier, k in sorted(pressing, reverse=True)[:3]:
+        states = [s for s in constraint_states(estimate) if s.name.startswith(rows[k])]
+        assert any(s.active for s in states)
+        assert sum(s.multiplier or 0.0 for s in states) == pytest.approx(multiplier, rel=1e-6)
+        cost = partial(least_cost, problem, "row_lower", "row_upper", at=k)
+        # Small beside a centimeter of a kilogram.
+        step = 2e-4
+        # Optimal costs are convex in the limits.
+        rounding = SLOPE * step * abs(multiplier) + 1e-7 * estimate.cost
+        for by in (-step, step):
+            assert cost(by=by) >= estimate.cost + by * multiplier - rounding
+        if name not in ("symmetric", "equal"):
+            # There the cost has a kink (a thin link in the plane gets thin across it), and any
+            # multiplier between the slopes on either side will do.
+            found = slope(lambda by, cost=cost: cost(by=by), step)
+            assert found == pytest.approx(multiplier, rel=10.0 * SLOPE, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("kind", "consistency", "place", "semi_axes", "masses"),
+    [
+        (sdpid.constraints.CenterOfMassInEllipsoid, BOTH[0], (0, 0.01, 0), (0.02, 0.05, 0.03), 1.0),
+        (sdpid.constraints.CenterOfMassInEllipsoid, BOTH[1], (0, 0.01, 0), (0.02, 0.05, 0.03), 1.0),
+        (sdpid.constraints.MassInEllipsoid, BOTH[0], (0, 0.1, 0), (0.1, 0.2, 0.3), 2.0),
+    ],
+)
+def test_the_multiplier_of_an_ellipsoid(
+    kind: Any, consistency: Consistency, place: Any, semi_axes: Any, masses: float
+) -> None:
+    """Larger by a share s of its size it has ``‖v‖ ≤ a·(1 + s)`` of the center of mass.
+
+    Of all mass it has ``∫ (1 − ‖y‖²/(1 + s)²) dm ≥ 0``, twice the mass per unit of s.
+    """
+
+    def problem(size: float) -> Problem:
+        condition = kind(LAST, place, size * np.array(semi_axes), rotation=TURNED)
+        return arm_problem(LIGHT, condition, consistency=consistency)
+
+    estimate = solve_sdp(problem(1.0))
+    state = constraint_states(estimate)[-1]
+    assert state.active
+    found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.02 / masses)
+    mass = body_of(estimate, LAST)[0]
+    assert found == pytest.approx(-masses * state.multiplier * mass, rel=SLOPE)
+
+
+def test_the_multiplier_of_a_sign() -> None:
+    rng = np.random.default_rng(10)
+    theta = random_theta(ARM, rng)
+    theta[20:] = -1.0
+    problem = build_problem(ARM, make_samples(ARM, theta, rng, noise=0.3))
+    states = {s.name: s for s in constraint_states(solve_sdp(problem))}
+    for k, name in enumerate(problem.base.theta_names[20:], 20):
+        state = states[f"{name} at least 0"]
+        assert state.active
+        assert state.unit == problem.base.theta_units[k]
+        found = slope(lambda by, k=k: least_cost(problem, "lower", at=k, by=by), 1e-2)
+        assert found == pytest.approx(state.multiplier, rel=SLOPE)
+
+
+def test_states_of_everything_in_turn() -> None:
+    problem = arm_problem(LIGHT, CONDITIONS["fixed"][-1], CONDITIONS["ellipsoid"][-1], mass_max=0.5)
+    estimate = solve_sdp(problem)
+    states = constraint_states(estimate)
+    ends = ("least 0.001", "most 0.5")
+    assert [state.name for state in states] == [
+        *(f"consistency of {link}" for link in (FIRST, LAST)),
+        *(f"mass of {link} at {end} kg" for link in (FIRST, LAST) for end in ends),
+        *(f"{name} at least 0" for name in ("Fs1", "Fs2", "Fv1", "Fv2")),
+        "total mass, at least 0.5",
+        "total mass, at most 0.7",
+        "m_2 fixed",
+        "Fv1 fixed",
+        f"center of mass of {LAST} in an ellipsoid",
+    ]
+    by_name = {state.name: state for state in states}
+    assert by_name[f"consistency of {LAST}"].slack == pytest.approx(estimate.margins[1] - 1e-3)
+    assert by_name[f"consistency of {LAST}"].unit == "kg.m2"
+    assert by_name[f"mass of {LAST} at most 0.5 kg"].slack == pytest.approx(0.1)
+    assert by_name["m_2 fixed"].active
+    assert by_name["m_2 fixed"].slack == pytest.approx(0.0, abs=FEASIBLE)
+    values = {state.slack is None or state.slack >= -FEASIBLE for state in states}
+    assert values == {True}
+    for state in states:
+        keys = {"name", "kind", "side", "slack", "multiplier", "active", "unit"}
+        assert set(state.to_dict()) == keys
+        if state.multiplier is not None and not state.name.endswith("fixed"):
+            lower = "most" not in state.name
+            assert state.multiplier * (1.0 if lower else -1.0) >= -1e-9
+
+
+def test_states_without_multipliers_or_parameters() -> None:
+    problem = arm_problem(LIGHT)
+    assert constraint_states(solve_wls(problem)) == ()
+    local = sdpid.solve_slsqp(problem, seed=0, max_iterations=300)
+    states = constraint_states(local)
+    assert len(states) == len(constraint_states(solve_sdp(problem)))
+    assert {state.multiplier for state in states} == {None}
+    nothing = solve_sdp(arm_problem(LIGHT, consistency="none"))
+    assert [state.name for state in constraint_states(nothing)] == [
+        "total mass, at least 0.5",
+        "total mass, at most 0.7",
+    ]
+    # A link without a mass has no margin.
+    broken = Estimate.of_theta(problem, np.zeros(problem.n_theta), method="sdp", status="bad")
+    assert constraint_states(broken)[0].slack is None
+
+
+def test_wide_bounds_show_only_where_they_hold() -> None:
+    problem = arm_problem(mass_max=0.2, friction_max=0.25)
+    states = constraint_states(solve_sdp(problem))
+    ends = [state for state in states if state.name.endswith(("-0.25", " 0.25"))]
+    assert ends
+    assert all(state.active for state in ends)
+    wide = solve_sdp(arm_problem())
+    assert not any(state.name.endswith(("-20", " 20")) for state in constraint_states(wide))
+
+
+# ---- Where parameters come from: laws, limits, and a brute-force division of variances.
+
+
+KINDS = ("euclidean", "scaled_euclidean", "pullback", "entropic")
+
+# Shares are ratios of variances, from factorizations that lose a few hundred roundings.
+SHARE = 1e-6
+
+
+def described_arm(rng: np.random.Generator, joints: int = 3):
+    rows = tuple({"alpha": 0.5 * np.pi * (i % 2), "d": 0.3 * i} for i in range(joints))
+    table = sdpid.DhTable.from_mapping({"joint": rows, "name": "arm"})
+    return load_robot(table.to_urdf(random_links(rng, joints)))
+
+
+def problem_of(seed: int, prior: Prior | None, *, noise: float = 0.3, **options) -> Problem:
+    rng = np.random.default_rng(seed)
+    robot = described_arm(rng)
+    samples = make_samples(robot, random_theta(robot, rng), rng, noise=noise)
+    return build_problem(robot, samples, prior=prior, **options)
+
+
+def of(problem: Problem, theta: Array) -> Provenance:
+    return provenance(Estimate.of_theta(problem, theta, method="sdp", status="optimal"))
+
+
+def interior(problem: Problem, seed: int = 0) -> Array:
+    return random_theta(problem.robot, np.random.default_rng(seed + 1))
+
+
+@given(SEEDS, st.sampled_from((None, *KINDS)), st.floats(1e-3, 1e3), st.booleans())
+def test_shares_sum_to_one(seed: int, kind: str | None, strength: float, flat: bool):
+    prior = None if kind is None else Prior(kind=kind, strength=strength)
+    problem = problem_of(seed, prior)
+    theta = interior(problem, seed)
+    rng = np.random.default_rng(seed)
+    if flat and kind != "entropic":
+        theta[:30] = flat_links(rng, 3).ravel()
+    theta[30:] *= rng.integers(0, 2, len(theta) - 30)
+    found = of(problem, theta)
+    shares = np.stack([found.data, found.physics, found.prior])
+    assert np.all((shares >= 0.0) & (shares <= 1.0))
+    assert np.allclose(found.data + found.physics + found.prior, 1.0, atol=1e-12)
+    # Friction at its sign constraint is physics, and nothing else in friction is.
+    assert np.allclose(found.physics[30:], theta[30:] == 0.0, atol=SHARE)
+    assert (found.physics[:30].max() > 0.5) == (flat and kind != "entropic")
+
+
+@pytest.mark.parametrize("kind", [None, *KINDS])
+def test_what_the_effort_does_not_show_is_not_data(kind):
+    problem = problem_of(0, None if kind is None else Prior(kind=kind))
+    found = of(problem, interior(problem))
+    invisible = ~problem.base.matrix.any(axis=0)
+    assert invisible.any()
+    assert np.abs(found.data[invisible]).max() < SHARE
+    assert found.prior[invisible] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", [None, *KINDS])
+def test_what_strong_data_determine_alone_is_data(kind):
+    prior = None if kind is None else Prior(kind=kind, strength=1e-6, friction=False)
+    problem = problem_of(0, prior)
+    found = of(problem, interior(problem))
+    # Parameters that the base parameters determine by themselves.
+    B = problem.base.matrix
+    alone = np.linalg.norm(np.eye(len(found.data)) - np.linalg.pinv(B) @ B, axis=0) < 1e-9
+    assert alone.sum() > 6
+    assert found.data[alone] == pytest.approx(1.0, abs=1e-3)
+
+
+@given(SEEDS)
+def test_without_a_prior_the_visible_share_is_data(seed: int):
+    problem = problem_of(seed, None)
+    scaled = problem.base.matrix * np.linalg.norm(Scaling.of(problem).basis(), axis=1)
+    expected = np.diag(np.linalg.pinv(scaled) @ scaled)
+    assert of(problem, interior(problem, seed)).data == pytest.approx(expected, abs=SHARE)
+    # It does not matter how well the data show it, and so it is the limit of a weak prior.
+    loud = problem_of(seed, None, noise=100.0)
+    assert of(loud, interior(problem, seed)).data == pytest.approx(expected, abs=SHARE)
+    faint = problem_of(seed, Prior(strength=1e-9, friction=False, kind="pullback"))
+    assert of(faint, interior(problem, seed)).data[30:] == pytest.approx(1.0, abs=1e-3)
+
+
+@given(SEEDS, st.sampled_from(KINDS), st.floats(1e-2, 1e2))
+def test_it_divides_variances(seed: int, kind: str, strength: float):
+    problem = problem_of(seed, Prior(kind=kind, strength=strength))
+    theta = interior(problem, seed)
+    theta[0] = problem.constraints.mass_min
+    theta[:10] = from_pseudo_inertia(1e-3 * np.diag([0.04, 0.05, 0.06, 1.0]))
+    R = np.vstack([term.curvature_rows(theta) for term in problem.prior.terms])
+    G = problem.A @ problem.base.matrix
+    before = np.diag(np.linalg.inv(R.T @ R))
+    # The first mass is held: the rest of the parameters, on their own.
+    rest = np.arange(1, len(theta))
+    both = np.diag(1.0 / before[rest]) + (G.T @ G)[np.ix_(rest, rest)]
+    after = np.append(0.0, np.diag(np.linalg.inv(both))) / before
+    held = np.append(1.0, np.zeros(len(rest)))
+    found = of(problem, theta)
+    assert found.physics == pytest.approx(held, abs=SHARE)
+    assert found.prior == pytest.approx(after, abs=SHARE)
+    assert found.data == pytest.approx(1.0 - held - after, abs=SHARE)
+
+
+def test_an_active_mass_bound_is_physics():
+    problem = problem_of(1, Prior())
+    theta = interior(problem)
+    free = of(problem, theta)
+    theta[10:20] *= problem.constraints.mass_min / theta[10]
+    held = of(problem, theta)
+    assert free.physics[10] == pytest.approx(0.0, abs=SHARE)
+    assert held.physics[10] == pytest.approx(1.0)
+    assert np.delete(held.physics, 10) == pytest.approx(0.0, abs=SHARE)
+    # The unconstrained fit does not look at bounds.
+    unconstrained = Estimate.of_theta(problem, theta, method="wls", status="optimal")
+    assert provenance(unconstrained).physics.max() < SHARE
+
+
+def test_an_equation_is_physics():
+    rng = np.random.default_rng(2)
+    name = described_arm(rng).parameter_names[20]
+    known = sdpid.Constraints(others=(sdpid.constraints.Fixed({name: 0.7}),))
+    problem = problem_of(2, Prior(), constraints=known)
+    theta = interior(problem)
+    theta[20:30] *= 0.7 / theta[20]
+    found = of(problem, theta)
+    assert found.names[20] == name
+    assert found.physics[20] == pytest.approx(1.0)
+    assert found.physics[10] == pytest.approx(0.0, abs=SHARE)
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_a_flat_body_stays_free_to_be_another_flat_one(consistency):
+    problem = problem_of(3, Prior(), consistency=consistency)
+    theta = interior(problem)
+    rng = np.random.default_rng(3)
+    masses, points = rng.uniform(0.2, 1.0, 2), rng.uniform(-0.2, 0.2, (2, 3))
+    # Two points: of rank two (4×4), and a rod that has no inertia about its own line (6×6).
+    theta[20:30] = point_masses(masses, points)
+    found = of(problem, theta)
+    lost = 3 if consistency == "pseudo_inertia" else 1
+    assert found.physics[:20].max() < SHARE
+    assert found.physics[20:30].max() > 0.1
+    normals = _active_normals(problem, theta)
+    assert np.linalg.matrix_rank(normals / np.linalg.norm(normals, axis=1)[:, None]) == lost
+    for k in range(2):
+        for step in 1e-6 * np.eye(3):
+            moved = points.copy()
+            moved[k] += step
+            change = np.zeros_like(theta)
+            change[20:30] = point_masses(masses, moved) - theta[20:30]
+            seen = normals @ change
+            size = np.linalg.norm(normals, axis=1) * np.linalg.norm(change)
+            assert np.all(np.abs(seen) <= 1e-4 * size)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_strong_prior_is_prior_and_shares_follow_its_strength(kind):
+    shares = []
+    for strength in (1e-3, 1.0, 1e3, 1e12):
+        problem = problem_of(4, Prior(kind=kind, strength=strength))
+        shares.append(of(problem, interior(problem)).prior[:30])
+    assert shares[-1] == pytest.approx(1.0, abs=1e-3)
+    assert np.all(np.diff(shares, axis=0) >= -SHARE)
+
+
+def test_more_data_are_more_data():
+    quiet, loud = (problem_of(5, Prior(), noise=1.0, weighting="gls") for _ in range(2))
+    object.__setattr__(loud, "A", 10.0 * loud.A)
+    theta = interior(quiet)
+    assert np.all(of(loud, theta).data >= of(quiet, theta).data - SHARE)
+
+
+def test_at_the_belief_the_entropic_and_its_quadratic_agree():
+    pullback, entropic = (problem_of(6, Prior(kind=kind)) for kind in ("pullback", "entropic"))
+    theta = interior(pullback)
+    theta[:30] = pullback.robot.prior.ravel()
+    # The believed bodies are above the least size, so that nothing was repaired.
+    assert np.allclose(pullback.prior.terms[0].residual(theta)[:30], 0.0, atol=1e-9)
+    first, second = of(pullback, theta), of(entropic, theta)
+    for name in ("data", "physics", "prior"):
+        assert getattr(first, name) == pytest.approx(getattr(second, name), abs=SHARE)
+
+
+def test_a_link_that_nothing_is_believed_of():
+    rng = np.random.default_rng(7)
+    bodies = random_links(rng, 3)
+    bodies[1] = 0.0
+    problem = problem_of(7, Prior(bodies=bodies))
+    found = of(problem, interior(problem))
+    assert np.all(np.isfinite(found.data))
+    # Whatever the data show of it is data.
+    assert found.data[10:20].max() > 0.9
+    assert np.allclose(found.data + found.physics + found.prior, 1.0)
+
+
+def test_of_a_solution_on_the_boundary():
+    rng = np.random.default_rng(9)
+    robot = described_arm(rng)
+    theta = random_theta(robot, rng)
+    # A link that is a point: noise presses its estimate against what can exist.
+    theta[20:30] = flat_links(rng, 1)
+    samples = make_samples(robot, theta, rng, noise=0.3)
+    found = provenance(solve_sdp(build_problem(robot, samples)))
+    assert found.physics[20:30].max() > 0.1
+    problem = build_problem(robot, samples, prior=Prior(kind="entropic"))
+    believed = provenance(solve_sdp(problem))
+    # A barrier keeps the estimate away from the boundary: nothing of a link is held.
+    assert believed.physics[:30].max() < SHARE
+
+
+def test_estimates_have_it_and_tables_show_it():
+    problem = problem_of(8, Prior())
+    estimate = solve_wls(problem)
+    found = provenance(estimate)
+    named = found.to_dict()
+    assert tuple(named) == problem.base.theta_names
+    name = found.names[3]
+    assert named[name]["data"] == found.data[3]
+    assert name in found.table()
+    assert len(found.table().splitlines()) == 1 + problem.n_theta
+    table = theta_table(estimate)
+    assert table.header == ("parameter", "unit", "value", "data", "physics", "prior")
+    assert table.rows[3][3:] == (found.data[3], found.physics[3], found.prior[3])
+    bare = solve_wls(problem_of(8, None))
+    assert theta_table(bare).rows[3][2:] == (None, None, None, None)
+    refuses(DataError, "no standard parameters", provenance, bare)
