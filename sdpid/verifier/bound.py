@@ -58,24 +58,12 @@ CONSISTENCIES = ("pseudo_inertia", "spatial_inertia", "none")
 # The gap is relative to the cost, or to this share of ‖rhs‖² + floor where that is next to zero.
 TINY_COST = Fraction(1e-6)
 
-_PROBLEM = [
-    "consistency",
-    "margin",
-    "links",
-    "A",
-    "base_matrix",
-    "rhs",
-    "floor",
-    "prior_matrix",
-    "prior_rhs",
-    "lower",
-    "upper",
-    "rows",
-    "cones",
-    "entropic_prior",
-]
-_ROW = ["name", "lower", "upper", "coefficients"]
-_CONE = ["name", "link", "axis", "vectors"]
+_PROBLEM = (
+    *("consistency", "margin", "links", "A", "base_matrix", "rhs", "floor"),
+    *("prior_matrix", "prior_rhs", "lower", "upper", "rows", "cones", "entropic_prior"),
+)
+ROW = ["name", "lower", "upper", "coefficients"]
+CONE = ["name", "link", "axis", "vectors"]
 _PRIOR = ["links", "inverses", "strength"]
 _MULTIPLIERS = ["y", "Z", "rows", "W"]
 
@@ -200,7 +188,7 @@ class Recomputed:
         for number, (given, z) in enumerate(
             zip(self.problem["cones"], self._Z_of_cones, strict=True), 1
         ):
-            cone = require_keys(given, _CONE, f"cone {number}")
+            cone = require_keys(given, CONE, f"cone {number}")
             name = f"cone {shown(text(cone['name'], f'the name of cone {number}'))}"
             link = index(cone["link"], self.links)
             axis, vectors = numbers(cone["axis"], 10), numbers(cone["vectors"], 3, 10)
@@ -223,7 +211,7 @@ class Recomputed:
         rows = items(self.problem["rows"], "rows")
         multipliers = numbers(self.multipliers["rows"], len(rows))
         for number, (given, multiplier) in enumerate(zip(rows, multipliers, strict=True), 1):
-            row = require_keys(given, _ROW, f"row {number}")
+            row = require_keys(given, ROW, f"row {number}")
             name = f"row {shown(text(row['name'], f'the name of row {number}'))}"
             coefficients = numbers(row["coefficients"], len(self.c))
             # As −coefficients·theta ≥ −upper the upper limit is a lower one.

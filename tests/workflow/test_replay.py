@@ -16,7 +16,7 @@ import sdpid
 from sdpid import Processing, constraints
 from sdpid.assurance.recipe.inputs import recording_digest
 from sdpid.assurance.recipe.recipe import Recipe, RobotRecipe
-from sdpid.assurance.recipe.stated_problem import StatedProblem
+from sdpid.assurance.recipe.stated import StatedProblem
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.robot.friction.terms import Coulomb

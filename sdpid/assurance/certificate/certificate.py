@@ -20,7 +20,6 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
-from sdpid.assurance.certificate.plain_conditions import plain_conditions
 from sdpid.assurance.certificate.rounding import (
     downward,
     feasible_theta,
@@ -34,6 +33,7 @@ from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.verifier import certificate as checker
+from sdpid.verifier.bound import CONE, ROW
 from sdpid.verifier.exact import above, product
 from sdpid.verifier.reading import digest
 from sdpid.verifier.result import Result
@@ -114,9 +114,7 @@ class Certificate(Shown):
             "version": checker.VERSION,
             "metadata": {
                 "software": f"sdpid {__version__}",
-                "method": estimate.method,
-                "status": estimate.status,
-                "message": estimate.message,
+                **{name: getattr(estimate, name) for name in ("method", "status", "message")},
             },
             "origin": {
                 "robot": problem.robot.name,
@@ -249,7 +247,20 @@ def _loss(problem: Problem) -> str | None:
 def problem_dict(problem: Problem) -> dict[str, Any]:
     """Return the problem as a certificate states it, as plain values."""
     feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
-    prior_rows = slice(problem.base.count, None)
+    prior_rows, own = slice(problem.base.count, None), slice(feasible.n_own, None)
+    arrows = feasible.block_basis[own]
+    limits = (
+        [limit if np.isfinite(limit) else None for limit in each.tolist()]
+        for each in (feasible.row_lower, feasible.row_upper)
+    )
+    rows = zip(feasible.row_names, *limits, feasible.rows.tolist(), strict=True)
+    cones = zip(
+        feasible.block_names[own],
+        feasible.block_links[own].tolist(),
+        arrows[:, :, -1, -1].tolist(),
+        np.swapaxes(arrows[:, :, :3, -1], 1, 2).tolist(),
+        strict=True,
+    )
     return {
         "consistency": problem.consistency,
         "margin": float(problem.constraints.margin),
@@ -262,7 +273,8 @@ def problem_dict(problem: Problem) -> dict[str, Any]:
         "prior_rhs": squared.rhs[prior_rows].tolist(),
         "lower": feasible.lower.tolist(),
         "upper": feasible.upper.tolist(),
-        **plain_conditions(feasible),
+        "rows": [dict(zip(ROW, each, strict=True)) for each in rows],
+        "cones": [dict(zip(CONE, each, strict=True)) for each in cones],
         "entropic_prior": None
         if not len(log_det.links)
         else {

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import plain
-from sdpid.assurance.recipe.stated_problem import StatedProblem
+from sdpid.assurance.recipe.stated import StatedProblem
 from sdpid.errors import CertificateError, ModelError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.effects.choose import Profiled
@@ -28,11 +28,13 @@ from sdpid.robot.model.model import RobotModel
 PER_SAMPLE: tuple[Weighting, ...] = ("gls_per_sample", "eq9", "eq18")
 
 _TEXT = (str, type(None))
+_OF_ROBOT: dict[str, Any] = {
+    "name": str,
+    "catalog": bool,
+    **dict.fromkeys(("source", "root", "kinematics"), _TEXT),
+}
 # More than on any planet, m/s².
 _MOST_GRAVITY = 100.0
-
-_READING = {each.name for each in fields(Arguments)}
-_SETTINGS = tuple(each.name for each in fields(Processing) if each.name != "reasons")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,15 +85,8 @@ class RobotRecipe:
     @classmethod
     def from_dict(cls, given: Any) -> RobotRecipe:
         """Return the recipe of `plain` values; TypeError or ValueError where it is none."""
-        _require_keys(given, [each.name for each in fields(cls)])
-        kinds: dict[str, Any] = {
-            "name": str,
-            "source": _TEXT,
-            "catalog": bool,
-            "root": _TEXT,
-            "kinematics": _TEXT,
-        }
-        for name, kind in kinds.items():
+        _require_keys(given, _names(cls))
+        for name, kind in _OF_ROBOT.items():
             if not isinstance(given[name], kind):
                 raise TypeError(f"{name} of the robot is {given[name]!r:.80}")
         arguments = given["xacro_args"]
@@ -182,14 +177,16 @@ class Recipe:
         return {
             "robot": plain(self.robot),
             "logs": [{"reading": reading} for reading in self.reading],
-            "processing": {name: plain(getattr(self.processing, name)) for name in _SETTINGS},
+            "processing": {
+                name: value for name, value in plain(self.processing).items() if name in _SETTINGS
+            },
             "without_effort": list(self.without_effort),
             "friction": [term_to_dict(term) for term in self.friction],
             "weighting": self.weighting,
-            "sigma": None if self.sigma is None else self.sigma.tolist(),
+            "sigma": plain(self.sigma),
             "problem": None if self.problem is None else self.problem.to_dict(),
             "force_scale": self.force_scale,
-            "profiled": None if self.profiled is None else [asdict(each) for each in self.profiled],
+            "profiled": plain(self.profiled),
         }
 
     @classmethod
@@ -213,28 +210,33 @@ class Recipe:
         if isinstance(given, Mapping):
             # Recipes of runs before there were contacts, and before this was said.
             given = {"force_scale": 1.0, "profiled": None, **given}
-        _require_keys(given, [each.name for each in fields(cls) if each.name != "reading"], "logs")
-        robot, processing = given["robot"], given["processing"]
-        _require_keys(processing, _SETTINGS)
+        _require_keys(given, _names(cls) - {"reading"} | {"logs"})
+        _require_keys(given["processing"], _SETTINGS)
         if (stated := given["problem"]) is not None:
-            _require_keys(stated, [each.name for each in fields(StatedProblem)])
+            _require_keys(stated, _names(StatedProblem))
         for log in given["logs"]:
-            _require_keys(log, ["reading"])
-            if log["reading"] is not None and (wrong := set(log["reading"]) - _READING):
+            _require_keys(log, {"reading"})
+            if log["reading"] is not None and (wrong := set(log["reading"]) - _names(Arguments)):
                 raise ValueError(f"reading has {', '.join(sorted(map(repr, wrong)))[:200]}")
         if given["weighting"] not in WEIGHTINGS:
             raise ValueError(f"weighting is {given['weighting']!r:.80}")
+        scale, effortless = given["force_scale"], given["without_effort"]
+        if type(scale) not in (int, float) or not 0.0 < scale < np.inf:
+            raise ValueError(f"force_scale is {scale!r:.80}, expected a positive number")
+        if not isinstance(effortless, list) or not all(type(each) is str for each in effortless):
+            raise TypeError(f"without_effort is {effortless!r:.80}, expected a list of names")
+        profiled, sigma = given["profiled"], given["sigma"]
         return cls(
-            robot=RobotRecipe.from_dict(robot),
+            robot=RobotRecipe.from_dict(given["robot"]),
             reading=tuple(log["reading"] for log in given["logs"]),
-            processing=Processing(**processing),
-            without_effort=_texts(given["without_effort"], "without_effort"),
-            friction=tuple(term_from_dict(term) for term in given["friction"]),
+            processing=Processing(**given["processing"]),
+            without_effort=tuple(effortless),
+            friction=tuple(map(term_from_dict, given["friction"])),
             weighting=given["weighting"],
-            sigma=None if given["sigma"] is None else _covariance(given["sigma"]),
+            sigma=None if sigma is None else _covariance(sigma),
             problem=None if stated is None else StatedProblem.from_dict(stated),
-            force_scale=_positive(given["force_scale"], "force_scale"),
-            profiled=None if (open_ := given["profiled"]) is None else tuple(map(_profiled, open_)),
+            force_scale=float(scale),
+            profiled=None if profiled is None else tuple(map(_profiled, profiled)),
         )
 
 
@@ -255,7 +257,7 @@ def _explicit(term: FrictionTerm, robot: RobotModel) -> FrictionTerm:
 
 def _profiled(given: Any) -> Profiled:
     """Return a number that the data chose."""
-    _require_keys(given, [each.name for each in fields(Profiled)])
+    _require_keys(given, _names(Profiled))
     for name, value in given.items():
         kind = str if name in ("term", "name", "unit") else float
         if type(value) is not kind or value in (np.inf, -np.inf):
@@ -273,29 +275,22 @@ def _covariance(given: Any) -> Array:
     return frozen(values)
 
 
-def _positive(given: Any, name: str) -> float:
-    """Return a positive number."""
-    if type(given) not in (int, float) or not 0.0 < given < np.inf:
-        raise ValueError(f"{name} is {given!r:.80}, expected a positive number")
-    return float(given)
-
-
 def _symmetric(covariance: Array) -> Array:
     """Return a covariance (n, n) without rounding beside its diagonal: the lower half counts."""
     return frozen(np.tril(covariance) + np.tril(covariance, -1).T)
 
 
-def _texts(given: Any, name: str) -> tuple[str, ...]:
-    """Return a list of texts."""
-    if not isinstance(given, list) or not all(type(each) is str for each in given):
-        raise TypeError(f"{name} is {given!r:.80}, expected a list of names")
-    return tuple(given)
+def _names(kind: Any) -> set[str]:
+    """Return the names of the fields of a class."""
+    return {each.name for each in fields(kind)}
 
 
-def _require_keys(given: Any, *names: Sequence[str] | str) -> None:
+def _require_keys(given: Any, expected: set[str]) -> None:
     """Refuse what is no mapping with exactly these keys."""
-    expected = {each for some in names for each in ([some] if isinstance(some, str) else some)}
     if not isinstance(given, Mapping):
         raise TypeError(f"{given!r:.80} is no table of {', '.join(sorted(expected))}")
     if wrong := sorted(map(str, given.keys() ^ expected)):
         raise ValueError(f"missing or not known: {', '.join(wrong)[:200]}")
+
+
+_SETTINGS = _names(Processing) - {"reasons"}

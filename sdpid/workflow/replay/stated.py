@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid.assurance.certificate.certificate import problem_dict
-from sdpid.assurance.recipe.stated_conditions import in_words
-from sdpid.assurance.recipe.stated_problem import StatedProblem
+from sdpid.assurance.recipe.stated import StatedProblem, in_words
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.prior.alike import described_pairs
 from sdpid.estimation.prior.friction import with_friction_max
