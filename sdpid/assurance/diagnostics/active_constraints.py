@@ -32,7 +32,7 @@ from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling, congruent
-from sdpid.estimation.sdp.program import SdpProgram
+from sdpid.estimation.sdp.program import ReusableProgram
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import margin_shift
@@ -315,7 +315,7 @@ def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
             continue
         # Solved as a program: solvers of estimates keep every link consistent.
         relaxed = replace(problem, feasible=problem.feasible.without(state))
-        program = SdpProgram.about(relaxed, theta, estimate.cost, every)
+        program = ReusableProgram.about(relaxed, theta, estimate.cost, every).program
         solutions = [solve_conic(program.conic, regularization=each) for each in _REGULARIZATIONS]
         found = [
             program.theta(each)
