@@ -143,16 +143,11 @@ class ExportReport(Shown):
             if errors is not None and errors.differ:
                 lines.append(f"misses the {rows} by {errors}{errors.warning}")
         lines += [f"no place in {self.kind}: {lost}" for lost in self.left_out]
-        if self.lumped:
-            lines.append(
-                "with the links fixed to them counted in, whose own inertials are now zero: "
-                + ", ".join(self.lumped)
-            )
-        if self.triangle_violations:
-            lines.append(
-                "triangle inequality violated (MuJoCo will not load it): "
-                + ", ".join(self.triangle_violations)
-            )
+        counted = "with the links fixed to them counted in, whose own inertials are now zero: "
+        violated = "triangle inequality violated (MuJoCo will not load it): "
+        for words, links in ((counted, self.lumped), (violated, self.triangle_violations)):
+            if links:
+                lines.append(words + ", ".join(links))
         return "\n".join([*lines, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
     RobotText,
-    require_same_efforts,
     source_text,
     standard_parameters,
     tag,
@@ -273,11 +272,8 @@ class Mjcf(RobotText):
 
     def write(self, body: int, inertial: Inertial) -> None:
         """Write the ``<inertial>`` of a body by number."""
-        own, markup = (
-            self.elements[body].find("inertial"),
-            tag("inertial", inertial_values(inertial)),
-        )
-        if own is None:
+        markup = tag("inertial", inertial_values(inertial))
+        if (own := self.elements[body].find("inertial")) is None:
             self.document.insert_child(self.elements[body], markup)
         else:
             self.document.replace(own, markup)
@@ -289,10 +285,12 @@ class Mjcf(RobotText):
         Where there is no armature, the links hold that of the rotors.
         """
         attributes = {attribute for each in values.values() for attribute in each}
-        for name, carrier in zip(list(self.robot.pin_model.names)[1:], self.carriers, strict=True):
-            before, new = self._values.get(name), dict(values.get(name, {}))
-            if before is None:
+        model = self.robot.pin_model
+        for i, carrier in enumerate(self.carriers, start=1):
+            if model.joints[i].nv != 1:
                 continue
+            name = str(model.names[i])
+            before, new = self._values[name], dict(values.get(name, {}))
             if name not in self.robot.joint_names:
                 new = {key: 0.0 for key in attributes if before[key] != 0.0}
             if "armature" not in attributes and before["armature"] != 0.0:
@@ -366,11 +364,10 @@ class Mjcf(RobotText):
         # It has compiled in a child process; only numbers have changed since.
         written = Mjcf(self.robot, self.document.text(), self.what, folder=self.folder, ours=True)
         model = written.model.with_gravity(written._base[:3, :3] @ self.robot.gravity)
-        require_same_efforts(
-            self.robot,
-            bodies,
-            lambda q, *rates: model.efforts_of_bodies(model.prior, written._positions(q), *rates),
-            self.what,
+        states = self.states()
+        self.require_same_efforts(
+            self.robot.inverse_dynamics(bodies, *states),
+            model.efforts_of_bodies(model.prior, written._positions(states[0]), *states[1:]),
             "the source's joints are placed, turned or counted differently, or it overrides "
             "inertials (inertiafromgeom, boundmass, settotalmass). Give the MJCF of the robot "
             "that was identified.",

@@ -17,7 +17,6 @@ from sdpid.output.robots.written_bodies import (
     Fixed,
     FixedChild,
     RobotText,
-    require_same_efforts,
     source_text,
     standard_parameters,
     tag,
@@ -261,11 +260,10 @@ class Urdf(RobotText):
                 f"{self.what}: the source has the joints {', '.join(written.joint_names)}, the "
                 f"robot has {', '.join(robot.joint_names)}; give the URDF of the same robot."
             )
-        require_same_efforts(
-            seen or robot,
-            bodies,
-            partial(written.inverse_dynamics, written.prior),
-            self.what,
+        states = self.states()
+        self.require_same_efforts(
+            (seen or robot).inverse_dynamics(bodies, *states),
+            written.inverse_dynamics(written.prior, *states),
             "the source's joints are placed differently. Give the URDF that the robot was "
             "identified with.",
         )

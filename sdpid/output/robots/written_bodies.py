@@ -7,7 +7,7 @@ with the robot's and splits each identified body among the one that moves and th
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import ClassVar, Literal, NamedTuple, TypeAlias
@@ -144,6 +144,7 @@ class RobotText(ABC):
         ExportError
             When one can be no body, or cannot be split as asked.
         """
+        asked = {} if isinstance(fixed, str) else fixed
         for each, body in zip(self.robot.link_names, bodies, strict=True):
             possible_body(body, consistency, each, self.what)
         for link, (carrier, body) in enumerate(zip(self.carriers, bodies, strict=True)):
@@ -152,9 +153,9 @@ class RobotText(ABC):
                 body = transform(body, T[:3, :3], T[:3, 3])
             children, name = self.children(carrier), self.name(carrier)
             given = {
-                k: child._replace(body=np.asarray(fixed[child.name], dtype=np.float64))
+                k: child._replace(body=np.asarray(asked[child.name]))
                 for k, child in children.items()
-                if not isinstance(fixed, str) and child.name in fixed
+                if child.name in asked
             }
             heavy = {k: c for k, c in (children | given).items() if np.any(c.body)}
             merged = fixed == "merge" and bool(heavy)
@@ -176,6 +177,25 @@ class RobotText(ABC):
             if not exists(written.mass, written.moments, "pseudo_inertia"):
                 self.flat.append(name)
             self.write(carrier, written)
+
+    def states(self) -> tuple[Array, Array, Array]:
+        """Return the states at which efforts are compared."""
+        return generic_states(self.robot, _STATES, _SEED)
+
+    def require_same_efforts(self, expected: Array, found: Array, reason: str) -> None:
+        """Refuse a written text whose efforts differ from those of the identified bodies.
+
+        Raises
+        ------
+        ExportError
+            With the difference and a reason.
+        """
+        error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
+        if not error <= _READ_BACK * max(scale, 1.0):
+            raise ExportError(
+                f"{self.what}: the efforts of the written robot differ from the identified ones by "
+                f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); {reason}"
+            )
 
     def save(
         self,
@@ -265,30 +285,6 @@ def _rounding(bodies: Array) -> Array:
     return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
 
 
-def require_same_efforts(
-    robot: RobotModel,
-    bodies: Array,
-    found: Callable[[Array, Array, Array], Array],
-    what: str,
-    reason: str,
-) -> None:
-    """Refuse a written robot whose efforts at states differ from those of the identified bodies.
-
-    Raises
-    ------
-    ExportError
-        With the difference and a reason.
-    """
-    states = generic_states(robot, _STATES, _SEED)
-    expected = robot.inverse_dynamics(bodies, *states)
-    error, scale = float(np.abs(found(*states) - expected).max()), float(np.abs(expected).max())
-    if not error <= _READ_BACK * max(scale, 1.0):
-        raise ExportError(
-            f"{what}: the efforts of the written robot differ from the identified ones by "
-            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); {reason}"
-        )
-
-
 def possible(bodies: Array, consistency: Consistency) -> bool:
     """Return whether bodies (..., 10) satisfy a consistency, but for rounding."""
     return bool(np.all(margin(bodies, consistency) >= -_rounding(bodies)))
@@ -322,9 +318,8 @@ def possible_body(body: Array, consistency: Consistency, link: str, what: str) -
             f"{what}: link '{link}' has a mass of {body[0]:.6g} kg, it must be positive; solve "
             "with a consistency."
         )
-    found = None
-    if possible(body, consistency):
-        found = inside([*map(Fraction, body.tolist())], consistency)
+    exact = [*map(Fraction, body.tolist())]
+    found = inside(exact, consistency) if possible(body, consistency) else None
     if found is None:
         raise ExportError(
             f"{what}: link '{link}' is not consistent, its margin is "
