@@ -88,7 +88,7 @@ def narrow_planar(request: pytest.FixtureRequest) -> Problem:
 
 @given(problems, SEEDS)
 def test_round_trip_of_the_coordinates(problem: Problem, seed: int) -> None:
-    coordinates = LogCholesky.of(problem)
+    coordinates = LogCholesky(problem)
     theta = random_start(problem, np.random.default_rng(seed))
     back = coordinates.theta(coordinates.from_theta(theta))
     np.testing.assert_allclose(back, theta, rtol=0, atol=1e-10 * np.abs(theta).max())
@@ -96,7 +96,7 @@ def test_round_trip_of_the_coordinates(problem: Problem, seed: int) -> None:
 
 @given(problems, SEEDS)
 def test_every_point_is_consistent(problem: Problem, seed: int) -> None:
-    coordinates = LogCholesky.of(problem)
+    coordinates = LogCholesky(problem)
     x = np.random.default_rng(seed).normal(0.0, 1.0, problem.n_theta)
     theta = coordinates.theta(x)
     margins = problem.feasible.margins(theta)
@@ -106,7 +106,7 @@ def test_every_point_is_consistent(problem: Problem, seed: int) -> None:
 @given(problems, SEEDS)
 def test_derivatives_of_the_coordinates(problem: Problem, seed: int) -> None:
     """The Jacobian, and the curvature of a fixed combination, against central differences."""
-    coordinates = LogCholesky.of(problem)
+    coordinates = LogCholesky(problem)
     rng = np.random.default_rng(seed)
     x = coordinates.from_theta(random_start(problem, rng))
     weights = rng.standard_normal(problem.n_theta)
@@ -321,7 +321,7 @@ def test_further_conditions(consistency: Consistency, margin: float) -> None:
     robot = planar_arm()
     problem = under(noisy(robot, 0, consistency, margin=margin), *conditions(robot))
     # Equations that are said twice are kept once.
-    assert len(PhysicalConstraints.of(PhysicalVariables.of(problem)).equations) == 1
+    assert len(PhysicalConstraints(PhysicalVariables(problem)).equations) == 1
     for local in converging(problem):
         assert problem.feasible.violation(np.asarray(local.theta)) <= FEASIBLE_LOCAL
 
@@ -350,7 +350,7 @@ def test_first_link_variables_are_left_out_unless_a_condition_asks() -> None:
         (Fixed({"xy_1": 0.0}), 0),
     ]
     for other, left_out in asks:
-        variables = PhysicalVariables.of(under(problem, other))
+        variables = PhysicalVariables(under(problem, other))
         assert problem.n_theta - len(variables.free) == left_out
 
 
@@ -426,7 +426,7 @@ shown = st.tuples(st.sampled_from(["arm3", "planar"]), st.sampled_from(BOTH)).ma
 
 
 def test_the_denso_has_the_papers_66(denso: RobotModel) -> None:
-    variables = PhysicalVariables.of(shown_problem(denso))
+    variables = PhysicalVariables(shown_problem(denso))
     assert len(variables.free) == 66
     # All but zz of the first inertia, and z of the first center of mass, are gone.
     gone = sorted(set(range(72)) - set(variables.free.tolist()))
@@ -442,13 +442,13 @@ def test_how_many_are_left_out(robot: RobotModel | str, left_out: int) -> None:
     if isinstance(robot, str):
         robot = load_robot(robot, gravity=(3.0, 0.0, -9.0) if "denso" in robot else None)
     problem = shown_problem(robot)
-    assert len(PhysicalVariables.of(problem).free) == problem.n_theta - left_out
+    assert len(PhysicalVariables(problem).free) == problem.n_theta - left_out
 
 
 @given(shown, SEEDS)
 def test_what_is_left_out_has_no_influence(problem: Problem, seed: int) -> None:
     """The way to the variables and back keeps the base parameters."""
-    variables = PhysicalVariables.of(problem)
+    variables = PhysicalVariables(problem)
     theta = random_start(problem, np.random.default_rng(seed))
     x = variables.from_theta(theta)
     back = variables.theta(x)
@@ -466,7 +466,7 @@ def test_what_is_left_out_has_no_influence(problem: Problem, seed: int) -> None:
 @given(shown, SEEDS)
 def test_jacobian(problem: Problem, seed: int) -> None:
     """Of theta by the variables; and inertias are what the margin is taken of."""
-    variables = PhysicalVariables.of(problem)
+    variables = PhysicalVariables(problem)
     x = variables.from_theta(random_start(problem, np.random.default_rng(seed)))
     J = variables.jacobian(x)
     for k, slope in enumerate(differences(variables.theta, x, 1e-5)):

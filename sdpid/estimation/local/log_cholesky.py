@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Status
-from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, checked_start
+from sdpid.estimation.local.physical import physical_slopes, tensor_slopes
+from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.consistent import raise_eigenvalues
-from sdpid.robot.inertia import (
-    central_moments,
-    complement,
-    inertia_tensor,
-    tensor_entries,
-    theta_from_physical,
-)
+from sdpid.robot.inertia import central_moments, complement, theta_from_central_moments
 
 # Places of a link's coordinates: half the logarithm of the mass, three logarithms and three
 # entries above the diagonal of K, center of mass.
-_MASS, _DIAGONAL, _ABOVE, _COM = 0, slice(1, 4), slice(4, 7), slice(7, 10)
+_MASS, _DIAGONAL, _COM = 0, slice(1, 4), slice(7, 10)
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 
 # A start on or outside the boundary has no coordinates: its moments are raised to this share of
@@ -39,6 +33,9 @@ _THINNEST = (-2.0, -3.0, -5.0, -8.0)
 
 # A stage but the last ends when a step lowers the cost by less than this share.
 _STAGE = 1e-4
+
+# Length of complex steps: of its square there is nothing beside one.
+_TINY = 1e-30
 
 # A log-mass with less room than this is fixed, not bounded.
 _FIXED = 1e-12
@@ -54,7 +51,6 @@ _NAMED = 4
 _ROUNDING = 1e-14
 
 
-@dataclass(frozen=True, eq=False)
 class LogCholesky:
     """The coordinates of a problem and how they become standard parameters [rucker2022]_.
 
@@ -83,40 +79,23 @@ class LogCholesky:
         Size of each friction parameter.
     """
 
-    problem: Problem
-    length: float
-    friction: Array
-
-    @classmethod
-    def of(cls, problem: Problem) -> LogCholesky:
-        """Choose the units of a problem's coordinates."""
+    def __init__(self, problem: Problem) -> None:
         scaling = Scaling.of(problem)
-        return cls(problem, scaling.length, frozen(scaling.friction))
+        self.problem, self.length, self.friction = problem, scaling.length, scaling.friction
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return masses (links,), l·K (links, 3, 3) and centers of mass (links, 3) in m."""
-        links = self.problem.feasible.n_links
-        each = x[: 10 * links].reshape(links, 10)
-        K = np.zeros((links, 3, 3))
-        K[:, _ROWS, _COLUMNS] = np.hstack([np.exp(each[:, _DIAGONAL]), each[:, _ABOVE]])
-        return np.exp(2.0 * each[:, _MASS]), self.length * K, self.length * each[:, _COM]
-
-    def _sizes(self, K: Array) -> Array:
-        """Return the derivative of each entry of l·K in its coordinate, (links, 6)."""
-        out = np.full((len(K), 6), self.length)
-        out[:, :3] = K[:, range(3), range(3)]
-        return out
-
-    def _inertia(self, N: Array) -> Array:
-        """Return the inertia about the center of mass of what must exceed the margin."""
-        return complement(N) if self.problem.consistency == "pseudo_inertia" else N
+    def _split(self, each: Array) -> tuple[Array, Array, Array]:
+        """Return masses (…,), l·K (…, 3, 3) and centers of mass (…, 3) of links (…, 10)."""
+        K = np.zeros((*each.shape[:-1], 3, 3), dtype=each.dtype)
+        K[..., _ROWS, _COLUMNS] = self.length * each[..., 1:7]
+        K[..., range(3), range(3)] = self.length * np.exp(each[..., _DIAGONAL])
+        return np.exp(2.0 * each[..., _MASS]), K, self.length * each[..., _COM]
 
     def theta(self, x: Array) -> Array:
         """Return the standard parameters of coordinates (p,)."""
-        mass, K, com = self._split(x)
+        mass, K, com = self._split(self.problem.feasible.bodies(x))
         margin = self.problem.constraints.margin
         N = mass[:, None, None] * (K @ np.swapaxes(K, 1, 2)) + margin * np.eye(3)
-        bodies = theta_from_physical(mass, com, self._inertia(N))
+        bodies = theta_from_central_moments(mass, com, N, self.problem.consistency)
         return np.concatenate([bodies.ravel(), x[bodies.size :] * self.friction])
 
     def from_theta(self, theta: Array) -> Array:
@@ -131,61 +110,44 @@ class LogCholesky:
         S = raise_eigenvalues(free, np.full(len(free), _INSIDE))
         # The upper factor is the lower one seen from the other corner.
         K = np.linalg.cholesky(S[:, ::-1, ::-1])[:, ::-1, ::-1]
-        entries = K[:, _ROWS, _COLUMNS]
         each = np.empty((len(mass), 10))
         each[:, _MASS] = 0.5 * np.log(mass)
-        each[:, _DIAGONAL] = np.log(entries[:, :3])
-        each[:, _ABOVE] = entries[:, 3:]
+        each[:, 1:7] = K[:, _ROWS, _COLUMNS]
+        each[:, _DIAGONAL] = np.log(each[:, _DIAGONAL])
         each[:, _COM] = com / self.length
         return np.concatenate([each.ravel(), theta[bodies.size :] / self.friction])
 
+    def _slopes(self, each: Array, slopes: Array) -> Array:
+        """Return slopes in links' parameters (…, 10) as ones in their coordinates (…, 10).
+
+        Coordinates may be complex.
+        """
+        mass, K, com = self._split(each)
+        of_mass, of_com = physical_slopes(mass, com, slopes)
+        of_N = tensor_slopes(slopes[..., 4:])
+        if self.problem.consistency == "pseudo_inertia":
+            of_N = complement(of_N)
+        LK = mass[..., None, None] * (of_N @ K)
+        out = np.empty((*of_com.shape[:-1], 10), dtype=each.dtype)
+        # All but the margin is proportional to the mass.
+        out[..., _MASS] = 2.0 * (mass * of_mass + np.sum(LK * K, axis=(-2, -1)))
+        out[..., 1:7] = 2.0 * self.length * LK[..., _ROWS, _COLUMNS]
+        out[..., _DIAGONAL] *= np.exp(each[..., _DIAGONAL])
+        out[..., _COM] = self.length * of_com
+        return out
+
     def link_jacobians(self, x: Array) -> Array:
         """Return the derivative of each link's parameters in its coordinates, (links, 10, 10)."""
-        mass, K, com = self._split(x)
-        J = np.zeros((len(mass), 10, 10))
-        # All but the margin is proportional to the mass.
-        square = self._inertia(K @ np.swapaxes(K, 1, 2))
-        J[:, :, _MASS] = 2.0 * theta_from_physical(np.ones(len(mass)), com, square)
-        sizes = self._sizes(K)
-        for place, (i, j) in enumerate(zip(_ROWS, _COLUMNS, strict=True)):
-            step = np.zeros((len(mass), 3, 3))
-            step[:, i, :] = K[:, :, j] * sizes[:, place, None]
-            change = self._inertia(step + np.swapaxes(step, 1, 2))
-            J[:, 4:, 1 + place] = tensor_entries(change)
-        for k in range(3):
-            outer = np.zeros((len(mass), 3, 3))
-            outer[:, k, :] = self.length * com
-            J[:, 1 + k, 7 + k] = self.length
-            J[:, 4:, 7 + k] = tensor_entries(complement(outer + np.swapaxes(outer, 1, 2)))
-        return np.asarray(mass[:, None, None] * J)
+        return self._slopes(self.problem.feasible.bodies(x)[:, None], np.eye(10))
 
     def curvatures(self, x: Array, gradient: Array) -> Array:
         """Return the second derivative of ``gradient·theta`` in each link's coordinates.
 
-        Shape (links, 10, 10). With L the gradient in N and C that in the moments of the center
-        of mass, it is that of ``m·(g_m + g_h·r + tr(l²·K^T·L·K) + r^T·C·r)``.
+        Shape (links, 10, 10). Complex steps differentiate the first one exactly.
         """
-        mass, K, com = self._split(x)
-        parts = self.problem.feasible.bodies(gradient)
-        # An entry off the diagonal stands for two.
-        inertia = inertia_tensor(parts) * (0.5 + 0.5 * np.eye(3))
-        L, C = self._inertia(inertia), complement(inertia)
-        LK, sizes = L @ K, self._sizes(K)
-        pull = parts[:, 1:4] + 2.0 * np.einsum("lij,lj->li", C, com)
-        first = np.zeros((len(mass), 10))
-        first[:, 1:7] = 2.0 * LK[:, _ROWS, _COLUMNS] * sizes
-        first[:, _COM] = self.length * pull
-        value = parts[:, 0] + np.einsum("lij,lij->l", LK, K)
-        value = value + 0.5 * np.einsum("li,li->l", pull + parts[:, 1:4], com)
-        out = np.zeros((len(mass), 10, 10))
-        same = _COLUMNS[:, None] == _COLUMNS
-        out[:, 1:7, 1:7] = 2.0 * L[:, _ROWS[:, None], _ROWS] * same
-        out[:, 1:7, 1:7] *= sizes[:, :, None] * sizes[:, None, :]
-        out[:, range(1, 4), range(1, 4)] += first[:, _DIAGONAL]
-        out[:, _COM, _COM] = 2.0 * self.length**2 * C
-        out[:, _MASS, :] = out[:, :, _MASS] = 2.0 * first
-        out[:, _MASS, _MASS] = 4.0 * value
-        return np.asarray(mass[:, None, None] * out)
+        bodies = self.problem.feasible.bodies
+        steps = bodies(x)[:, None] + 1j * _TINY * np.eye(10)
+        return self._slopes(steps, bodies(gradient)[:, None]).imag / _TINY
 
     def bounds(self, thinnest: float) -> tuple[Array, Array]:
         """Return bounds on the coordinates: of masses and friction, and how thin a link gets."""
@@ -260,13 +222,12 @@ def solve_log_cholesky(
     if reason is not None:
         raise DataError(f"solve_log_cholesky: {reason}")
     problem.feasible.require_feasible()
-    start = checked_start(problem, start, seed)
-    run = _Run(problem)
-    result = run.minimized(start, max_iterations, tolerance)
+    run = _Run(problem, start, seed)
+    result = run.minimized(max_iterations, tolerance)
     # SciPy's status 0 is the limit on evaluations.
     stopped: Status = "iteration limit" if int(result.status) == 0 else "stalled"
     theta = run.theta(result.x)
-    return run.estimate("log_cholesky", start, theta, stopped=stopped, message=str(result.message))
+    return run.estimate("log_cholesky", theta, stopped=stopped, message=str(result.message))
 
 
 def unsupported(problem: Problem) -> str | None:
@@ -293,9 +254,9 @@ def unsupported(problem: Problem) -> str | None:
 class _Run(LocalRun):
     """The residual of the free coordinates with its derivative, and the stages of the solver."""
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem)
-        self.coordinates = LogCholesky.of(problem)
+    def __init__(self, problem: Problem, *start: Any) -> None:
+        super().__init__(problem, *start)
+        self.coordinates = LogCholesky(problem)
         # Constant rows: the floor, so that tolerances are shares of the cost, and one for each
         # row of curvature.
         self.constant = np.zeros(1 + problem.n_theta)
@@ -326,22 +287,18 @@ class _Run(LocalRun):
         The residual of those rows is zero, so they do not change the gradient.
         """
         full = self.expand(x)
-        inertial = 10 * self.problem.feasible.n_links
         gradient = (self.G @ self.coordinates.theta(full) - self.rhs) @ self.G
         values, vectors = np.linalg.eigh(self.coordinates.curvatures(full, gradient))
         roots = np.sqrt(np.maximum(values, 0.0) + _STILL)[:, :, None] * np.swapaxes(vectors, 1, 2)
         jacobians = self.coordinates.link_jacobians(full)
-        count = len(self.rhs)
-        J = np.zeros((count + len(self.constant), len(full)))
-        J[count + 1 :] = np.sqrt(_STILL) * np.eye(len(full))
-        for link, first in enumerate(range(0, inertial, 10)):
-            own = slice(first, first + 10)
-            J[:count, own] = self.G[:, own] @ jacobians[link]
-            J[count + 1 + first : count + 11 + first, own] = roots[link]
-        J[:count, inertial:] = self.G[:, inertial:] * self.coordinates.friction
-        return np.asarray(J[:, self.free])
+        of_theta, bent = np.zeros_like(self.G), np.sqrt(_STILL) * np.eye(len(full))
+        for link, (own_jacobian, root) in enumerate(zip(jacobians, roots, strict=True)):
+            own = slice(10 * link, 10 * link + 10)
+            of_theta[:, own], bent[own, own] = self.G[:, own] @ own_jacobian, root
+        of_theta[:, 10 * len(roots) :] = self.G[:, 10 * len(roots) :] * self.coordinates.friction
+        return np.vstack([of_theta, np.zeros((1, len(full))), bent])[:, self.free]
 
-    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> Any:
+    def minimized(self, max_iterations: int, tolerance: float) -> Any:
         """Return SciPy's result of the last stage."""
         from scipy.optimize import least_squares
 
@@ -355,7 +312,7 @@ class _Run(LocalRun):
             last = x.copy()
             return self.jacobian(x)
 
-        x = self.coordinates.from_theta(start)[self.free]
+        x = self.coordinates.from_theta(self.start)[self.free]
         left = max_iterations
         # A trial step that overflows has an infinite cost, and the next one is shorter.
         with np.errstate(over="ignore", invalid="ignore"):

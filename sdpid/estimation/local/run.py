@@ -13,10 +13,14 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import Estimate, Status, Step
-from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariables
+from sdpid.estimation.local.physical import (
+    PhysicalConstraints,
+    PhysicalVariables,
+    tensor_slopes,
+)
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.robot.inertia import complement, inertia_tensor, theta_from_physical
+from sdpid.robot.inertia import complement, theta_from_central_moments
 
 # A local result may lie this far outside a constraint (kg·m², kg, …) and still count as feasible;
 # SLSQP works on scaled constraints and stops near 1e-10 of them.
@@ -62,57 +66,32 @@ def random_start(problem: Problem, rng: np.random.Generator) -> Array:
     moments = mass[:, None] * (scaling.length * rng.uniform(0.1, 0.8, (links, 3))) ** 2
     moments = moments + 1.1 * bounds.margin
     second = np.einsum("lik,lk,ljk->lij", frames, moments, frames)
-    trace = moments.sum(axis=1)[:, None, None] * np.eye(3)
-    friction = scaling.theta[10 * links :] * rng.uniform(0.05, 1.0, problem.n_theta - 10 * links)
-    bodies = theta_from_physical(mass, com, trace - second)
+    friction = scaling.friction * rng.uniform(0.05, 1.0, len(scaling.friction))
+    bodies = theta_from_central_moments(mass, com, second, "pseudo_inertia")
     return np.concatenate([bodies.ravel(), friction])
-
-
-def checked_start(
-    problem: Problem, start: ArrayLike | None, seed: int | np.random.Generator
-) -> Array:
-    """Return a given start, or a random one where there is none.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    start : array_like, shape (p,), or None
-        Standard parameters.
-    seed : int or numpy.random.Generator
-        Of the random start.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-
-    Raises
-    ------
-    DataError
-        When the start has another size or masses that are not positive.
-    """
-    if start is None:
-        return random_start(problem, np.random.default_rng(seed))
-    values = real_array(start, "start", ndim=1)
-    if values.shape != (problem.n_theta,):
-        raise DataError(f"start: shape {values.shape}, expected ({problem.n_theta},).")
-    masses = problem.feasible.bodies(values)[:, 0]
-    if np.any(masses <= 0.0):
-        worst = int(np.argmin(masses))
-        raise DataError(
-            f"start: link {worst + 1} has mass {masses[worst]} kg; a local solver needs positive "
-            "masses to start from."
-        )
-    return values
 
 
 class LocalRun(ABC):
     """A problem in the variables of a local solver, and the steps that it takes.
 
-    Attributes
+    Parameters
     ----------
     problem : Problem
         The problem.
+    start : array_like, shape (p,), optional
+        Standard parameters; by default random ones.
+    seed : int or numpy.random.Generator, optional
+        Of the random start.
+
+    Raises
+    ------
+    DataError
+        When the start has another size or masses that are not positive.
+
+    Attributes
+    ----------
+    start : ndarray, shape (p,)
+        Where the run begins.
     scale : float
         Factor of residuals, with which the squared efforts sum to one.
     G, rhs : ndarray, shapes (k, p) and (k,)
@@ -121,8 +100,24 @@ class LocalRun(ABC):
         The start and one entry a step; the last one is where the run stands.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
+    def __init__(
+        self,
+        problem: Problem,
+        start: ArrayLike | None = None,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        if start is None:
+            start = random_start(problem, np.random.default_rng(seed))
+        self.problem, self.start = problem, real_array(start, "start", ndim=1)
+        if self.start.shape != (problem.n_theta,):
+            raise DataError(f"start: shape {self.start.shape}, expected ({problem.n_theta},).")
+        masses = problem.feasible.bodies(self.start)[:, 0]
+        worst = int(np.argmin(masses))
+        if masses[worst] <= 0.0:
+            raise DataError(
+                f"start: link {worst + 1} has mass {masses[worst]} kg; a local solver needs "
+                "positive masses to start from."
+            )
         matrix, rhs = problem.squared.matrix, problem.squared.rhs
         self.scale = 1.0 / np.sqrt(float(rhs @ rhs) + problem.floor)
         self.G, self.rhs = self.scale * matrix, self.scale * rhs
@@ -142,17 +137,15 @@ class LocalRun(ABC):
         violation = self.problem.feasible.violation(theta)
         return Step(seconds, self.problem.cost_of(theta), violation)
 
-    def estimate(
-        self, method: str, start: Array, theta: Array, *, stopped: Status, message: str
-    ) -> Estimate:
+    def estimate(self, method: str, theta: Array, *, stopped: Status, message: str) -> Estimate:
         """Return the estimate at the end of the run.
 
         Parameters
         ----------
         method : str
             Name of the solver.
-        start, theta : ndarray, shape (p,)
-            Where the run began and ended.
+        theta : ndarray, shape (p,)
+            Where the run ended.
         stopped : str
             Status of a feasible point that, recomputed, is not stationary.
         message : str
@@ -174,7 +167,7 @@ class LocalRun(ABC):
             iterations=len(self.history) - 1,
             solve_time=last.seconds,
             history=tuple(self.history),
-            start=frozen(start),
+            start=frozen(self.start),
         )
 
 
@@ -207,8 +200,8 @@ def stationarity_gap(problem: Problem, theta: Array) -> float:
     float
         Infinite where the cost is.
     """
-    variables = PhysicalVariables.of(problem)
-    constraints = PhysicalConstraints.of(variables)
+    variables = PhysicalVariables(problem)
+    constraints = PhysicalConstraints(variables)
     x = variables.from_theta(theta)
     J = variables.jacobian(x)
     try:
@@ -221,7 +214,7 @@ def stationarity_gap(problem: Problem, theta: Array) -> float:
     slopes = constraints.at_least_jacobian(x)
     both = constraints.zero_jacobian(x)
     slopes = np.vstack([slopes, both, -both])
-    values = np.concatenate([values, np.zeros(2 * len(both))])
+    values = np.append(values, np.zeros(2 * len(both)))
     spectral = np.arange(len(values)) < 3 * problem.feasible.n_links
     least, rest = np.inf, g
     for _ in range(_ROUNDS):
@@ -266,11 +259,8 @@ def _gradient_eigenvectors(variables: PhysicalVariables, slope: Array) -> Array:
     """Return eigenvectors (links, 3, 3) of the slope in what must exceed the margin."""
     full = np.zeros(len(variables.sizes))
     full[variables.free] = slope
-    full /= variables.sizes
-    links = variables.problem.robot.n_links
-    # An entry off the diagonal stands for two. A link's six come first here, last in theta.
-    entries = np.roll(full[: 10 * links].reshape(links, 10), 4, axis=1)
-    matrices = inertia_tensor(entries) * (0.5 + 0.5 * np.eye(3))
+    bodies = variables.problem.feasible.bodies(full / variables.sizes)
+    matrices = tensor_slopes(bodies[:, :6])
     if variables.problem.consistency == "pseudo_inertia":
         matrices = complement(matrices)
     return np.asarray(np.linalg.eigh(matrices)[1])

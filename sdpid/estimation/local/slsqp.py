@@ -11,9 +11,9 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Status
 from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariables
-from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, checked_start, preconditioner
-from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, preconditioner
 from sdpid.estimation.problem import Problem
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import matrix_basis
 
 # Iterations after which SLSQP starts again from where it is, with variables in which the cost is
@@ -92,20 +92,19 @@ def solve_slsqp(
     """
     if problem.consistency == "none":
         raise DataError(f"solve_slsqp: {UNCONSTRAINED}")
-    start = checked_start(problem, start, seed)
-    run = _Run(problem)
-    theta, result = run.minimized(start, max_iterations, tolerance)
+    run = _Run(problem, start, seed)
+    theta, result = run.minimized(max_iterations, tolerance)
     stopped = _STOPPED.get(int(result.status), "failed")
-    return run.estimate("slsqp", start, theta, stopped=stopped, message=str(result.message))
+    return run.estimate("slsqp", theta, stopped=stopped, message=str(result.message))
 
 
 class _Run(LocalRun):
     """The cost with its derivative in scaled physical variables, and SLSQP's rounds."""
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem)
-        self.variables = PhysicalVariables.of(problem)
-        self.constraints = PhysicalConstraints.of(self.variables)
+    def __init__(self, problem: Problem, *start: Any) -> None:
+        super().__init__(problem, *start)
+        self.variables = PhysicalVariables(problem)
+        self.constraints = PhysicalConstraints(self.variables)
 
     def theta(self, x: Array) -> Array:
         """Return the standard parameters of the physical variables."""
@@ -116,41 +115,59 @@ class _Run(LocalRun):
         theta = self.variables.theta(x)
         residual = self.G @ theta - self.rhs
         value, slope = float(residual @ residual), 2.0 * residual @ self.G
-        more, slopes = _continued(self.problem.log_det, theta)
+        more, slopes = self._continued(theta)
         value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
         return value, self.variables.pulled(x, slope[None])[0]
 
-    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
+    def _continued(self, theta: Array) -> tuple[float, Array]:
+        """Return the value and the gradient of the log-det prior, finite everywhere."""
+        # Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
+        # `_CONTINUED` the logarithm is replaced by its second-order expansion there.
+        entropy, out = self.problem.log_det, np.zeros(len(theta))
+        if not len(entropy.links):
+            return 0.0, out
+        roots = entropy.roots
+        t, vectors = np.linalg.eigh(np.swapaxes(roots, 1, 2) @ entropy.matrices(theta) @ roots)
+        near = np.maximum(t, _CONTINUED)
+        below = (t - near) / near
+        value = float((t - 1.0 - np.log(near) - below + 0.5 * below**2).sum())
+        slopes = 1.0 - (1.0 - below) / near
+        turned = roots @ vectors
+        matrices = (turned * slopes[:, None, :]) @ np.swapaxes(turned, 1, 2)
+        each = np.einsum("lij,kij->lk", matrices, matrix_basis("pseudo_inertia"))
+        self.problem.feasible.bodies(out)[entropy.links] = each
+        return 2.0 * entropy.strength * value, 2.0 * entropy.strength * out
+
+    def minimized(self, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
         """Return the standard parameters of the end point, and SciPy's last result."""
-        x = self.variables.within(self.variables.from_theta(start))
+        x = self.variables.within(self.variables.from_theta(self.start))
         self.record(x)
         # SciPy also counts iterations that end without a step; the history has steps only.
-        left = max_iterations
+        left, floor = max_iterations, self.scale**2 * self.problem.floor
         while True:
-            before = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            before = self.cost(x)[0] + floor
             result, x = self._round(x, min(left, _ROUND), tolerance)
             left -= int(result.nit)
-            if left <= 0 or result.nit == 0:
-                break
-            after = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            after = self.cost(x)[0] + floor
             # A round that ended early gets another chance unless it hardly moved.
-            if int(result.status) != 9 and abs(before - after) <= _SETTLED * abs(after):
-                break
-        return self._best_of(self.variables.theta(x)), result
+            moved = int(result.status) == 9 or abs(before - after) > _SETTLED * abs(after)
+            if left <= 0 or result.nit == 0 or not moved:
+                return self._nearly_feasible(self.variables.theta(x)), result
 
-    def _best_of(self, theta: Array) -> Array:
+    def _nearly_feasible(self, theta: Array) -> Array:
         """Return theta, moved inside where that makes it more nearly feasible."""
-        moved = self.variables.inside(theta)
-        violation = self.problem.feasible.violation
-        return moved if violation(moved) < violation(theta) else theta
+        feasible, least = self.problem.feasible, self.problem.constraints.margin
+        bodies = feasible.bodies(theta)
+        bodies = raise_second_moments(bodies, least, consistency=self.problem.consistency)
+        moved = np.concatenate([bodies.ravel(), theta[bodies.size :]])
+        return min(theta, moved, key=feasible.violation)
 
     def _round(self, x: Array, limit: int, tolerance: float) -> tuple[Any, Array]:
         """Run SLSQP from x; return its result and where it ended."""
         from scipy.optimize import minimize
 
-        constraints, variables = self.constraints, self.variables
-        theta, J = variables.theta(x), variables.jacobian(x)
-        steps = preconditioner(self.problem, theta, J, _FLATTEST) / self.scale
+        constraints, J = self.constraints, self.variables.jacobian(x)
+        steps = preconditioner(self.problem, self.theta(x), J, _FLATTEST) / self.scale
 
         def at(z: Array) -> Array:
             return np.asarray(x + steps @ z)
@@ -179,25 +196,4 @@ class _Run(LocalRun):
             options={"maxiter": limit, "ftol": tolerance},
         )
         end = at(result.x)
-        return result, variables.within(end) if np.all(np.isfinite(end)) else x
-
-
-def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
-    """Return the value and the gradient of a log-det prior, finite everywhere."""
-    # Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
-    # `_CONTINUED` the logarithm is replaced by its second-order expansion there.
-    out = np.zeros(len(theta))
-    if not len(entropy.links):
-        return 0.0, out
-    roots = entropy.roots
-    t, vectors = np.linalg.eigh(np.swapaxes(roots, 1, 2) @ entropy.matrices(theta) @ roots)
-    near = np.maximum(t, _CONTINUED)
-    below = (t - near) / near
-    value = float((t - 1.0 - np.log(near) - below + 0.5 * below**2).sum())
-    slopes = 1.0 - (1.0 - below) / near
-    turned = roots @ vectors
-    matrices = (turned * slopes[:, None, :]) @ np.swapaxes(turned, 1, 2)
-    each = np.einsum("lij,kij->lk", matrices, matrix_basis("pseudo_inertia"))
-    for link, part in zip(entropy.links, each, strict=True):
-        out[10 * link : 10 * link + 10] = part
-    return 2.0 * entropy.strength * value, 2.0 * entropy.strength * out
+        return result, self.variables.within(end) if np.all(np.isfinite(end)) else x
