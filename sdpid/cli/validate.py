@@ -49,7 +49,7 @@ def validate(
         inspected,
         without_efforts,
     )
-    from sdpid.output.report.prediction_verdict import prediction_findings
+    from sdpid.output.report.verdict import prediction_findings
 
     absent = opt.joints(without_effort)
     model, (record,) = robot_and_logs(robot, [log], reading, periods, absent)
@@ -77,7 +77,7 @@ def validate(
     if rollout:
         from sdpid.assurance.diagnostics.described import described_dynamics
         from sdpid.assurance.rollouts.rollout import rollouts
-        from sdpid.output.report.sections.motion import fresh_notes
+        from sdpid.output.report.parameters import fresh_notes
 
         described = described_dynamics(model, samples)
         moved = rollouts(described, record, processing=chosen, without_effort=absent)

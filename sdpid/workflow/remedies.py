@@ -15,7 +15,7 @@ from sdpid.errors import SdpidError
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import Prepared, without_efforts
-from sdpid.output.report.grades import listed
+from sdpid.output.report.kinds import listed
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 

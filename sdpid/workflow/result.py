@@ -18,7 +18,7 @@ from sdpid.estimation.closed_loop.bias import BiasTest
 from sdpid.estimation.effects.kinds import Tried
 from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
-from sdpid.output.report.judged import Judged, grades_of
+from sdpid.output.report.subject import Judged
 from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.parameter_tables import in_words, intervals_dict
 from sdpid.robot.friction.curve import JointCurve
@@ -184,7 +184,7 @@ class Identification(Judged, Shown):
         ndarray of matplotlib.axes.Axes, shape (n, 3)
             One row a joint: effort and error over time, friction over velocity.
         """
-        from sdpid.output.report.sections.joints import plot_overview
+        from sdpid.output.report.joints import plot_overview
 
         return plot_overview(self, title=title, axes=axes)
 
@@ -201,7 +201,7 @@ class Identification(Judged, Shown):
             "headline": asdict(self.headline),
             "grades": {
                 self.training.joint_names[each.joint]: {"level": each.level, "shown": each.shown}
-                for each in grades_of(self)
+                for each in self._subject.grades
             },
             "status": estimate.status,
             "cost": estimate.cost,

@@ -16,7 +16,7 @@ from sdpid._common.staging import RunFolder
 from sdpid._common.tables import json_text
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
-from sdpid.output.report.judged import Judged
+from sdpid.output.report.subject import Judged
 from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
 from sdpid.verifier.manifest import SCHEMA, VERSION, sealed
 

@@ -24,7 +24,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
-from sdpid.output.report.efforts_verdict import _forces
+from sdpid.output.report.verdict import _forces
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages

@@ -24,11 +24,10 @@ from sdpid.assurance.intervals.delta_method import link_properties
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.output.charts.charts import Charts, packed, scripts, style
 from sdpid.output.charts.page import number, policy
-from sdpid.output.report import report
+from sdpid.output.report import parameters, report
 from sdpid.output.report.headline import headline
+from sdpid.output.report.recording import units
 from sdpid.output.report.report import report_html, write_report
-from sdpid.output.report.sections import motion, parameters
-from sdpid.output.report.sections.recording import units
 from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
 from tests.helpers.browser import Tab, look
@@ -280,7 +279,7 @@ def test_every_link_stands_beside_its_description(result: Identification, page: 
 
 
 def test_the_mass_matrix_is_looked_at_along_the_motion(result: Identification) -> None:
-    found = motion.values(result, Charts())["mass_matrix"]
+    found = parameters.values(result._subject, None, Charts())["mass_matrix"]
     least = {row["name"]: row["least"] for row in found["rows"]}
     q = result.problem.samples.position
     own = np.linalg.eigvalsh(result.estimate.model().mass_matrix(q))[:, 0].min()
@@ -290,7 +289,7 @@ def test_the_mass_matrix_is_looked_at_along_the_motion(result: Identification) -
     base = result.wls.base.copy()
     base[list(result.problem.base.names).index("zzr1")] = -1.0
     wrong = replace(result, wls=replace(result.wls, base=base))
-    rows = motion.values(wrong, Charts())["mass_matrix"]["rows"]
+    rows = parameters.values(wrong._subject, None, Charts())["mass_matrix"]["rows"]
     (free,) = [row for row in rows if row["name"] == "least squares"]
     assert free["most"] < 0.0
     assert free["indefinite"] == 1.0
@@ -405,9 +404,9 @@ def test_cross_validation_and_pieces_are_shown() -> None:
 
 
 def test_values_at_a_bound_are_zero(result: Identification) -> None:
-    rows = list(parameters.base_rows(result, {}))
+    rows = parameters.base_rows(result._subject, None)
     tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
-    again = list(parameters.base_rows(replace(result, estimate=tiny), {}))
+    again = parameters.base_rows(replace(result, estimate=tiny)._subject, None)
     assert again[0]["value"] == 0.0
     assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
 

@@ -27,7 +27,7 @@ from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.grades import graded, grades
-from sdpid.output.report.sections.recording import values
+from sdpid.output.report.recording import values
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate
@@ -378,12 +378,13 @@ def test_the_verdict_says_what_the_base_misses_and_what_a_gait_shows() -> None:
 
 def test_the_report_draws_which_feet_were_down() -> None:
     result = identified()
-    shown = values(result)["gait"]
+    shown = values(result._subject)["gait"]
     assert [each["title"] for each in shown] == ["training", "validation"]
     samples = result.problem.samples
     for row, down in zip(shown[0]["rows"], samples.contacts.down.T, strict=True):
-        drawn = sum(bar["width"] for bar in row["bars"]) / (shown[0]["width"] - shown[0]["left"])
-        assert drawn == pytest.approx(down.mean())
+        _, bars = row
+        # Beside the names, which take 190 of 1000.
+        assert sum(width for _, width in bars) / 810.0 == pytest.approx(down.mean())
 
 
 def test_a_robot_that_is_fixed_is_refused() -> None:

@@ -1,17 +1,15 @@
-"""Grade how far predicted efforts can be trusted on other motion, and state it as findings.
+"""Grade how far predicted efforts can be trusted on other motion.
 
 Every limit is a constant here, with its reason.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid._common.kept import kept
 from sdpid.assurance.diagnostics.bands import random_motion
 from sdpid.assurance.diagnostics.held_out import HeldOut
@@ -20,44 +18,7 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
-
-# Names listed before "and 3 more".
-_LISTED = 4
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A finding of the verdict.
-
-    Attributes
-    ----------
-    level : {"good", "caution", "bad"}
-        What it means for the model.
-    text : str
-        A sentence or two.
-    warning : str
-        What not to do with the result, in words that follow "do not"; every bad finding has some.
-    """
-
-    level: Level
-    text: str
-    warning: str = ""
-
-
-def listed(names: Iterable[str], most: int = _LISTED) -> str:
-    """Join up to `most` names with commas, and count the rest."""
-    every = list(names)
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return ", ".join(every[:most]) + more
-
-
-def percent(share: float) -> str:
-    """Return a share in percent."""
-    return f"{100.0 * share:.3g} %"
-
-
-Level = Literal["good", "caution", "bad"]
-LEVELS: tuple[Level, ...] = ("bad", "caution", "good")
+from sdpid.output.report.kinds import Level
 
 # Share of a joint's effort that is explained (R²). At 0.95 the error is 22 % of the effort's
 # spread, and a feedback loop is left with less than a quarter of the work; at 0.8 it is 45 %, and
@@ -111,24 +72,25 @@ def grades(estimate: Estimate, training: Validation, held_out: HeldOut | None) -
     held_out : HeldOut or None
         Its errors on what was held out.
     """
-    samples = estimate.problem.samples
-    if held_out is not None and held_out.by == "recording":
-        return tuple(graded(held_out.samples, held_out.fit))
     if held_out is None:
-        return tuple(
-            Grade(each.joint, "caution", shown=False) if each.level == "good" else each
-            for each in graded(samples, training)
-        )
+        every = graded(estimate.problem.samples, training)
+        return tuple(_unshown(each) if each.level == "good" else each for each in every)
+    every = graded(held_out.samples, held_out.fit)
+    if held_out.by == "recording":
+        return tuple(every)
+    errors, room = held_out.fit.moving, left_room(estimate)
     found = []
-    room = left_room(estimate)
-    for each in graded(held_out.samples, held_out.fit):
-        errors = held_out.fit.moving
+    for each in every:
         r2, nrmse = float(errors.r2[each.joint]), float(errors.nrmse[each.joint])
         wide = level_of(1.0 - MARGIN**2 * (1.0 - r2), MARGIN * nrmse)
-        if each.level == "good" and not wide == room[each.joint] == "good":
-            each = Grade(each.joint, "caution", shown=False)
-        found.append(each)
+        doubtful = each.level == "good" and not wide == room[each.joint] == "good"
+        found.append(_unshown(each) if doubtful else each)
     return tuple(found)
+
+
+def _unshown(grade: Grade) -> Grade:
+    """Return the grade of a joint that is predicted well on the motion of the training alone."""
+    return replace(grade, level="caution", shown=False)
 
 
 def graded(samples: Samples, fit: Validation) -> Iterator[Grade]:
@@ -141,8 +103,7 @@ def graded(samples: Samples, fit: Validation) -> Iterator[Grade]:
         if not fit.rows[j] or not np.any(samples.effort[:, j]):
             continue
         if not moved(samples, fit, j):
-            small = float(fit.nrmse[j]) <= SMALL
-            yield Grade(j, "caution" if small else "bad", moved=False)
+            yield Grade(j, "caution" if fit.nrmse[j] <= SMALL else "bad", moved=False)
             continue
         errors = fit.moving if fit.moving.rows[j] else fit
         yield Grade(j, level_of(float(errors.r2[j]), float(errors.nrmse[j])))
@@ -166,15 +127,11 @@ def moved(samples: Samples, fit: Validation, joint: int) -> bool:
 def left_room(estimate: Estimate) -> tuple[Level, ...]:
     """Return the level, joint by joint, of the error that parameters leave on random motion."""
     try:
-        return tuple(map(level_of, *_shares(*random_motion(estimate))))
+        deviation, effort = random_motion(estimate)
     except SdpidError:  # no covariance: nothing tells how much is left open
         unknown: Level = "caution"
         return (unknown,) * estimate.problem.robot.n
-
-
-def _shares(deviation: Array, effort: Array) -> tuple[list[float], list[float]]:
-    """Return R² (n,) and RMSE over rms effort (n,) of an error of a standard deviation."""
     tiny = np.finfo(float).tiny
     r2 = 1.0 - deviation**2 / np.maximum(effort.var(axis=0), tiny)
     nrmse = deviation / np.sqrt(np.maximum(np.mean(effort**2, axis=0), tiny))
-    return r2.tolist(), nrmse.tolist()
+    return tuple(map(level_of, r2.tolist(), nrmse.tolist()))

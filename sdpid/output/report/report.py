@@ -18,10 +18,10 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.output.charts.charts import Charts, scripts, style
 from sdpid.output.charts.page import page
-from sdpid.output.report.grades import LEVELS, Finding, Level
+from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
-from sdpid.output.report.judged import Judged, errors_of, judged
-from sdpid.output.report.sections import joints, motion, parameters, recording
+from sdpid.output.report.kinds import LEVELS
+from sdpid.output.report.subject import Judged, Subject
 from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
@@ -88,13 +88,12 @@ def report_html(
     """Return the page that `write_report` writes, with the same arguments and errors."""
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
-    result, charts = identification, Charts()
-    problem, errors = result.problem, errors_of(result)
-    states = constraint_states(result.estimate)
+    result, of, charts = identification, identification._subject, Charts()
+    problem, states = result.problem, constraint_states(result.estimate)
     # The robot along the motion that charts show, with its inertia ellipsoids.
-    samples, _ = judged(result)
-    line = TimeLine.of(samples.time, samples.n_samples, samples.starts)
-    scene = identified_scene(problem.robot, samples, result.estimate.theta, line.instants)
+    line = TimeLine.of(of.samples.time, of.samples.n_samples, of.samples.starts)
+    scene = identified_scene(problem.robot, of.samples, result.estimate.theta, line.instants)
+    every = findings(result)
     return page(
         "sdpid.output.report",
         "report.html.j2",
@@ -106,7 +105,12 @@ def report_html(
         result=result,
         problem=problem,
         sample_count=problem.n_samples,
-        thinned=recording.thinned(result),
+        headline=headline(result),
+        findings=every,
+        level=min((each.level for each in every), key=LEVELS.index, default="caution"),
+        held=result.held_out,
+        other_motion=of.other_motion,
+        beside=list(_beside(of)),
         crossed=result.cross_validation,
         states=[s for s in states if s.active],
         state_count=len(states),
@@ -115,47 +119,24 @@ def report_html(
         exports=exports,
         command=command,
         sha256=sha256,
-        **_short(result),
-        **joints.values(result, errors, charts, line),
-        **parameters.values(result, intervals),
-        **motion.values(result, charts),
-        **recording.values(result),
+        **joints.values(of, charts, line),
+        **parameters.values(of, intervals, charts),
+        **recording.values(of),
     )
 
 
-def _short(result: Judged) -> dict[str, Any]:
-    """Return the verdict, and the estimate beside what costs less."""
-    every = findings(result)
-    return {
-        "headline": headline(result),
-        "findings": every,
-        "level": _worst(every),
-        "held": result.held_out,
-        "other_motion": result.held_out is not None and result.held_out.by == "recording",
-        "beside": list(_beside(result)),
-    }
-
-
-def _worst(every: tuple[Finding, ...]) -> Level:
-    """Return the worst level of some findings."""
-    return min((each.level for each in every), key=LEVELS.index, default="caution")
-
-
-def _beside(result: Judged) -> Iterator[dict[str, Any]]:
+def _beside(of: Subject) -> Iterator[dict[str, Any]]:
     """Yield the errors on what was held out of the baselines and of the estimate.
 
     Bars are logarithmic, from 0.1 % to 100 %.
     """
-    if result.held_out is None:
-        return
-    every = result.held_out.every
-    for name, fit in every.items():
-        joints = zip(fit.moving.rmse.tolist(), fit.moving.rows.tolist(), strict=True)
+    for name, fit in () if of.held_out is None else of.held_out.every.items():
+        told, joints = fit.told.relative, zip(fit.moving.rmse, fit.moving.rows, strict=True)
         yield {
             "name": name,
-            "ours": fit is result.held_out.fit,
-            "moving": fit.told.relative,
-            "length": float(np.clip(1.0 + np.log10(max(fit.told.relative, 1e-9)) / 3.0, 0.0, 1.0)),
+            "ours": fit is of.fit,
+            "moving": told,
+            "length": float(np.clip(1.0 + np.log10(max(told, 1e-9)) / 3.0, 0.0, 1.0)),
             "resting": None if fit.resting is None else fit.resting.relative,
             "rmse": [value if rows else None for value, rows in joints][fit.n_base :],
         }

@@ -1,8 +1,7 @@
 """What is said of a model follows from what was put wrong."""
 
-import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,11 @@ from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.effects.kinds import Tried
 from sdpid.experiment.inspection.accept import REFUSED
 from sdpid.experiment.inspection.finding import Finding
-from sdpid.output.report import verdict
 from sdpid.output.report.grades import EXPLAINED, MARGIN, SMALL, Level, graded, grades
 from sdpid.output.report.headline import headline
-from sdpid.output.report.judged import errors_of
-from sdpid.output.report.prediction_verdict import prediction_findings
+from sdpid.output.report.kinds import KINDS, WARNINGS
 from sdpid.output.report.report import report_html
-from sdpid.output.report.verdict import _one_way, _unlike, findings
+from sdpid.output.report.verdict import findings, motion, prediction_findings
 from sdpid.output.robots.export_report import urdf_errors
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
@@ -57,6 +54,10 @@ def said(result: Identification, *words: str) -> str:
 def unsaid(result: Identification, *words: str) -> None:
     for text in result.verdict:
         assert not all(word in text for word in words), text
+
+
+def kinds(found: Iterable[Any]) -> set[str]:
+    return {each.kind for each in found}
 
 
 def with_validation(result: Identification, samples: sdpid.Samples) -> Identification:
@@ -213,11 +214,12 @@ def test_links_that_are_believed_to_be_alike_and_are_not_are_named(good: Identif
     prior = sdpid.Prior(bodies=arm_theta()[:20].reshape(2, 10), alike=pair, within=0.1)
     result = identified(good.problem.samples, prior=prior)
     # So short a chain moves as one of two bodies that are alike would, or nearly.
-    assert not list(_unlike(result))
+    unsaid(result, "believed to be mirror images")
     # The true ones are far from it.
-    (text,) = _unlike(replace(result, estimate=replace(result.estimate, theta=arm_theta())))
-    assert f"{' and '.join(ARM.link_names)} (8.5 times)" in text.text
-    assert not list(_unlike(good))
+    estimate = replace(result.estimate, theta=arm_theta())
+    text = said(replace(result, estimate=estimate), "believed to be mirror images")
+    assert f"{' and '.join(ARM.link_names)} (8.5 times)" in text
+    unsaid(good, "believed to be mirror images")
 
 
 def test_what_holds_a_joint_back_is_named_and_is_the_next_step(good: Identification) -> None:
@@ -360,7 +362,7 @@ def test_without_friction_directions_do_not_matter(good: Identification) -> None
     result = replace(
         good, problem=replace(problem, rows=replace(problem.rows, samples=samples), friction=bare)
     )
-    assert not list(_one_way(result))
+    assert "one_way" not in kinds(motion(result._subject))
 
 
 def test_all_pieces_count_for_directions(good: Identification) -> None:
@@ -368,14 +370,14 @@ def test_all_pieces_count_for_directions(good: Identification) -> None:
     for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
         joined = sdpid.Samples.join(pieces)
         result = trained_on(good, joined)
-        assert bool(list(_one_way(result))) is named
+        assert ("one_way" in kinds(motion(result._subject))) is named
 
 
 def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh, wanted = replace(good), good.verdict
-    first = errors_of(fresh)
-    monkeypatch.setattr("sdpid.output.report.judged.joint_errors", None)
-    assert errors_of(fresh) is first
+    first = fresh._subject.errors
+    monkeypatch.setattr("sdpid.output.report.subject.joint_errors", None)
+    assert fresh._subject.errors is first
     assert fresh.verdict == wanted
 
 
@@ -685,15 +687,11 @@ def test_every_red_box_of_the_report_is_a_line(full: Identification) -> None:
 
 
 def test_bad_findings_say_what_not_to_do() -> None:
-    """Every call that makes a bad finding gives a warning, read from the code."""
-    made = 0
-    for path in Path(verdict.__file__).parent.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            call = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding"
-            if call and isinstance(node.args[0], ast.Constant) and node.args[0].value == "bad":
-                made += 1
-                assert len(node.args) == 3, f"{path.name}, line {node.lineno}: no warning"
-    assert made >= 10
+    assert len(KINDS["bad"]) >= 10
+    assert KINDS["bad"].keys() <= WARNINGS.keys()
+    every = [kind for rows in KINDS.values() for kind in rows]
+    assert len(every) == len({*every})
+    assert WARNINGS.keys() <= {*every}
 
 
 def test_least_squares_that_is_no_robot_is_told(full: Identification) -> None:

@@ -1,1 +1,0 @@
-"""The report's sections: what each shows, as values of its template."""
