@@ -22,7 +22,8 @@ from sdpid.assurance.intervals.delta_method import (
     properties,
     slopes,
 )
-from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR, Intervals
+from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.assurance.intervals.parameters import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
@@ -148,14 +149,14 @@ def test_no_feasible_parameters_within_the_level_are_outside_of_a_proven_end(see
     rng = np.random.default_rng(seed)
     bounds = ProfileLikelihood(problem, theta, ScoreBlocks.of(problem), 0.95)
     c = rng.standard_normal(problem.n_theta)
-    end = bounds.minimum(c)
+    (end,) = bounds.minima([c])
     feasible = problem.feasible
     least = bounds.proven(c, end, (feasible.lower, feasible.upper))
     # What the solver found is one at its own level, and as near as the solver is accurate.
     at_its_level = bounds.proven(c, end, (feasible.lower, feasible.upper), end.solved)
-    assert at_its_level <= end.found + 1e-9
-    width = abs(float(c @ theta) - end.found)
-    assert end.found - at_its_level <= 0.01 * width
+    assert at_its_level <= float(c @ end.theta) + 1e-9
+    width = abs(float(c @ (theta - end.theta)))
+    assert float(c @ end.theta) - at_its_level <= 0.01 * width
     for _ in range(20):
         # Extremes of other functions are feasible; so is what is between them and the estimate.
         other = bounds.family.solve(rng.standard_normal(bounds.family.program.n), 1.0)
@@ -514,7 +515,7 @@ def test_the_level_inside_is_that_of_one_direction() -> None:
         d = bounds.expected(unit)
         freedom = errors.freedom((d @ problem.A)[None] @ errors.root)[0]
         one = t.ppf(0.975, freedom) ** 2 * (d @ covariance @ d) / (d @ d)
-        assert bounds.minimum(function, d).rise == pytest.approx(one, rel=1e-6)
+        assert bounds.minima([function], [d])[0].rise == pytest.approx(one, rel=1e-6)
 
 
 def test_at_an_apex_the_level_counts_what_is_pinned() -> None:
@@ -523,7 +524,7 @@ def test_at_an_apex_the_level_counts_what_is_pinned() -> None:
     bounds = ProfileLikelihood(problem, np.array(at_the_apex().theta), errors, 0.95)
     which = problem.base.names.index("zz2")
     function = problem.base.matrix[which]
-    lower, upper = (bounds.minimum(sign * function).rise for sign in (1.0, -1.0))
+    lower, upper = (end.rise for end in bounds.minima([function, -function]))
     # Without inertia about its axis a link has none off it: xy2, xz2, yz2, mx2, my2 vanish too.
     assert lower > 2.0 * upper
 

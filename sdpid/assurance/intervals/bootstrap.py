@@ -15,9 +15,9 @@ scatters to one side only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -61,8 +61,7 @@ _BEYOND = 2.0
 _MOST_LOST = 0.02
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Resampled:
+class Resampled(NamedTuple):
     """Estimates from resampled data.
 
     Attributes
@@ -79,39 +78,44 @@ class Resampled:
     lost: int
     seconds: float
 
-    def quantiles(
-        self, functionals: Array, level: float, kind: Kind, center: Array
-    ) -> tuple[Array, Array]:
-        """Return the ends (k,) of intervals of functions (k, b) of the base parameters.
 
-        Parameters
-        ----------
-        functionals : ndarray, shape (k, b)
-            The functions.
-        level : float
-            Probability.
-        kind : {"percentile", "basic"}
-            Quantiles of the draws, or mirrored about the center.
-        center : ndarray, shape (b,)
-            The estimate.
-        """
-        if kind not in KINDS:
-            raise DataError(f"bootstrap: kind is {kind!r}; use 'percentile' or 'basic'.")
-        tail = 0.5 * (1.0 - level)
-        # A probability of 1 − 0.95 is not exactly 0.05.
-        needed = int(np.ceil(_BEYOND / tail - 1e-6))
-        if len(self.base) < needed:
-            raise DataError(
-                f"bootstrap: {len(self.base)} resamples say too little of the ends at level "
-                f"{level}; at least {needed} are needed."
-            )
-        drawn = self.base @ functionals.T
-        # The ends are the draws number (count + 1)·tail from either side.
-        low, high = np.quantile(drawn, [tail, 1.0 - tail], axis=0, method="weibull")
-        if kind == "percentile":
-            return np.asarray(low), np.asarray(high)
-        middle = 2.0 * functionals @ center
-        return np.asarray(middle - high), np.asarray(middle - low)
+def bootstrap_intervals(
+    estimate: Estimate, functionals: Array, level: float, kind: Kind, **how: Any
+) -> dict[str, Any]:
+    """Return the ends of intervals of functions (k, b) of the base parameters, as their fields.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        From any solver.
+    functionals : ndarray, shape (k, b)
+        The functions.
+    level : float
+        Probability.
+    kind : {"percentile", "basic"}
+        Quantiles of the draws, or mirrored about the estimate.
+    **how
+        For `resample`.
+    """
+    drawn = resample(estimate, **how)
+    if kind not in KINDS:
+        raise DataError(f"bootstrap: kind is {kind!r}; use 'percentile' or 'basic'.")
+    tail = 0.5 * (1.0 - level)
+    # A probability of 1 − 0.95 is not exactly 0.05.
+    needed = int(np.ceil(_BEYOND / tail - 1e-6))
+    if len(drawn.base) < needed:
+        raise DataError(
+            f"bootstrap: {len(drawn.base)} resamples say too little of the ends at level "
+            f"{level}; at least {needed} are needed."
+        )
+    # The ends are the draws number (count + 1)·tail from either side.
+    values = drawn.base @ functionals.T
+    low, high = np.quantile(values, [tail, 1.0 - tail], axis=0, method="weibull")
+    if kind == "basic":
+        middle = 2.0 * functionals @ estimate.base
+        low, high = middle - high, middle - low
+    ends = {"lower": frozen(low), "upper": frozen(high)}
+    return {**ends, "seconds": drawn.seconds, "solves": len(drawn.base)}
 
 
 def resample(
@@ -158,17 +162,20 @@ def resample(
     problem = estimate.problem
     if groups == "blocks":
         size = max(problem.samples.block // _PIECES, 1)
-        pieces = ScoreBlocks.of(problem, groups, size=size)
-        run = _PIECES if size > 1 else 1
+        pieces, run = ScoreBlocks.of(problem, groups, size=size), _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    gains = gain_errors(problem)
-    T = pieces.coordinates
+    T, gains = pieces.coordinates, gain_errors(problem)
     turn = T.T if problem.weighting in PRINTED else (problem.A @ T).T
-    none = np.zeros((problem.base.count, 0))
-    moves = turn @ problem.A @ (none if gains is None else gains.root)
-    biased = turn @ problem.A @ np.hstack([none, *(source.moves for source in problem.errors)])
-    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves, biased)
+    beside = [
+        (tag, turn @ problem.A @ np.hstack(moves))
+        for tag, moves in (
+            (_OF_GAINS, [] if gains is None else [gains.root]),
+            (_OF_BIASES, [source.moves for source in problem.errors]),
+        )
+        if moves
+    ]
+    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), beside)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -189,8 +196,7 @@ def _whole(seed: int | np.random.Generator) -> int:
     return int(rng.integers(2**63)) if isinstance(seed, np.random.Generator) else int(seed)
 
 
-@dataclass(frozen=True, eq=False)
-class _Draws:
+class _Draws(NamedTuple):
     """Compressed pieces of the data and the program to solve; small enough to send to a worker.
 
     Attributes
@@ -203,18 +209,16 @@ class _Draws:
         Of all draws.
     refit : Refit
         The estimate.
-    gains : ndarray, shape (r, n)
-        How the target moves with errors of the gains of variance one.
-    biases : ndarray, shape (r, k)
-        How it moves with the fit's biases.
+    beside : list of (int, ndarray (r, k))
+        What tells the generators of other errors apart, and how the target moves with such errors
+        of variance one: those of gains, and the fit's biases.
     """
 
     pieces: ScoreBlocks
     run: int
     seed: int
     refit: Refit
-    gains: Array
-    biases: Array
+    beside: list[tuple[int, Array]]
 
     def times(self, number: int) -> Array:
         """Return the weight of each piece in draw `number`, (G,)."""
@@ -239,18 +243,14 @@ class _Draws:
             times = self.times(number)
             information = np.einsum("g,gij->ij", times, pieces.information)
             target = np.einsum("g,gi->i", times, pieces.target)
-            if self.gains.any():
-                rng = np.random.default_rng([self.seed, number, _OF_GAINS])
-                target += self.gains @ rng.standard_normal(self.gains.shape[1])
-            if self.biases.any():
-                rng = np.random.default_rng([self.seed, number, _OF_BIASES])
-                target += self.biases @ rng.standard_normal(self.biases.shape[1])
+            for tag, moves in self.beside:
+                rng = np.random.default_rng([self.seed, number, tag])
+                target += moves @ rng.standard_normal(moves.shape[1])
             found.append(self.refit.solve(information, target))
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Refit:
+class Refit(NamedTuple):
     """The estimate's problem, to be solved for other data.
 
     Attributes

@@ -64,16 +64,18 @@ class LinkProperties:
 def half_widths(
     posterior: Posterior, functions: Array, level: float, moved: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return half the widths (k,) of intervals of functions (k, p), and the prior's shares (k,).
+    """Return half the widths (...) of intervals of functions (..., p), and the prior's shares.
 
     How they move with the fit's errors may be more than through theta (see `Posterior.spread`).
     """
     from scipy.special import stdtrit
 
-    variance, share, freedom = posterior.spread(functions)
+    shape, flat = functions.shape[:-1], functions.reshape(-1, functions.shape[-1])
+    variance, share, freedom = posterior.spread(flat)
     if moved is not None:
-        variance, _, _ = posterior.spread(functions, moved)
-    return np.asarray(stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)), share
+        variance, _, _ = posterior.spread(flat, moved.reshape(len(flat), -1))
+    half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
+    return half.reshape(shape), share.reshape(shape)
 
 
 def _theta_of(estimate: Estimate, what: str) -> Array:
@@ -108,17 +110,15 @@ def link_properties(estimate: Estimate, *, level: float = 0.95) -> LinkPropertie
     value = properties(bodies)
     for i in np.flatnonzero(np.isfinite(value).all(axis=1)):
         functions[i, :, 10 * i : 10 * i + 10] = slopes(bodies[i])
-    half, prior_share = half_widths(
-        Posterior.of(estimate), functions.reshape(-1, problem.n_theta), level
-    )
-    lower, upper = value - half.reshape(value.shape), value + half.reshape(value.shape)
+    half, prior_share = half_widths(Posterior.of(estimate), functions, level)
+    lower, upper = value - half, value + half
     lower[:, _POSITIVE] = np.fmax(lower[:, _POSITIVE], 0.0)
     return LinkProperties(
         names=tuple(robot.link_names),
         value=frozen(value),
         lower=frozen(lower),
         upper=frozen(upper),
-        prior_share=frozen(prior_share.reshape(value.shape)),
+        prior_share=frozen(prior_share),
         level=level,
     )
 
@@ -191,15 +191,15 @@ def friction_curve(estimate: Estimate, speed: ArrayLike, *, level: float = 0.95)
         When the estimate has no standard parameters, or its problem no rows.
     """
     require_probability(level, "friction curve: level")
-    bands = _Bands(estimate)
-    speeds = frozen(np.atleast_1d(np.asarray(speed, dtype=np.float64)))
-    joints = len(bands.problem.friction.joint_names)
-    v = np.repeat(speeds[:, None], joints, axis=1)
-    columns, slopes = (0.5 * (a - b) for a, b in zip(bands.at(v), bands.at(-v), strict=True))
-    values, halves = bands.about(columns.reshape(v.size, -1), slopes.reshape(v.size, -1), level)
-    values, halves = values.reshape(v.shape), halves.reshape(v.shape)
+    curves, speeds = _Curves(estimate), frozen(np.atleast_1d(np.asarray(speed, dtype=np.float64)))
+    v = np.repeat(speeds[:, None], len(estimate.problem.friction.joint_names), axis=1)
+    ahead, back = curves.at(v), curves.at(-v)
+    functions, slopes = (0.5 * (a - b) for a, b in zip(ahead, back, strict=True))
     return FrictionCurve(
-        speed=speeds, friction=frozen(values), half_width=frozen(halves), level=level
+        speed=speeds,
+        friction=frozen(functions @ curves.theta),
+        half_width=frozen(curves.half_widths(functions, slopes, level)),
+        level=level,
     )
 
 
@@ -255,35 +255,34 @@ def joint_curves(
         As `joint_curve`.
     """
     require_probability(level, "friction curve: level")
-    bands, model = _Bands(estimate), estimate.model()
+    curves, model = _Curves(estimate), estimate.model()
+    places = np.arange(len(estimate.problem.friction.joint_names))
+    found = []
     if velocities is None:
-        velocities = dict.fromkeys(range(len(bands.problem.friction.joint_names)))
-    curves = []
+        velocities = dict.fromkeys(places.tolist())
     for joint, velocity in velocities.items():
         curve = model.friction_curve(joint, velocity)
-        alone = np.arange(len(bands.problem.friction.joint_names)) == joint
-        columns, slopes = bands.at(np.outer(curve.velocity, alone))
-        halves = bands.about(columns[:, joint], slopes[:, joint], level)[1]
-        ends = frozen(curve.effort - halves), frozen(curve.effort + halves)
-        curves.append(replace(curve, lower=ends[0], upper=ends[1], level=level))
-    return tuple(curves)
+        functions, slopes = curves.at(np.outer(curve.velocity, places == joint))
+        half = curves.half_widths(functions[:, joint], slopes[:, joint], level)
+        ends = frozen(curve.effort - half), frozen(curve.effort + half)
+        found.append(replace(curve, lower=ends[0], upper=ends[1], level=level))
+    return tuple(found)
 
 
-class _Bands:
-    """Values and half widths of what is linear in the friction parameters."""
+class _Curves:
+    """Friction of all joints as functions of theta, and how it moves with errors of the fit."""
 
     def __init__(self, estimate: Estimate) -> None:
         self.theta, self.problem = _theta_of(estimate, "friction curve"), estimate.problem
-        self._spectrum = spectrum_of(estimate)
-        self._posterior = Posterior.about(estimate, FitErrors.of(estimate, self._spectrum))
-        friction = self.problem.friction
-        self._links = self.problem.n_theta - len(friction.parameters)
-        self._bending = Bending.of(
-            friction, self.problem.origin.profiled, self.theta[self._links :]
-        )
+        spectrum = spectrum_of(estimate)
+        self._posterior = Posterior.about(estimate, FitErrors.of(estimate, spectrum))
+        self._shapes = spectrum.whole_root[spectrum.base_count :]
+        friction, profiled = self.problem.friction, self.problem.origin.profiled
+        tail = self.theta[self.problem.n_theta - len(friction.parameters) :]
+        self._bending = Bending.of(friction, profiled, tail)
 
     def at(self, v: Array) -> tuple[Array, Array]:
-        """Return columns (s, joints, f) at velocities (s, joints), and derivatives (s, joints, d).
+        """Return functions (s, joints, p) of theta at velocities (s, joints), and slopes (…, d).
 
         These are by the shape parameters that were fitted with the rest.
         """
@@ -291,21 +290,15 @@ class _Bands:
         motion = Motion(
             position=v, velocity=v, acceleration=np.zeros_like(v), robot=self.problem.robot
         )
-        # The first is of no term: a robot without friction has a curve, too.
-        blocks = [np.zeros((*v.shape, 0))]
-        blocks += [
-            np.zeros((*v.shape, len(term.parameters(names))))
-            if term.posed
-            else term.columns_in(motion, names)
-            for term in friction.terms
-        ]
-        return np.concatenate(blocks, axis=2), self._bending.columns(motion)[:, friction.first :]
+        functions = np.zeros((*v.shape, self.problem.n_theta))
+        tail = functions[:, :, self.problem.n_theta - len(friction.parameters) :]
+        for term, place in friction.placed:
+            if not term.posed:
+                tail[:, :, place] = term.columns_in(motion, names)
+        return functions, self._bending.columns(motion)[:, friction.first :]
 
-    def about(self, columns: Array, slopes: Array, level: float) -> tuple[Array, Array]:
-        """Return values and half widths (k,) of columns (k, f) with derivatives (k, d)."""
-        functions = np.hstack([np.zeros((len(columns), self._links)), columns])
+    def half_widths(self, functions: Array, slopes: Array, level: float) -> Array:
+        """Return half the widths (...) of intervals of functions (..., p) with slopes (..., d)."""
         moved = functions @ self._posterior.from_errors
-        of_slopes = self._spectrum.whole_root[self._spectrum.base_count :]
-        moved[:, : of_slopes.shape[1]] += slopes @ of_slopes
-        half, _ = half_widths(self._posterior, functions, level, moved)
-        return functions @ self.theta, half
+        moved[..., : self._shapes.shape[1]] += slopes @ self._shapes
+        return half_widths(self._posterior, functions, level, moved)[0]

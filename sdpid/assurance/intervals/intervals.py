@@ -23,22 +23,17 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen, require_probability
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid._common.threads import one_thread
-from sdpid.assurance.intervals.bootstrap import Kind, resample
+from sdpid.assurance.intervals.bootstrap import Kind, bootstrap_intervals
 from sdpid.assurance.intervals.delta_method import half_widths
-from sdpid.assurance.intervals.parameters import ParameterFunctions
-from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
+from sdpid.assurance.intervals.parameters import FROM_DATA, FROM_PRIOR, ParameterFunctions
+from sdpid.assurance.intervals.profile_likelihood import profile_intervals
 from sdpid.errors import DataError
-from sdpid.estimation.cluster_robust import Groups as DrawnGroups
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.posterior import Groups, Posterior, fit_errors
+from sdpid.estimation.posterior import Groups, Posterior
 
 Method = Literal["profile", "gauss_markov", "bootstrap"]
-
-FROM_DATA = "from data"
-FROM_PHYSICS = "from physics"
-FROM_PRIOR = "from the prior"
 
 # Sources of errors that residuals do not show: their name, what biases do, and what makes intervals
 # shorter.
@@ -152,19 +147,22 @@ class Intervals(Shown):
         values = np.asarray(values, dtype=np.float64)
         return np.asarray((self.lower <= values) & (values <= self.upper))
 
-    def _tables(self) -> Iterator[Table]:
-        yield self._table()
-
-    def _table(self) -> Table:
-        """Return one row a parameter; the last column is left out where no end rests on a mass."""
-        columns: dict[str, Sequence[object]] = {
-            "parameter": self.names,
+    def _columns(self) -> dict[str, Sequence[object]]:
+        """Return what both the table and plain values say of each parameter."""
+        return {
             "unit": self.units,
             "lower": self.lower.tolist(),
             "estimate": self.estimate.tolist(),
             "upper": self.upper.tolist(),
             "label": self.label,
         }
+
+    def _tables(self) -> Iterator[Table]:
+        yield self._table()
+
+    def _table(self) -> Table:
+        """Return one row a parameter; the last column is left out where no end rests on a mass."""
+        columns = {"parameter": self.names, **self._columns()}
         for source, share in self.shares.items():
             shown = [round(100.0 * each) for each in share.tolist()]
             columns[f"from {_SOURCES[source][0]}, %"] = shown
@@ -198,16 +196,8 @@ class Intervals(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        columns: dict[str, Sequence[object]] = {
-            "name": self.names,
-            "kind": self.kind,
-            "unit": self.units,
-            "lower": self.lower.tolist(),
-            "estimate": self.estimate.tolist(),
-            "upper": self.upper.tolist(),
-            "label": self.label,
-            "ends_at_largest_mass": self.by_mass.tolist(),
-        }
+        columns = {"name": self.names, "kind": self.kind, **self._columns()}
+        columns["ends_at_largest_mass"] = self.by_mass.tolist()
         columns |= {f"{name}_share": share.tolist() for name, share in self.shares.items()}
         rows = zip(*columns.values(), strict=True)
         content = {
@@ -296,209 +286,76 @@ def confidence_intervals(
         raise DataError(
             f"intervals: method is {method!r}; use 'profile', 'gauss_markov' or 'bootstrap'."
         )
-    problem = estimate.problem
-    requested = (
-        None
-        if parameters is None
-        else tuple([parameters] if isinstance(parameters, str) else parameters)
-    )
-    if method == "gauss_markov":
-        return _gauss_markov(estimate, requested, level, groups or "frequencies")
-    wanted = ParameterFunctions.of(problem, requested)
+    problem, chosen = estimate.problem, groups or "frequencies"
+    wanted, named = ParameterFunctions.of(problem, parameters), parameters is not None
+    posterior = None
     if method == "profile":
-        return _profile(estimate, wanted, level, groups or "frequencies", n_jobs)
-    if groups == "frequencies":
-        raise DataError("intervals: the bootstrap draws groups='blocks' or 'periods'.")
-    require_excitation(problem.excitation)
-    wanted = _answered(wanted, wanted.determined, requested)
-    return _bootstrap(estimate, wanted, level, groups or "blocks", resamples, kind, seed, n_jobs)
-
-
-def _gauss_markov(
-    estimate: Estimate, names: tuple[str, ...] | None, level: float, groups: Groups
-) -> Intervals:
-    """Return the estimate and quantiles of its errors either way, cut off at declared limits."""
-    problem = estimate.problem
-    with_prior = estimate.theta is not None and problem.prior is not None
-    if not with_prior:
+        found = profile_intervals(estimate, wanted, level, chosen, n_jobs)
+    elif method == "gauss_markov":
+        believed = estimate.theta is not None and problem.prior is not None
+        if not believed:
+            require_excitation(problem.excitation)
+        base = np.array([kind == "base" for kind in wanted.kind])
+        wanted = wanted.answered(wanted.determined | (base & believed), named)
+        posterior = Posterior.of(estimate, chosen)
+        found = _gauss_markov(estimate, wanted, level, posterior)
+    else:
+        if groups == "frequencies":
+            raise DataError("intervals: the bootstrap draws groups='blocks' or 'periods'.")
         require_excitation(problem.excitation)
-    wanted = ParameterFunctions.of(problem, names)
-    base = np.array([kind == "base" for kind in wanted.kind])
-    wanted = _answered(wanted, wanted.determined | (base & with_prior), names)
-    value = (
-        wanted.functionals @ estimate.base
-        if estimate.theta is None
-        else wanted.functions @ estimate.theta
-    )
-    posterior = Posterior.of(estimate, groups)
-    half, prior_share = half_widths(posterior, wanted.functions, level)
-    lower, upper = value - half, value + half
-    if estimate.method != "wls":
-        least, most = problem.feasible.limits_of(wanted.functions)
-        # The estimate itself may be outside of a limit, by rounding.
-        lower = np.minimum(np.maximum(lower, least), value)
-        upper = np.maximum(np.minimum(upper, most), value)
-    labels = tuple(FROM_PRIOR if share > 0.5 else FROM_DATA for share in prior_share)
-    return _made(
-        wanted,
-        lower,
-        upper,
-        estimate=frozen(value),
-        label=labels,
-        level=level,
-        method="gauss_markov",
-        groups=groups,
-        shares=_shares(estimate, wanted, posterior),
-    )
-
-
-def _answered(
-    wanted: ParameterFunctions, chosen: Mask, requested: tuple[str, ...] | None
-) -> ParameterFunctions:
-    """Return the chosen parameters; raise where others were asked for by name."""
-    others = tuple(compress(wanted.names, ~chosen))
-    if requested is not None and others:
-        raise DataError(
-            f"intervals: the data alone do not determine {', '.join(others)}; use "
-            "method='profile', which says what physics leaves of them."
+        chosen = groups or "blocks"
+        wanted = wanted.answered(wanted.determined, named)
+        found = bootstrap_intervals(
+            estimate,
+            wanted.functionals,
+            level,
+            kind,
+            resamples=resamples,
+            groups=chosen,
+            seed=seed,
+            n_jobs=n_jobs,
         )
-    return wanted.only(chosen)
-
-
-def _bootstrap(
-    estimate: Estimate,
-    wanted: ParameterFunctions,
-    level: float,
-    groups: DrawnGroups,
-    resamples: int,
-    kind: Kind,
-    seed: int | np.random.Generator,
-    n_jobs: int | None,
-) -> Intervals:
-    drawn = resample(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)
-    value = wanted.functionals @ estimate.base
-    lower, upper = drawn.quantiles(wanted.functionals, level, kind, estimate.base)
-    return _made(
-        wanted,
-        lower,
-        upper,
-        estimate=frozen(value),
-        level=level,
-        method="bootstrap",
-        groups=groups,
-        shares=_shares(estimate, wanted),
-        seconds=drawn.seconds,
-        solves=len(drawn.base),
-    )
-
-
-def _profile(
-    estimate: Estimate,
-    wanted: ParameterFunctions,
-    level: float,
-    groups: Groups,
-    n_jobs: int | None,
-) -> Intervals:
-    """Return the extremes over all feasible parameters within the level."""
-    if estimate.theta is None:
-        raise DataError(
-            f"intervals: method '{estimate.method}' gives no standard parameters; use "
-            "method='gauss_markov', or an estimate of a constrained solver."
-        )
-    problem, theta = estimate.problem, np.array(estimate.theta)
-    bounds = ProfileLikelihood(problem, theta, fit_errors(estimate, groups), level)
-    functions: list[tuple[Array, Array | None]] = []
-    for function, functional, determined in zip(
-        wanted.functions, wanted.functionals, wanted.determined, strict=True
-    ):
-        moved = bounds.expected(functional) if determined else None
-        functions += [(function, moved), (-function, moved)]
-    found = bounds.minima(functions, n_jobs)
-    ends: list[tuple[End, End]] = list(zip(found[::2], found[1::2], strict=True))
-    box = _box(bounds, wanted, ends)
-    proven = np.array(
-        [
-            (bounds.proven(c, low, box), -bounds.proven(-c, high, box))
-            for c, (low, high) in zip(wanted.functions, ends, strict=True)
-        ]
-    ).reshape(-1, 2)
-    slack = np.array(
-        [
-            [
-                end.found - bounds.proven(sign * c, end, box, end.solved)
-                for sign, end in zip((1.0, -1.0), pair, strict=True)
-            ]
-            for c, pair in zip(wanted.functions, ends, strict=True)
-        ]
-    ).reshape(-1, 2)
-    labels = tuple(
-        FROM_DATA if seen else _label(pair)
-        for seen, pair in zip(wanted.determined.tolist(), ends, strict=True)
-    )
-    return _made(
-        wanted,
-        proven[:, 0],
-        proven[:, 1],
-        estimate=frozen(wanted.functions @ theta),
-        level=level,
-        method="profile",
-        groups=groups,
-        shares=_shares(estimate, wanted),
-        label=labels,
-        by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
-        slack=frozen(slack),
-        seconds=sum(end.seconds for end in found),
-        solves=sum(end.solves for end in found),
-    )
-
-
-def _label(ends: tuple[End, End]) -> str:
-    """Return what bounds a parameter that the data leave open."""
-    if any(end.rests[0] or end.prior_share > 0.5 for end in ends):
-        return FROM_PRIOR
-    return FROM_PHYSICS
-
-
-def _box(
-    bounds: ProfileLikelihood, wanted: ParameterFunctions, ends: list[tuple[End, End]]
-) -> tuple[Array, Array]:
-    """Return bounds of theta that hold at every level used, from the multipliers found."""
-    feasible = bounds.problem.feasible
-    lower, upper = feasible.lower.copy(), feasible.upper.copy()
-    declared = feasible.lower, feasible.upper
-    highest = max((max(end.rise, end.solved) for pair in ends for end in pair), default=0.0)
-    for c, (low, high) in zip(wanted.functions, ends, strict=True):
-        index = np.flatnonzero(c)
-        if len(index) != 1 or c[index[0]] != 1.0:
-            continue
-        k = int(index[0])
-        lower[k] = max(lower[k], bounds.proven(c, low, declared, highest))
-        upper[k] = min(upper[k], -bounds.proven(-c, high, declared, highest))
-    return lower, upper
-
-
-def _made(wanted: ParameterFunctions, lower: Array, upper: Array, **facts: Any) -> Intervals:
-    """Return the intervals of some parameters; all are from data unless that is said."""
-    count = len(wanted.names)
-    facts.setdefault("label", (FROM_DATA,) * count)
-    marks = facts.setdefault("by_mass", np.zeros((count, 2), dtype=bool))
-    marks.setflags(write=False)
+    facts: dict[str, Any] = {
+        "label": (FROM_DATA,) * len(wanted.names),
+        "by_mass": np.zeros((len(wanted.names), 2), dtype=bool),
+        **found,
+    }
+    facts["by_mass"].setflags(write=False)
+    if error_sources(problem):
+        posterior = posterior or Posterior.of(estimate)
+        facts["shares"] = {
+            each.name: frozen(posterior.share(each, wanted.functions)) for each in posterior.sources
+        }
     return Intervals(
         names=wanted.names,
         kind=wanted.kind,
         units=wanted.units,
-        lower=frozen(lower),
-        upper=frozen(upper),
+        estimate=frozen(_values(estimate, wanted)),
+        level=level,
+        method=method,
+        groups=chosen,
         **facts,
     )
 
 
-def _shares(
-    estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
-) -> dict[str, Array]:
-    """Return shares (k,) of what residuals do not show in the variances."""
-    sources = error_sources(estimate.problem)
-    if not sources:
-        return {}
-    found = posterior or Posterior.of(estimate)
-    return {each.name: frozen(found.share(each, wanted.functions)) for each in sources}
+def _values(estimate: Estimate, wanted: ParameterFunctions) -> Array:
+    """Return the estimates (k,) of parameters."""
+    if estimate.theta is None:
+        return np.asarray(wanted.functionals @ estimate.base)
+    return np.asarray(wanted.functions @ estimate.theta)
+
+
+def _gauss_markov(
+    estimate: Estimate, wanted: ParameterFunctions, level: float, posterior: Posterior
+) -> dict[str, Any]:
+    """Return the estimate and quantiles of its errors either way, cut off at declared limits."""
+    value = _values(estimate, wanted)
+    half, prior_share = half_widths(posterior, wanted.functions, level)
+    lower, upper = value - half, value + half
+    if estimate.method != "wls":
+        least, most = estimate.problem.feasible.limits_of(wanted.functions)
+        # The estimate itself may be outside of a limit, by rounding.
+        lower = np.minimum(np.maximum(lower, least), value)
+        upper = np.maximum(np.minimum(upper, most), value)
+    labels = tuple(FROM_PRIOR if share > 0.5 else FROM_DATA for share in prior_share)
+    return {"lower": frozen(lower), "upper": frozen(upper), "label": labels}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from itertools import compress
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,13 +14,15 @@ from sdpid.estimation.information import UNDETERMINED
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 
+# What bounds a parameter.
+FROM_DATA, FROM_PHYSICS, FROM_PRIOR = "from data", "from physics", "from the prior"
+
 # A standard parameter is determined by the data where the base parameters leave less than this
 # of it open, in scaled units: rounding.
 _OPEN = 1e-7
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterFunctions:
+class ParameterFunctions(NamedTuple):
     """Parameters as linear functions of theta and of the base parameters.
 
     Attributes
@@ -56,12 +59,11 @@ class ParameterFunctions:
         kind = ("base",) * base.count + ("standard",) * problem.n_theta
         units = (*base.units, *base.theta_units)
         # A standard parameter that is a base parameter, name and all, is not listed twice.
+        own = dict(zip(base.names, base.matrix, strict=True))
         kept = [
             i
             for i, name in enumerate(names)
-            if i < base.count
-            or name not in base.names
-            or not np.allclose(functions[i], base.matrix[base.names.index(name)])
+            if i < base.count or name not in own or not np.allclose(functions[i], own[name])
         ]
         if parameters is not None:
             requested = [parameters] if isinstance(parameters, str) else list(parameters)
@@ -95,13 +97,25 @@ class ParameterFunctions:
         )
 
     def only(self, chosen: Mask) -> ParameterFunctions:
-        """Return the functions that a mask or index selects."""
-        index = np.flatnonzero(chosen)
-        return ParameterFunctions(
-            names=tuple(self.names[i] for i in index),
-            kind=tuple(self.kind[i] for i in index),
-            units=tuple(self.units[i] for i in index),
-            functions=self.functions[index],
-            functionals=self.functionals[index],
-            determined=self.determined[index],
-        )
+        """Return the functions that a mask selects."""
+        kept: list[Any] = [
+            tuple(compress(each, chosen)) if isinstance(each, tuple) else each[chosen]
+            for each in self
+        ]
+        return ParameterFunctions(*kept)
+
+    def answered(self, chosen: Mask, requested: bool) -> ParameterFunctions:
+        """Return the chosen parameters; raise where others were asked for by name.
+
+        Raises
+        ------
+        DataError
+            Where `requested` are others.
+        """
+        others = ", ".join(compress(self.names, ~chosen))
+        if requested and others:
+            raise DataError(
+                f"intervals: the data alone do not determine {others}; use method='profile', which "
+                "says what physics leaves of them."
+            )
+        return self.only(chosen)

@@ -24,19 +24,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, frozen
 from sdpid._common.jobs import parallel
 from sdpid.assurance.intervals.level import Level, Move
+from sdpid.assurance.intervals.parameters import (
+    FROM_DATA,
+    FROM_PHYSICS,
+    FROM_PRIOR,
+    ParameterFunctions,
+)
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.conic.fit_response import FitResponse
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution, solve_conic, solve_with_retries
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import clip_psd
-from sdpid.estimation.posterior import FitErrors
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.posterior import FitErrors, Groups, fit_errors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import SdpProgram
@@ -71,8 +78,8 @@ class End:
 
     Attributes
     ----------
-    found : float
-        At the solver's point: not proven, and within rounding attained.
+    theta : ndarray, shape (p,)
+        The solver's point; what the function is there is not proven, but attained within rounding.
     u, Z, rows : ndarray
         Multipliers of the residual, the matrices and the linear rows.
     rise : float
@@ -89,7 +96,7 @@ class End:
         Programs solved.
     """
 
-    found: float
+    theta: Array
     u: Array
     Z: Array
     rows: Array
@@ -99,13 +106,6 @@ class End:
     prior_share: float
     seconds: float = 0.0
     solves: int = 0
-
-
-# An end, how the residual moves there, and the solution.
-Found: TypeAlias = tuple[End, Array, ConicSolution]
-
-_NONE = np.zeros(0)
-_NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
 
 
 class ProfileLikelihood:
@@ -145,8 +145,8 @@ class ProfileLikelihood:
         self.program = SdpProgram.build(
             problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
         )
-        self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
         conic = self.program.conic
+        self.family = ConicFamily(replace(conic, cost=None, radius=1.0))
         self.response = FitResponse(conic)
         pattern = np.vstack([conic.M != 0.0, np.ones((1, conic.n), dtype=bool)])
         self.held = ConicFamily(
@@ -170,47 +170,61 @@ class ProfileLikelihood:
         return moved
 
     def minima(
-        self, wanted: Sequence[tuple[Array, Array | None]], n_jobs: int | None = None
+        self,
+        functions: Array,
+        moves: Sequence[Array | None] | None = None,
+        n_jobs: int | None = None,
     ) -> list[End]:
-        """Return the minimum of each of several linear functions.
+        """Return the minimum of each of several linear functions c·theta.
 
         Parameters
         ----------
-        wanted : sequence of (c, moved)
-            The functions, and how the residual is thought to move.
+        functions : ndarray, shape (k, p)
+            The functions.
+        moves : sequence of ndarray or None, optional
+            How the residual is thought to move, where that is known: for the first levels.
         n_jobs : int, optional
             Jobs (joblib), by default one a core: threads, or the backend of a surrounding
             ``joblib.parallel_config``. The result does not depend on it.
+
+        Raises
+        ------
+        SolverError
+            When the solver finds nothing.
         """
         from joblib import delayed
 
-        tasks = [wanted[i : i + _TOGETHER] for i in range(0, len(wanted), _TOGETHER)]
-        found = parallel(n_jobs, threads=True)(delayed(self._some)(task) for task in tasks)
+        moves = moves or [None] * len(functions)
+        parts = [slice(i, i + _TOGETHER) for i in range(0, len(functions), _TOGETHER)]
+        found = parallel(n_jobs, threads=True)(
+            delayed(self._some)(functions[part], moves[part]) for part in parts
+        )
         return [end for each in found for end in each]
 
-    def _some(self, wanted: Sequence[tuple[Array, Array | None]]) -> list[End]:
+    def _some(self, functions: Array, moves: Sequence[Array | None]) -> list[End]:
         """Return the minima of a few functions, whose levels are updated together."""
-        levels = self.level.highest([moved for _, moved in wanted], float(np.trace(self._free)))
+        levels = self.level.highest(moves, float(np.trace(self._free)))
         ends: dict[int, End] = {}
-        left = list(range(len(wanted)))
+        spent = np.zeros((len(functions), 2))
+        left = list(range(len(functions)))
         for _ in range(_ROUNDS):
-            found = [self._at(wanted[i][0], levels[i]) for i in left]
-            updated = self.level.rises([move for _, move in found])
-            for i, (end, _), rise in zip(left, found, updated, strict=True):
-                before = ends.get(i, _NOTHING)
-                seconds, solves = before.seconds + end.seconds, before.solves + end.solves
-                ends[i] = replace(end, rise=rise, seconds=seconds, solves=solves)
-            moves = dict(zip(left, (move for _, move in found), strict=True))
-            left = []
-            for i, move in moves.items():
-                nearer = self._nearer(wanted[i][0], ends[i], move)
-                ends[i] = nearer or ends[i]
+            found = [self._at(functions[i], levels[i]) for i in left]
+            rises = self.level.rises([move for _, move in found])
+            tried, left = left, []
+            for i, (end, move), rise in zip(tried, found, rises, strict=True):
+                spent[i] += end.seconds, end.solves
+                ends[i], levels[i] = replace(end, rise=rise), rise
+                nearer = self._nearer(functions[i], ends[i], move)
                 if nearer is None:
                     left.append(i)
-                    levels[i] = ends[i].rise
+                else:
+                    ends[i] = nearer
             if not left:
                 break
-        return [ends[i] for i in range(len(wanted))]
+        return [
+            replace(ends[i], seconds=seconds, solves=int(solves))
+            for i, (seconds, solves) in enumerate(spent.tolist())
+        ]
 
     def _nearer(self, c: Array, end: End, move: Move) -> End | None:
         """Return the end at its new level where that needs no other solve, else None."""
@@ -223,48 +237,29 @@ class ProfileLikelihood:
         # Inside of all constraints extremes lie on a line through the estimate.
         square, product = float(move.residual @ move.residual), float(move.residual @ self.residual)
         share = min((np.sqrt(product**2 + square * end.rise) - product) / square, 1.0)
-        here = float(c @ self.theta)
-        found = here + share * (end.found - here)
-        box = self.problem.feasible.lower, self.problem.feasible.upper
-        if found - self.proven(c, end, box) > _TIGHT * (here - found):
+        theta = self.theta + share * (end.theta - self.theta)
+        if float(c @ theta) - self.proven(c, end) > _TIGHT * float(c @ (self.theta - theta)):
             return None
-        return replace(end, found=found, solved=end.rise)
-
-    def minimum(self, c: Array, moved: Array | None = None) -> End:
-        """Return the minimum of c·theta.
-
-        Parameters
-        ----------
-        c : ndarray, shape (p,)
-            The function.
-        moved : ndarray, optional
-            How the residual is thought to move, for the first level.
-
-        Raises
-        ------
-        SolverError
-            When the solver finds nothing.
-        """
-        return self._some([(c, moved)])[0]
+        return replace(end, theta=theta, solved=end.rise)
 
     def _at(self, c: Array, rise: float) -> tuple[End, Move]:
         """Return the minimum at a level, and what the fit loses there."""
-        directions = self.program.coordinates.directions
-        slope = directions.T @ c
+        slope = self.program.coordinates.directions.T @ c
         size = float(np.linalg.norm(slope)) or 1.0
-        radius = self._radius(rise)
-        box = self.problem.feasible.lower, self.problem.feasible.upper
+        slope, radius = slope / size, self._radius(rise) / self.unit
 
-        def judge(x: Array, solution: ConicSolution) -> tuple[Found, float] | None:
+        def judge(
+            _: Array, solution: ConicSolution
+        ) -> tuple[tuple[End, ConicSolution], float] | None:
             if len(solution.ball) == 0:
                 return None
-            end, moved = self._end(c, size, solution, rise)
-            width = max(abs(end.found - float(c @ self.theta)), 1e-12)
-            return (end, moved, solution), (end.found - self.proven(c, end, box, rise)) / width
+            end = self._end(c, size, solution, rise)
+            short = float(c @ end.theta) - self.proven(c, end)
+            return (end, solution), short / max(abs(float(c @ (end.theta - self.theta))), 1e-12)
 
         # One that is not as close will do: the interval ends at the bound that it proves.
         best = solve_with_retries(
-            partial(self.family.solve, slope / size, radius / self.unit),
+            partial(self.family.solve, slope, radius),
             _REGULARIZATIONS,
             judge,
             enough=_CLOSE,
@@ -275,22 +270,17 @@ class ProfileLikelihood:
                 "method='gauss_markov' or 'bootstrap'.",
                 problem=self.problem,
             )
-        end, moved, solution = best.value
+        end, found = best.value
         end = replace(end, seconds=best.seconds, solves=best.solves)
-        return self._with_move(end, moved, slope / size, radius / self.unit, solution)
-
-    def _with_move(
-        self, end: End, moved: Array, slope: Array, radius: float, found: ConicSolution
-    ) -> tuple[End, Move]:
-        """Return an end and what the fit loses there, the slope being of size one."""
-        pull = float(found.ball[0])
-        if found.x is None or not np.any(slope):
+        moved = self.problem.squared.residual(end.theta) - self.residual
+        pull, x = float(found.ball[0]), np.asarray(found.x)
+        value = float(slope @ x)
+        if not np.any(slope):
             return end, Move(moved)
-        value = float(slope @ found.x)
         if pull * radius > _FLAT * abs(value):
             # The multiplier of the radius, per unit of the squares.
             weight = 2.0 * radius / pull
-            there = self.response.at(found.x, found.rows, found.blocks, weight=weight, held=slope)
+            there = self.response.at(x, found.rows, found.blocks, weight=weight, held=slope)
             return end, Move(moved, self._free - there)
         # The data have no say at this level: what do they say of parameters at that limit?
         conic, stiff = self.program.conic, self.response.stiff
@@ -307,10 +297,8 @@ class ProfileLikelihood:
     def _radius(self, rise: float) -> float:
         return float(np.sqrt(self.cost + rise))
 
-    def _end(
-        self, c: Array, size: float, solution: ConicSolution, rise: float
-    ) -> tuple[End, Array]:
-        """Return the end and the change of the residual that a solution gives."""
+    def _end(self, c: Array, size: float, solution: ConicSolution, rise: float) -> End:
+        """Return the end that a solution gives."""
         problem, feasible, program = self.problem, self.problem.feasible, self.program
         theta = program.theta(solution)
         found = program.multipliers(solution, theta)
@@ -323,30 +311,28 @@ class ProfileLikelihood:
         if np.any(feasible.equations):
             left = self._left(c, u, Z, np.where(feasible.equations, 0.0, rows))
             rows[feasible.equations] = program.of_equations(left - share * found.bounds)
-        moved = problem.squared.residual(theta) - self.residual
         width = max(abs(float(c @ (theta - self.theta))), 1e-300)
         # What an end would move by, were all limits that theta is at twice as far.
         limit = np.maximum(np.abs(feasible.lower), np.abs(feasible.upper))
         held = share * np.abs(np.nan_to_num(found.bounds)) * limit
         held = np.where(np.abs(theta) >= _AT * limit, held, 0.0)
-        wide = float(np.sum(held[~feasible.bounded]))
-        mass = float(
-            np.sum(held[: 10 * feasible.n_links][feasible.bounded[: 10 * feasible.n_links]])
-        )
-        count = problem.base.count
+        mass = feasible.bounded & (np.arange(len(theta)) < 10 * feasible.n_links)
+        wide, heavy = (float(np.sum(held[each])) for each in (~feasible.bounded, mass))
         # Multipliers that hold next to nothing have no source.
-        counts = float(np.linalg.norm(u)) * self.unit > _RESTS * width
-        end = End(
-            found=float(c @ theta),
+        counts, of_prior = (
+            float(np.linalg.norm(u)) * self.unit > _RESTS * width,
+            u[len(problem.A) :],
+        )
+        return End(
+            theta=theta,
             u=u,
             Z=Z,
             rows=rows,
             rise=rise,
             solved=rise,
-            rests=(wide >= _RESTS * width, mass >= _RESTS * width),
-            prior_share=float(u[count:] @ u[count:]) / float(u @ u) if counts else 0.0,
+            rests=(wide >= _RESTS * width, heavy >= _RESTS * width),
+            prior_share=float(of_prior @ of_prior) / float(u @ u) if counts else 0.0,
         )
-        return end, moved
 
     def _left(self, c: Array, u: Array, Z: Array, rows: Array) -> Array:
         """Return c less what the multipliers account for, (p,): zero but for rounding."""
@@ -355,7 +341,13 @@ class ProfileLikelihood:
             c - self.problem.squared.transposed(u) - feasible.adjoint(Z) - rows @ feasible.rows
         )
 
-    def proven(self, c: Array, end: End, box: tuple[Any, Any], rise: float | None = None) -> float:
+    def proven(
+        self,
+        c: Array,
+        end: End,
+        box: tuple[Array, Array] | None = None,
+        rise: float | None = None,
+    ) -> float:
         """Return the lower bound on c·theta that the multipliers prove at a level.
 
         Parameters
@@ -364,12 +356,13 @@ class ProfileLikelihood:
             The function.
         end : End
             Multipliers.
-        box : tuple of ndarray
-            Lower and upper bounds of theta that hold at this level.
+        box : tuple of ndarray, optional
+            Lower and upper bounds of theta that hold at this level; by default those declared.
         rise : float, optional
-            The level.
+            The level; by default the end's.
         """
         feasible = self.problem.feasible
+        lower, upper = box or (feasible.lower, feasible.upper)
         left = self._left(c, end.u, end.Z, end.rows)
         radius = self._radius(end.rise if rise is None else rise)
         limits = np.where(end.rows > 0.0, feasible.row_lower, feasible.row_upper)
@@ -377,4 +370,57 @@ class ProfileLikelihood:
         value = float(end.u @ self.problem.squared.rhs) - float(np.linalg.norm(end.u)) * radius
         value -= float(np.einsum("nij,nij->", end.Z, feasible.block_constants))
         value += float(end.rows @ limits)
-        return value + float(left @ np.where(left > 0.0, box[0], box[1]))
+        return value + float(left @ np.where(left > 0.0, lower, upper))
+
+    def box(self, functions: Array, ends: Sequence[End]) -> tuple[Array, Array]:
+        """Return bounds of theta that hold at every level used, from the multipliers found."""
+        lower, upper = self.problem.feasible.lower.copy(), self.problem.feasible.upper.copy()
+        highest = max((max(end.rise, end.solved) for end in ends), default=0.0)
+        for c, end in zip(functions, ends, strict=True):
+            index = np.flatnonzero(c)
+            if len(index) == 1 and abs(c[index[0]]) == 1.0:
+                k, bound = index[0], self.proven(c, end, rise=highest)
+                if c[k] > 0.0:
+                    lower[k] = max(lower[k], bound)
+                else:
+                    upper[k] = min(upper[k], -bound)
+        return lower, upper
+
+
+def profile_intervals(
+    estimate: Estimate, wanted: ParameterFunctions, level: float, groups: Groups, n_jobs: int | None
+) -> dict[str, Any]:
+    """Return the extremes over all feasible parameters within the level, as fields of intervals."""
+    if estimate.theta is None:
+        raise DataError(
+            f"intervals: method '{estimate.method}' gives no standard parameters; use "
+            "method='gauss_markov', or an estimate of a constrained solver."
+        )
+    errors, signs = fit_errors(estimate, groups), np.array([1.0, -1.0])
+    profile = ProfileLikelihood(estimate.problem, np.array(estimate.theta), errors, level)
+    functions = np.repeat(wanted.functions, 2, axis=0)
+    functions[1::2] *= -1.0
+    moves = [
+        profile.expected(each) if seen else None
+        for each, seen in zip(wanted.functionals, wanted.determined, strict=True)
+        for _ in signs
+    ]
+    ends = profile.minima(functions, moves, n_jobs)
+    box = profile.box(functions, ends)
+    pairs = list(zip(functions, ends, strict=True))
+    proven = np.reshape([profile.proven(c, end, box) for c, end in pairs], (-1, 2)) * signs
+    slack = [float(c @ end.theta) - profile.proven(c, end, box, end.solved) for c, end in pairs]
+    rests = np.reshape([end.rests for end in ends], (-1, 2, 2)).astype(bool)
+    by_prior = np.reshape([end.prior_share > 0.5 for end in ends], (-1, 2)) | rests[:, :, 0]
+    return {
+        "lower": frozen(proven[:, 0]),
+        "upper": frozen(proven[:, 1]),
+        "label": tuple(
+            FROM_DATA if seen else FROM_PRIOR if held else FROM_PHYSICS
+            for seen, held in zip(wanted.determined, by_prior.any(axis=1), strict=True)
+        ),
+        "by_mass": rests[:, :, 1],
+        "slack": frozen(np.reshape(slack, (-1, 2))),
+        "seconds": sum(end.seconds for end in ends),
+        "solves": sum(end.solves for end in ends),
+    }
