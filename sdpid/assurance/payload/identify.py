@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,12 +12,12 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Indices, frozen, require_probability
 from sdpid._common.threads import one_thread
 from sdpid.assurance.payload.payload import Payload
-from sdpid.assurance.payload.program import NOTHING, PayloadProgram, least_second_moment
-from sdpid.assurance.payload.rows import (
-    Description,
-    PayloadRows,
-    rows_beside,
-    rows_beside_description,
+from sdpid.assurance.payload.virtual_link import (
+    best_payload,
+    gains_share,
+    is_shown,
+    payload_intervals,
+    payload_problem,
 )
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.compression.covariance import PRINTED, Weighting
@@ -27,22 +25,22 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.drive_gains.gains import DriveGains
+from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.preparation.for_robot import friction_of, prepare
+from sdpid.experiment.preparation.for_robot import friction_of
 from sdpid.experiment.preparation.several import (
+    all_recordings,
     columns_without,
-    inspected,
     joints_without,
+    prepare_recordings,
     without_efforts,
 )
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import as_gains
-from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.readers.scaled import require_torques, scaled
+from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import margin, physical_parameters, transform
@@ -53,21 +51,15 @@ from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
 Log = Recording | Samples | str | os.PathLike[str]
 
-_AT_THE_EDGE = (
-    "the recordings ask for a body smaller than matter can be: it has the least second moments, "
-    "those of a ball of the densest matter, and its inertia is no measurement"
-)
-
-# Directions in which a unit payload moves the cost by less than this share of the strongest one
-# are invisible, but for rounding.
-_INVISIBLE = 1e-9
-
 # Friction changes from run to run. To let it differ hardly widens intervals where
 # it does not change; to take it as common puts the center of mass off by centimeters where it
 # does (docs/evidence/exports.md).
 SEPARATE = (
     *("coulomb", "viscous", "offset", "asymmetric_coulomb", "stribeck", "sigmoid", "square_root"),
 )
+
+# Friction of samples, of which nothing is known.
+_OF_SAMPLES = ("coulomb", "viscous", "offset")
 
 
 @one_thread
@@ -173,84 +165,77 @@ def identify_payload(
         if not (np.isfinite(value) and value > 0.0):
             raise DataError(f"payload: {name} is {value}; give a positive number.")
     require_probability(level, "payload: level")
-    given = without_load if isinstance(without_load, Estimate) else None
-    model = _robot(robot, given)
-    findings: tuple[Finding, ...] = ()
+    model = _robot(robot, without_load)
     require_fixed_robot(model, "payload")
     require_open_chain(model, "payload")
-    absent = joints_without(without_effort)
-    known, columns_absent = as_gains(gains), columns_without(model, absent)
-    with_load, without_load = (
-        _read(log, columns_absent, known, name)
-        for log, name in ((with_load, "log"), (without_load, "without_load"))
-    )
-    for log, name in ((with_load, "log"), (without_load, "without_load")):
-        if isinstance(log, Recording):
-            findings += inspected(model, [log], accept, absent, name=name)
     number = carrying_link(model, link, what="payload")
     rotation, translation, name = frame_on_link(model, number, frame, what="payload")
-    read = functools.partial(_samples, model, processing=processing, absent=absent)
-    loaded, arm = _problems(model, with_load, without_load, prior, friction, read, weighting)
+    absent, known = joints_without(without_effort), as_gains(gains)
+    with_load, without_load = (
+        _read(model, log, name, absent, known)
+        for log, name in ((with_load, "log"), (without_load, "without_load"))
+    )
+    how = {
+        "processing": processing,
+        "without_effort": absent,
+        "accept": kinds_accepted(accept),
+    }
+    samples, findings = _samples(model, with_load, "log", how)
+    if isinstance(with_load, tuple):
+        terms = friction_of(with_load[0], friction)
+    else:
+        terms = _OF_SAMPLES if friction is None else tuple(friction)
+    arm = None
+    if isinstance(without_load, Estimate):
+        arm = without_load.problem
+    elif without_load is not None:
+        bare, more = _samples(model, without_load, "without_load", how)
+        findings += more
+        arm = _built(model, bare, weighting, friction=terms, prior=prior)
+    elif prior is None and not np.all(model.prior[:, 0] > 0.0):
+        raise ModelError(
+            f"payload: the description of '{model.name}' gives links no mass; give a recording "
+            "without load."
+        )
+    elif prior is not None and prior.strength == "evidence":
+        raise DataError("payload: evidence would weigh the load as an error; give a strength.")
+    if arm is None:
+        loaded = _built(model, samples, weighting, friction=terms, prior=prior)
+    else:
+        loaded = _built(model, samples, weighting, friction=arm.friction.terms, base=arm.base)
+    for each in (loaded, arm or loaded):
+        if each.weighting in PRINTED:
+            raise DataError(f"payload: weighting '{each.weighting}' is no likelihood; use gls.")
     placed = transform(np.eye(10), rotation, translation).T
     columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
-    notes: tuple[str, ...] = ()
-    described: Description | None = None
-    if arm is not None or prior is not None:
-        rows = rows_beside(loaded, arm, columns, _separate(arm, separate))
-    else:
-        rows, described = rows_beside_description(loaded, columns, model.prior)
-        notes = (described.note(),)
-    if rows.short:
-        notes += (
-            f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
-            "trust the weighting",
-        )
-    notes += tuple(
-        f"gains: {each.gains.gains.in_words}"
-        for each in rows.errors
-        if each.gains is not None and each.gains.gains is not None
+    problem, errors, described = payload_problem(
+        loaded,
+        arm,
+        columns,
+        _separate(arm, separate),
+        model.prior if arm is None and prior is None else None,
+        mass_max=mass_max,
+        extent=extent,
     )
-    found = _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
-    return replace(found, described=described, findings=findings)
-
-
-def _solved(
-    rows: PayloadRows,
-    link: str,
-    frame: str,
-    mass_max: float,
-    extent: float,
-    level: float,
-    notes: tuple[str, ...],
-) -> Payload:
-    """Return the payload of the rows, with its intervals."""
-    program = PayloadProgram(rows, mass_max, extent)
-    singular = np.linalg.svd(rows.matrix * program.units, compute_uv=False)
-    invisible = int(np.count_nonzero(singular <= _INVISIBLE * max(singular[0], 1e-300)))
-    if singular[0] == 0.0:
-        raise DataError("payload: the recordings do not show it at all; move more joints.")
-    if invisible:
-        notes += (
+    notes = [] if described is None else [described.note()]
+    notes += [f"gains: {each.gains.in_words}" for each in problem.errors if each.gains is not None]
+    if invisible := 10 - problem.base.count:
+        notes.append(
             f"{invisible} of ten directions are invisible in the recordings: intervals there rest "
-            "on what matter can be",
+            "on what matter can be"
         )
-    theta, status = program.solve()
-    if theta[0] > NOTHING:
-        if margin(theta, "pseudo_inertia") < least_second_moment(theta[0]):
-            theta, status = program.solve(least_second_moment(theta[0]))
-            notes += (_AT_THE_EDGE,)
-        # Solvers stop a little short of the least.
-        theta = raise_second_moments(theta, least_second_moment(theta[0]))
-    else:
-        theta = np.zeros(10)
-    ends, unsolved = program.intervals(theta, level)
-    if unsolved:
-        names = ", ".join(unsolved)
-        notes += (f"the solver stopped short of its tolerance at the intervals of {names}",)
-    shown = program.shown(theta, level)
+    best, held = best_payload(problem)
+    if held:
+        notes.append(
+            "the recordings ask for a body smaller than matter can be: it has the least second "
+            "moments, those of a ball of the densest matter, and its inertia is no measurement"
+        )
+    theta = np.array(best.theta)
+    ends = payload_intervals(problem, theta, errors, level)
+    shown = is_shown(problem, theta, errors, level)
     if not shown:
         ends[0, 0] = 0.0
-        notes += ("not shown: without any payload the errors explain the recordings, too",)
+        notes.append("not shown: without any payload the errors explain the recordings, too")
     mass, com, inertia = physical_parameters(theta)
     value = float(margin(theta, "pseudo_inertia"))
     return Payload(
@@ -258,38 +243,61 @@ def _solved(
         com=frozen(com),
         inertia=frozen(inertia),
         theta=frozen(theta),
-        link=link,
-        frame=frame,
+        link=model.link_names[number],
+        frame=name,
         lower=frozen(ends[:, 0]),
         upper=frozen(ends[:, 1]),
         level=level,
         margin=value if np.isfinite(value) else None,
-        cost=program.cost(theta),
-        cost_without=program.cost(np.zeros(10)),
+        cost=problem.cost_of(theta),
+        cost_without=problem.cost_of(np.zeros(10)),
         invisible=invisible,
         shown=shown,
-        status=status,
-        notes=notes,
-        gains_share=frozen(program.gains_share(theta)) if rows.gains else None,
+        status=best.status,
+        notes=tuple(notes),
+        findings=findings,
+        described=described,
+        gains_share=gains_share(best, errors),
     )
 
 
-def _read(log: Any, absent: Sequence[str], gains: Any, name: str) -> Any:
-    """Return the recording of a path, some efforts of which may lack, and others as they are."""
-    if isinstance(log, (str, os.PathLike)):
-        log = read_recording(log, without_effort=absent, gains=gains)
-    elif isinstance(log, Recording) and gains is not None:
-        log = scaled(log, gains)
-    if isinstance(log, Recording):
-        require_torques(log, f"payload, {name}")
-        require_fixed_base(log, f"payload, {name}")
-    return log
+def _read(robot: RobotModel, log: Any, name: str, absent: tuple[str, ...], gains: Any) -> Any:
+    """Return the recordings of a log, some efforts of which may lack, and others as they are."""
+    if log is None or isinstance(log, Samples | Estimate):
+        return log
+    columns = columns_without(robot, absent)
+    logs = all_recordings(log, name, without_effort=columns, gains=gains)
+    for each in logs:
+        require_torques(each, f"payload, {name}")
+        require_fixed_base(each, f"payload, {name}")
+    return logs
 
 
-def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
+def _samples(
+    robot: RobotModel, log: Any, name: str, how: dict[str, Any]
+) -> tuple[Samples, tuple[Finding, ...]]:
+    """Return the samples of recordings, and what is wrong with these."""
+    if isinstance(log, Samples):
+        absent = how["without_effort"]
+        return without_efforts(log, robot, absent) if absent else log, ()
+    found = prepare_recordings(robot, log, name=name, **how)
+    return found.samples, found.findings
+
+
+def _built(
+    robot: RobotModel, samples: Samples, weighting: Weighting | None, **known: Any
+) -> Problem:
+    """Return the problem of samples, which may show the payload and not all of the arm."""
+    usual: Weighting = "residual" if samples.covariance is None else "gls"
+    return build_problem(
+        robot, samples, weighting=weighting or usual, check_excitation=False, **known
+    )
+
+
+def _robot(robot: RobotModel | str | os.PathLike[str], given: Any) -> RobotModel:
     """Return the model of the robot: that of a given estimate, if both are described alike."""
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    if given is None:
+    if not isinstance(given, Estimate):
         return model
     own = given.problem.robot
     alike = (own.joint_names, own.link_names) == (model.joint_names, model.link_names)
@@ -299,62 +307,6 @@ def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -
             "description of it; give estimate.problem.robot as the robot."
         )
     return own
-
-
-def _samples(
-    robot: RobotModel, log: Any, *, processing: Processing | None, absent: Sequence[str]
-) -> Samples:
-    """Return the processed samples of a log, with no row in use of joints without effort."""
-    if isinstance(log, Recording):
-        log = prepare(robot, log, processing)
-    if not isinstance(log, Samples):
-        raise DataError(f"payload: got {type(log).__name__}; give a recording, samples or a path.")
-    return without_efforts(log, robot, absent) if absent else log
-
-
-def _problems(
-    robot: RobotModel,
-    with_load: Log,
-    without_load: Log | Estimate | None,
-    prior: Prior | None,
-    friction: Iterable[str | FrictionTerm] | None,
-    read: Callable[[Any], Samples],
-    weighting: Weighting | None,
-) -> tuple[Problem, Problem | None]:
-    """Return the problems with and without load, compressed with the same base parameters."""
-    samples = read(with_load)
-    if isinstance(with_load, Recording):
-        terms = friction_of(with_load, friction)
-    else:
-        terms = ("coulomb", "viscous", "offset") if friction is None else tuple(friction)
-    if without_load is None and prior is None and not np.all(robot.prior[:, 0] > 0.0):
-        raise ModelError(
-            f"payload: the description of '{robot.name}' gives links no mass; give a recording "
-            "without load."
-        )
-    if without_load is None and prior is not None and prior.strength == "evidence":
-        raise DataError("payload: evidence would weigh the load as an error; give a strength.")
-
-    def built(samples: Samples, **known: Any) -> Problem:
-        usual: Weighting = "residual" if samples.covariance is None else "gls"
-        # The arm may move in ways that show the payload and not all of the arm.
-        return build_problem(
-            robot, samples, weighting=weighting or usual, check_excitation=False, **known
-        )
-
-    if isinstance(without_load, Estimate):
-        arm: Problem | None = without_load.problem
-    else:
-        bare = None if without_load is None else read(without_load)
-        arm = None if bare is None else built(bare, friction=terms, prior=prior)
-    if arm is None:
-        loaded = built(samples, friction=terms, prior=prior)
-    else:
-        loaded = built(samples, friction=arm.friction.terms, base=arm.base)
-    for problem in (loaded, arm):
-        if problem is not None and problem.weighting in PRINTED:
-            raise DataError(f"payload: weighting '{problem.weighting}' is no likelihood; use gls.")
-    return loaded, arm
 
 
 def _separate(problem: Problem | None, names: Iterable[str]) -> Indices:

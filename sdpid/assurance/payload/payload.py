@@ -10,9 +10,66 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain_dict
-from sdpid.assurance.payload.program import QUANTITIES, QUANTITY_UNITS, quantities
-from sdpid.assurance.payload.rows import Description
 from sdpid.experiment.inspection.finding import Finding
+from sdpid.robot.inertia import physical_parameters, tensor_entries
+
+# Of osmium, kg/m³: nothing is denser.
+_DENSITY = 22_590.0
+
+QUANTITIES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+QUANTITY_UNITS = ("kg", *("m",) * 3, *("kg.m2",) * 6)
+
+
+def least_second_moment(mass: float) -> float:
+    """Return the second moment, kg·m², that no body of a mass in kg can have less of everywhere.
+
+    That of a ball of the densest matter: a body may be thinner in one direction and wider in
+    others, as a plate is, but tools and workpieces are not.
+    """
+    radius = float(np.cbrt(3.0 * mass / (4.0 * np.pi * _DENSITY)))
+    return mass * radius**2 / 5.0
+
+
+def quantities(theta: Array) -> Array:
+    """Return mass, center of mass, and inertia about it (entries in theta's order), (10,)."""
+    mass, com, inertia = physical_parameters(theta)
+    return np.concatenate([[float(mass)], com, tensor_entries(inertia)])
+
+
+@dataclass(frozen=True)
+class Description:
+    """What is granted to a description that the arm's links are taken from.
+
+    Attributes
+    ----------
+    tolerance : float
+        Relative standard deviation of each link's inertial parameters about the described ones, in
+        the metric of the prior ``"pullback"``.
+    contradicted : bool
+        Whether the recording shows the links to be further off.
+    """
+
+    tolerance: float
+    contradicted: bool
+
+    @property
+    def share(self) -> str:
+        """The tolerance in words."""
+        return f"{100.0 * self.tolerance:.2g} %"
+
+    def note(self) -> str:
+        """Return in words what the intervals rest on, and what to do about it."""
+        remedy = "a recording without load (--without) needs no such belief"
+        if self.contradicted:
+            return (
+                "the payload rests on the described links, and the recording contradicts them: "
+                "they, the scale of the efforts or the model of friction are off by more than the "
+                f"{self.share} that the intervals allow for; take the payload for a hint; {remedy}"
+            )
+        return (
+            f"the payload rests on the described links: the intervals hold if each is right to "
+            f"{self.share} (one standard deviation); {remedy}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -121,8 +178,7 @@ class Payload(Shown):
         """Return the payload in words and numbers, one quantity a line."""
         intervals = f"{100.0 * self.level:g} % intervals"
         if self.described is not None:
-            share = f"{100.0 * self.described.tolerance:.2g} %"
-            intervals += f" if the described links are right to {share}"
+            intervals += f" if the described links are right to {self.described.share}"
         title = (
             f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
             f"({intervals})"
