@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions.nearest_body import NEAREST, moment_floor, prove_nearest
+from sdpid.assurance.descriptions.nearest_body import NEAREST, prove_nearest
 from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import CertificateError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
@@ -44,7 +44,6 @@ from sdpid.output.robots.friction_files import cpp, friction_data, python, write
 from sdpid.output.robots.joint_friction import Kind, LeftOut, joint_attributes
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
 from sdpid.output.robots.urdf import write_urdf
-from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.xml import undeclared
 from sdpid.robot.friction.model import FrictionModel
@@ -59,7 +58,6 @@ from tests.helpers.data import friction_model, full_regressor, random_links, ran
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
-from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS, friction_terms_of, random_states, reals
 from tests.helpers.strategies import bodies as broken_bodies
 from tests.helpers.verified import differences
@@ -211,30 +209,6 @@ def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]
     return efforts_of(model, robot, states)
 
 
-@pytest.mark.parametrize("points", [8, 3, 2])
-@pytest.mark.parametrize("text", [ARM, MIMIC, *URDFS])
-def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) -> None:
-    problem = problem_of(sdpid.load_robot(text))
-    links = bodies(np.random.default_rng(points), problem.robot.n_links, points)
-    target = tmp_path / "out.urdf"
-    report = written(problem, links, target)
-    assert report.path == target
-    assert report.triangle_violations == ()
-    states = generic_states(problem.robot, 20, 78)
-    expected = problem.robot.inverse_dynamics(links, *states)
-    found = mujoco_efforts(target, problem.robot, states)
-    assert np.abs(found - expected).max() <= CLOSE * np.abs(expected).max()
-
-
-def test_example_robot_with_fixed_hand(tmp_path: Path) -> None:
-    problem = problem_of(sdpid.load_robot("panda_description/panda"), friction=("viscous",))
-    rng = np.random.default_rng(4)
-    for points in (8, 2):
-        links = bodies(rng, problem.robot.n_links, points)
-        report = written(problem, links, tmp_path / "panda.urdf")
-        assert len(report.lumped) == (1 if points == 2 else 0)
-
-
 def test_only_inertials_and_dynamics_change(tmp_path: Path, arm: Problem) -> None:
     report = write_urdf(estimate_of(arm, LINKS), target=tmp_path / "out.urdf")
     assert report.links_changed == ("upper", "slide", "finger")
@@ -284,18 +258,6 @@ def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
     assert found == []
 
 
-def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:
-    links = LINKS.copy()
-    links[1] *= 0.05  # lighter than the tool that is fixed to it
-    report = written(arm, links, tmp_path / "out.urdf")
-    assert report.lumped == ("slide",)
-    assert "tool" in report.links_changed
-    assert "slide" in report.describe()
-    # Zero, not removed: MuJoCo would take a mass from the collision box.
-    tool = (tmp_path / "out.urdf").read_text().split('<link name="tool">')[1]
-    assert '<mass value="0.0"/>' in tool.split("</link>")[0]
-
-
 def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
     target = tmp_path / "out.urdf"
     assert written(arm, LINKS, target, fixed="merge").lumped == ("slide",)
@@ -315,12 +277,6 @@ def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
     ):
         refuses(ExportError, said, written, arm, LINKS, target, fixed=asked)
     assert target.read_bytes() == kept
-
-
-def test_lump_when_a_child_is_no_body(tmp_path: Path) -> None:
-    text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
-    problem = problem_of(sdpid.load_robot(text))
-    assert write_urdf(estimate_of(problem, LINKS), target=tmp_path / "o.urdf").lumped == ("slide",)
 
 
 def test_what_readers_may_take_differently_is_refused(tmp_path: Path) -> None:
@@ -350,23 +306,6 @@ def test_spatial_consistency_may_violate_the_triangle(tmp_path: Path, arm: Probl
     words, target = "'upper' is not consistent", tmp_path / "no.urdf"
     refuses(ExportError, words, write_urdf, estimate_of(arm, links), target=target)
     assert not (tmp_path / "no.urdf").exists()
-
-
-def test_free_flyer_writes_its_root(tmp_path: Path) -> None:
-    problem = problem_of(sdpid.load_robot(ARM, root="free_flyer"))
-    links = bodies(np.random.default_rng(2), 4)
-    report = written(problem, links, tmp_path / "out.urdf")
-    assert report.links_changed[0] == "base"
-    assert report.joints_changed == ("j1", "j2", "j3")
-
-
-def test_robot_from_a_table(tmp_path: Path) -> None:
-    rows = [
-        {"alpha": 0.0, "d": 0.0, "theta": 0.0, "r": 0.0},
-        {"alpha": np.pi / 2, "d": 0.1, "theta": 0.0, "r": 0.2},
-    ]
-    problem = problem_of(RobotModel.from_mdh(rows, gravity=(0.0, 9.81, 0.0)))
-    written(problem, bodies(np.random.default_rng(3), 2), tmp_path / "out.urdf")
 
 
 def test_source_file_keeps_line_endings(tmp_path: Path, arm: Problem) -> None:
@@ -525,8 +464,16 @@ def same(actual: Array, wanted: Array) -> None:
     np.testing.assert_allclose(actual, wanted, rtol=0, atol=SAME * scale)
 
 
-def run(path: Path) -> dict[str, Any]:
-    return runpy.run_path(str(path))
+def check_python(file: dict[str, Any], model: RobotDynamics, seed: int) -> None:
+    """Compare the functions of a file in Python with the model's."""
+    v, a, load = states_of(model, seed)
+    friction, drives, held = expected(model, v, a, load)
+    v, a, load = (each[:, model.terms.first :] for each in (v, a, load))
+    same(file["friction"](v), friction)
+    same(file["friction"](v[3]), friction[3])
+    same(file["drive_inertia"](a), drives)
+    same(file["load_friction"](v, load), held)
+    refuses(ValueError, "states have shape", file["friction"], v[:, :-1])
 
 
 @pytest.mark.parametrize("model", CASES)
@@ -538,34 +485,21 @@ def test_python_computes_what_the_model_does(model: RobotDynamics, tmp_path: Pat
         tilted = model.to_pinocchio().gravity.linear
         np.testing.assert_allclose(found, tilted, atol=1e-3)
         assert np.abs(tilted - model.robot.gravity).max() > 0.01
-    file, first = run(tmp_path / "friction.py"), model.terms.first
+    file = runpy.run_path(str(tmp_path / "friction.py"))
     assert file["JOINTS"] == model.terms.joint_names
     assert file["ROBOT"] == model.robot.name
-    v, a, load = states_of(model, 1)
-    friction, drives, held = expected(model, v, a, load)
-    v, a, load = v[:, first:], a[:, first:], load[:, first:]
-    same(file["friction"](v), friction)
-    same(file["friction"](v[3]), friction[3])
-    same(file["drive_inertia"](a), drives)
-    same(file["load_friction"](v, load), held)
-    with pytest.raises(ValueError, match="states have shape"):
-        file["friction"](v[:, :-1])
+    check_python(file, model, 1)
 
 
 @given(st.data(), SEEDS)
 def test_any_term_in_python(data: st.DataObject, seed: int) -> None:
-    robot = named(("a", "b", "c"), "r")
     term = data.draw(friction_terms_of(3))
     if isinstance(term, (LoadFriction, Tilt)) and term.bodies is not None:
         term = type(term)()
-    model = model_of(robot, (term,), seed)
+    model = model_of(named(("a", "b", "c"), "r"), (term,), seed)
     file: dict[str, Any] = {}
     exec(python(friction_data(model)), file)
-    v, a, load = states_of(model, seed)
-    friction, drives, held = expected(model, v, a, load)
-    same(file["friction"](v), friction)
-    same(file["drive_inertia"](a), drives)
-    same(file["load_friction"](v, load), held)
+    check_python(file, model, seed)
 
 
 @pytest.fixture(scope="module")
@@ -714,24 +648,6 @@ def test_repaired_is_nearest_loads_and_stays(case: tuple[float, np.ndarray]) -> 
     assert again.text == report.text
     assert not again.bodies
     load_everywhere(report.text)
-
-
-@settings(max_examples=6)
-@given(wrong())
-def test_closed_form_is_what_a_solver_finds(case: tuple[float, np.ndarray]) -> None:
-    import cvxpy as cp
-
-    mass, tensor = case
-    P = second_moment_from_inertia(tensor)
-    size = float(np.abs(P).max())
-    floor = moment_floor(P, mass) / size
-    X = cp.Variable((3, 3), symmetric=True)
-    # The norm itself, not its square: its value is then as exact as the solver is.
-    problem = cp.Problem(cp.Minimize(cp.norm(X - P / size, "fro")), [X >> floor * np.eye(3)])
-    problem.solve(solver=cp.CLARABEL)
-    closed = raise_eigenvalues(P / size, floor)
-    assert np.linalg.norm(closed - P / size) == pytest.approx(problem.value, rel=1e-6, abs=1e-7)
-    assert np.allclose(closed, X.value, atol=1e-3)
 
 
 @given(st.lists(broken_bodies(), min_size=1, max_size=3))
@@ -930,15 +846,13 @@ def test_curves_become_what_fits_them_best() -> None:
     assert joint_attributes(bare, theta, URDF, "file").notes == ()
 
 
-def test_a_joint_that_hardly_moves_gets_the_curve_at_nominal_speeds() -> None:
+def test_joints_that_show_no_friction_get_that_at_nominal_speeds() -> None:
+    """A joint that hardly moves, and one without efforts."""
     terms: Terms = (AsymmetricCoulomb(), Viscous(), "offset")
     estimate, theta = rubbed(3, terms, 2.0, 2.0, 0.5, 3.0, high=np.array([1.0, 1e-4]))
     found = attributes_of(estimate.problem, theta, URDF)
     np.testing.assert_allclose(found[:, 1], [2.0, 0.5], atol=1e-6)
     np.testing.assert_allclose(found[:, 0], [2.0, 0.5], atol=0.2)
-
-
-def test_a_joint_without_effort_too() -> None:
     mask = np.array([[True, False]] * 200)
     estimate, theta = rubbed(4, (SIGN, Viscous(), "offset"), 2.0, 0.5, 1.0, mask=mask)
     found = attributes_of(estimate.problem, theta, URDF)

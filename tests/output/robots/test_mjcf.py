@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def assert_identified(problem: Problem, links: np.ndarray, path: Path) -> None:
         assert model.dof_frictionloss[model.joint(name).dofadr[0]] == NUMBER
 
 
-@pytest.mark.parametrize("points", [8, 3])
+@pytest.mark.parametrize("points", [8, 3, 2])
 @pytest.mark.parametrize(
     "source",
     [ARM, MIMIC, TREE, TREE_MIMIC, "denso_vp6242", "panda_description/panda", "ur5_robot", *URDFS],
@@ -114,45 +115,51 @@ def test_every_link_is_a_body_with_its_own_share(tmp_path: Path) -> None:
     assert model.jnt_actfrcrange[model.joint("j1").id].tolist() == [-10.0, 10.0]
 
 
-def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
-    problem = problem_of(sdpid.load_robot(ARM), friction=FRICTION)
-    links = LINKS.copy()
-    links[1] *= 0.05
-    report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
+@pytest.mark.parametrize("write", [sdpid.write_urdf, write_mjcf])
+def test_lump_when_the_rest_is_no_body(tmp_path: Path, write: Any) -> None:
+    problem = problem_of(sdpid.load_robot(ARM), friction=("coulomb", "viscous"))
+    links, path = LINKS.copy(), tmp_path / f"out.{'xml' if write is write_mjcf else 'urdf'}"
+    links[1] *= 0.05  # lighter than the tool that is fixed to it
+    report = write(estimate_of(problem, links, NUMBER), target=path)
     assert report.lumped == ("slide",)
     assert "tool" in report.links_changed
-    assert_identified(problem, links, tmp_path / "out.xml")
-    assert differences(estimate_of(problem, links, NUMBER), tmp_path / "out.xml") == []
+    assert "slide" in report.describe()
+    # Zero, not removed: MuJoCo would take a mass from the collision box.
+    tool = path.read_text().split('name="tool"')[1]
+    assert re.search(r'<mass value="0\.0"/>|mass="0"', tool.split("</")[0])
+    assert differences(estimate_of(problem, links, NUMBER), path) == []
 
 
 def test_a_child_that_is_no_body_is_counted_in(tmp_path: Path) -> None:
     text = ARM.replace('ixx="0.003" ixy="1e-4"', 'ixx="0.03" ixy="1e-4"')
     problem = problem_of(sdpid.load_robot(text), friction=FRICTION)
-    report = write_mjcf(estimate_of(problem, LINKS, NUMBER), target=tmp_path / "out.xml")
+    estimate = estimate_of(problem, LINKS, NUMBER)
+    report = write_mjcf(estimate, target=tmp_path / "out.xml")
     assert "no body can have, now zero and counted in where they are fixed: tool" in (
         report.describe()
     )
     assert_identified(problem, LINKS, tmp_path / "out.xml")
+    assert sdpid.write_urdf(estimate, target=tmp_path / "out.urdf").lumped == ("slide",)
 
 
-def test_a_floating_base(tmp_path: Path) -> None:
-    problem = problem_of(sdpid.load_robot(ARM, root="free_flyer"))
-    links = bodies(np.random.default_rng(2), 4)
-    # Reading back compares with Pinocchio's floating base.
-    report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
-    assert report.links_changed[0] == "base"
-    assert report.joints_changed == ("j1", "j2", "j3")
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
-    assert model.body("base").mass[0] == pytest.approx(links[0, 0], rel=1e-14)
-
-
-def test_a_floating_base_called_world(tmp_path: Path) -> None:
-    text = ARM.replace('"base"', '"world"')
+# MuJoCo keeps the name of its world for itself.
+@pytest.mark.parametrize(("name", "body"), [("base", "base"), ("world", "world_link")])
+def test_a_floating_base(tmp_path: Path, name: str, body: str) -> None:
+    text = ARM.replace('"base"', f'"{name}"')
     problem = problem_of(sdpid.load_robot(text, root="free_flyer"))
     links = bodies(np.random.default_rng(2), 4)
-    report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
-    assert report.links_changed[0] == "world_link"
-    assert differences(estimate_of(problem, links, NUMBER), tmp_path / "out.xml") == []
+    estimate = estimate_of(problem, links, NUMBER)
+    # Reading back compares with Pinocchio's floating base.
+    report = write_mjcf(estimate, target=tmp_path / "out.xml")
+    assert report.links_changed[0] == body
+    assert report.joints_changed == ("j1", "j2", "j3")
+    assert differences(estimate, tmp_path / "out.xml") == []
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
+    assert model.body(body).mass[0] == pytest.approx(links[0, 0], rel=1e-14)
+    report = sdpid.write_urdf(estimate, target=tmp_path / "out.urdf")
+    assert (report.links_changed[0], report.joints_changed) == (name, ("j1", "j2", "j3"))
+    assert differences(estimate, tmp_path / "out.urdf") == []
+    assert_same_efforts(problem, links, tmp_path / "out.urdf")
 
 
 # The arm as a user may have it: on a table, with other frames, a shape, defaults and comments.
