@@ -26,9 +26,8 @@ from sdpid.estimation.effects.choose import Profiled, close_terms
 from sdpid.estimation.effects.kinds import Tried
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.information import Excitation, require_excitation
-from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
-from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
 from sdpid.experiment.processing.contacts.places import require_places

@@ -14,15 +14,14 @@ from sdpid.errors import DataError, IdentifiabilityError, ModelError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local.slsqp import solve_slsqp
-from sdpid.estimation.prior.alike import Alike
+from sdpid.estimation.prior.cost_terms import LogDetTerm
 from sdpid.estimation.prior.evidence import (
     STRONGEST,
     WEAKEST,
     negative_log_evidence,
     strength_by_evidence,
 )
-from sdpid.estimation.prior.log_det import LogDetTerm
-from sdpid.estimation.prior.prior import prior_terms, repaired
+from sdpid.estimation.prior.prior import Alike, prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia, transform

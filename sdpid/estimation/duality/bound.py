@@ -86,7 +86,7 @@ class Multipliers:
     @classmethod
     def at(cls, problem: Problem, theta: Array) -> Multipliers:
         """Return the multipliers of the cost's terms at theta, where it is finite."""
-        y, W = problem.squared.multiplier(theta), problem.log_det.multiplier(theta)
+        y, W = problem.squared.residual(theta), problem.log_det.multiplier(theta)
         return cls.of_cost(problem, y, W)
 
     @property

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,11 +14,9 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
-from sdpid.estimation.prior.alike import Alike, described_pairs, key_of_pairs, pairs_of
-from sdpid.estimation.prior.cost_terms import SquaredTerm, pullback_rows
+from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm, pullback_rows
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.friction import friction_rows
-from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import from_pseudo_inertia, margin, pseudo_inertia
 from sdpid.robot.model.base_parameters import characteristic_length
@@ -41,6 +40,9 @@ _VAGUE = 10.0
 
 # A strength by evidence this close to an end of the range (relative) is at that end.
 _AT_END = 0.02
+
+# More pairs that are alike are not listed by name.
+_MOST_NAMES = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -113,7 +115,7 @@ class Prior(Settings):
     within: float = 0.05
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "alike", pairs_of(self.alike))
+        object.__setattr__(self, "alike", _pairs(self.alike))
         if not (is_number(self.within) and 0.0 < self.within < np.inf):
             raise DataError(
                 f"Prior: within is {self.within!r}; give a positive share. Links that are mirror "
@@ -129,9 +131,8 @@ class Prior(Settings):
             object.__setattr__(self, "bodies", bodies)
         if self.kind not in get_args(PriorKind):
             raise DataError(f"Prior: kind is {self.kind!r}: use one of {get_args(PriorKind)}.")
-        if self.strength == "evidence":
-            return
-        if not (is_number(self.strength) and 0.0 < self.strength < np.inf):
+        given = is_number(self.strength) and 0.0 < self.strength < np.inf
+        if self.strength != "evidence" and not given:
             raise DataError(
                 f"Prior: strength is {self.strength!r}; give a positive number of nats, or "
                 "'evidence'."
@@ -139,14 +140,90 @@ class Prior(Settings):
 
     def _key(self) -> tuple[object, ...]:
         bodies = None if self.bodies is None else (self.bodies.shape, self.bodies.tobytes())
-        alike = key_of_pairs(self.alike)
-        return self.strength, self.kind, self.friction, bodies, alike, self.within
+        alike = [_keys(pair)[0] for pair in self.alike]
+        return self.strength, self.kind, self.friction, bodies, *alike, self.within
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Prior) else NotImplemented
 
     def __hash__(self) -> int:
         return hash(self._key())
+
+
+def _pairs(given: object) -> tuple[MirrorPair, ...]:
+    """Return the pairs that are given, several or one; refuse anything else, and pairs twice."""
+    pairs = (given,) if isinstance(given, MirrorPair) or not isinstance(given, Iterable) else given
+    found: list[MirrorPair] = []
+    for each in pairs:
+        if not isinstance(each, MirrorPair):
+            raise DataError(
+                f"Prior: alike holds {each!r:.80}; give MirrorPair objects, such as "
+                "sdpid.constraints.mirror_pairs(robot)."
+            )
+        if any(_keys(each)[0] in _keys(other) for other in found):
+            raise DataError(
+                f"Prior: alike holds '{each.first}' and '{each.second}' twice; give each pair once."
+            )
+        found.append(each)
+    return tuple(found)
+
+
+def _keys(pair: MirrorPair) -> list[str]:
+    """Return what is equal for pairs that say the same, and that of the pair turned round.
+
+    Of a plane's mirror either link may come first.
+    """
+    turned = pair if pair.normal is None else replace(pair, first=pair.second, second=pair.first)
+    said = (vars(each).values() for each in (pair, turned))
+    return [repr([x if x is None else np.asarray(x).tolist() for x in each]) for each in said]
+
+
+@dataclass(frozen=True, eq=False)
+class Alike:
+    """A link that is believed to be nearly the mirror image of another, in numbers.
+
+    Attributes
+    ----------
+    first, second : int
+        The links.
+    rows : ndarray, shape (10, p)
+        Their squared norm is ``‖L^(-1)·(P_2 − M·P_1·M^T)·L^(-T)‖²/within²``, twice the nats: M maps
+        the first link's joint frame to the second's, L·L^T is the mean believed pseudo-inertia
+        there, within the standard deviation of the difference, as a share of the body.
+    """
+
+    first: int
+    second: int
+    rows: Array
+
+    @classmethod
+    def of(cls, pair: MirrorPair, within: float, bodies: Array, layout: Layout) -> Alike:
+        """Return the belief in a pair.
+
+        Parameters
+        ----------
+        pair : MirrorPair
+            The links.
+        within : float
+            Standard deviation of a difference.
+        bodies : ndarray, shape (links, 10)
+            The believed bodies.
+        layout : Layout
+            Where parameters are in theta.
+
+        Raises
+        ------
+        ModelError
+            When the robot has no such link.
+        """
+        difference = np.stack([row.coefficients for row in pair.compile(layout)])
+        two = layout.link(pair.second)
+        theta = np.zeros(layout.count)
+        theta[: bodies.size] = bodies.ravel()
+        # The image of the first is the second less the difference: their mean is a body, too.
+        mean = pseudo_inertia(bodies[two] - 0.5 * (difference @ theta))
+        rows = frozen(pullback_rows(mean) / within @ difference)
+        return cls(first=layout.link(pair.first), second=two, rows=rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +268,9 @@ def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
     least = bodies[:, 0] * _RADIUS**2
     margins = margin(bodies, "pseudo_inertia")
     # Links without a positive mass have no margin: NaN, which is neither.
-    wrong = np.flatnonzero(margins <= 0.0)
-    thin = np.flatnonzero((margins > 0.0) & (margins < (1.0 - _ROUNDED) * least))
+    wrong, thin = margins <= 0.0, (margins > 0.0) & (margins < (1.0 - _ROUNDED) * least)
     raised = raise_second_moments(bodies, least)
-    return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
+    return raised, tuple(np.flatnonzero(wrong).tolist()), tuple(np.flatnonzero(thin).tolist())
 
 
 def prior_terms(
@@ -217,22 +293,20 @@ def prior_terms(
     DataError
         When no link has a body, or a strength by evidence has no data.
     """
+    from scipy.linalg import block_diag
+
     bodies, known, notes = _bodies(prior, rows.robot)
-    theta_size = 10 * rows.robot.n_links + len(rows.friction.parameters)
-    R = np.zeros((bodies.size, theta_size))
-    for i, block in enumerate(_blocks(prior, bodies, known)):
-        own = slice(10 * i, 10 * i + 10)
-        R[own, own] = block
+    count = len(rows.friction.parameters)
+    R = np.hstack([block_diag(*_blocks(prior, bodies, known)), np.zeros((bodies.size, count))])
     r = R[:, : bodies.size] @ bodies.ravel()
-    belief = friction_rows(rows) if prior.friction else np.zeros((0, 0))
-    F = np.zeros((len(belief), theta_size))
-    F[:, theta_size - len(belief) :] = belief
     layout = Layout(rows.robot, rows.friction)
     alike = tuple(Alike.of(pair, prior.within, bodies, layout) for pair in prior.alike)
-    if alike:
-        F = np.vstack([F, *(each.rows for each in alike)])
-        notes.append(f"prior: {described_pairs(prior.alike, prior.within)}")
+    belief = friction_rows(rows) if prior.friction else np.zeros((0, count))
+    F = np.hstack([np.zeros((len(belief), bodies.size)), belief])
+    F = np.vstack([F, *(each.rows for each in alike)])
     f = np.zeros(len(F))
+    if alike:
+        notes.append(f"prior: {described_pairs(prior.alike, prior.within)}")
     if prior.strength == "evidence":
         if data is None:
             raise DataError(
@@ -245,7 +319,7 @@ def prior_terms(
         strength = float(prior.strength)
     terms: list[LogDetTerm] = []
     if prior.kind == "entropic":
-        terms.append(LogDetTerm.around(known, bodies[known], strength, theta_size))
+        terms.append(LogDetTerm.around(known, bodies[known], strength, R.shape[1]))
         vague = np.repeat(~np.isin(np.arange(len(bodies)), known), 10)
         R, r = R[vague], r[vague]
     root = np.sqrt(strength)
@@ -286,23 +360,24 @@ def _bodies(prior: Prior, robot: RobotModel) -> tuple[Array, Indices, list[str]]
             f"Prior: the description of '{robot.name}' gives no link a mass; give bodies, or no "
             "prior."
         )
+
+    def named(links: Iterable[int]) -> str:
+        return ", ".join(robot.link_names[i] for i in links)
+
     notes = []
     if wrong:
-        names = ", ".join(robot.link_names[i] for i in wrong)
-        notes.append(f"prior: {names} could not exist as described and were repaired first")
+        notes.append(f"prior: {named(wrong)} could not exist as described and were repaired first")
     if thin:
-        names = ", ".join(robot.link_names[i] for i in thin)
         notes.append(
             f"prior: thinner than {100.0 * _RADIUS:g} cm (rms about the center of mass) as "
-            f"described, and widened to that: {names}"
+            f"described, and widened to that: {named(thin)}"
         )
     unknown = np.setdiff1d(np.arange(robot.n_links), known)
     if unknown.size:
         size = (_BALL * characteristic_length(robot)) ** 2
         ball = np.diag([size, size, size, 1.0]) * float(np.mean(given[known, 0]))
         bodies[unknown] = from_pseudo_inertia(ball)
-        names = ", ".join(robot.link_names[i] for i in unknown)
-        notes.append(f"prior: next to no information about {names}, which have no mass")
+        notes.append(f"prior: next to no information about {named(unknown)}, which have no mass")
     return bodies, known, notes
 
 
@@ -324,3 +399,11 @@ def _at_end(strength: float) -> str:
     if strength > STRONGEST * (1.0 - _AT_END):
         return " (the most that is tried)"
     return ""
+
+
+def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:
+    """Return the belief in words."""
+    named = [f"{pair.first} and {pair.second}" for pair in pairs[:_MOST_NAMES]]
+    rest = len(pairs) - len(named)
+    listed = ", ".join(named) + (f" and {rest} more pairs" if rest else "")
+    return f"mirror images of each other within {100.0 * within:g} %: {listed}"

@@ -142,22 +142,18 @@ def _shortfall(problem: Problem, limits: Sequence[Constraint]) -> tuple[float, l
     matrices += coordinates.pseudo_inertias(scaling, problem.log_det.links)
     sizes = np.concatenate([scaling.theta, scaling.row_sizes(feasible)])
     functions = np.vstack([basis, feasible.rows @ basis]) / sizes[:, None]
-    widest, blocks = feasible.widest * _WIDER, []
-    # Coefficients of x, that of t, and the lower end. And the limits that each is made of.
+    kinds = np.array([limit.kind for limit in limits], dtype=str)
+    of_matrices, of_widest = np.isin(kinds, ("consistency", "cone", "exists")), kinds == "theta_max"
+    blocks = []
+    # Coefficients of x, that of t, and the lower end; and the place of the limit that says so.
     rows: list[Array] = []
     of_rows: list[int] = []
-    of_matrices: list[int] = []
-    of_widest: list[int] = []
     for place, limit in enumerate(limits):
-        if limit.kind == "theta_max":
-            widest = feasible.widest
-            of_widest.append(place)
-        elif limit.kind in ("consistency", "cone", "exists"):
-            of_matrices.append(place)
+        if of_matrices[place]:
             fixed = matrices[limit.index]
             linear = np.concatenate([fixed.linear, np.eye(len(fixed.constant))[None]])
             blocks.append(Matrix(np.append(fixed.index, n), linear, fixed.constant))
-        else:
+        elif not of_widest[place]:
             k = limit.index + n * (limit.kind == "row")
             row = np.concatenate([functions[k], [0.0, float(limit.limit or 0.0) / sizes[k]]])
             # Equations have both sides.
@@ -165,6 +161,7 @@ def _shortfall(problem: Problem, limits: Sequence[Constraint]) -> tuple[float, l
                 if limit.side in (side, None):
                     rows.append(sign * row + np.eye(n + 2)[n])
                     of_rows.append(place)
+    widest = feasible.widest * (1.0 if of_widest.any() else _WIDER)
     wide = np.minimum(widest / scaling.theta, _FAR)
     inside = np.column_stack([basis / scaling.theta[:, None], np.zeros(n), -wide])
     ends = np.vstack([np.reshape(rows, (-1, n + 2)), inside, np.eye(n + 2)[n]])

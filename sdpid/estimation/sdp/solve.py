@@ -21,13 +21,6 @@ from sdpid.estimation.sdp.nearest_to_prior import repair, settled
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.wls import solve_wls
 
-# Statuses that come without a point, and those of them that say that there is none. A numerical
-# error leaves the last point: it is judged by what is recomputed, and the next attempt begins
-# there.
-_INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
-_NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible")
-
-
 # How the program is solved, tried in turn until the gap is proven small: Clarabel's regularization;
 # whether it is measured from what was found before, links in units of theirs, or else from the
 # links of the robot's description; and a weight of ‖x‖² beside a cost of order one (measured from
@@ -179,8 +172,10 @@ class Search:
         self.status = f"clarabel: {solution.status}"
         self.seconds += solution.seconds
         self.iterations += solution.iterations
-        if solution.x is None or solution.status in _NO_POINT:
-            if problem.constraints.others and solution.status in _INFEASIBLE:
+        # Primal or dual; a numerical error leaves the last point: it is judged by what is
+        # recomputed, and the next attempt begins there.
+        if solution.x is None or "Infeasible" in solution.status:
+            if problem.constraints.others and "PrimalInfeasible" in solution.status:
                 require_consistent(problem)
             # Where constraints hold together, Clarabel is wrong that they do not.
             return

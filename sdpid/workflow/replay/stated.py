@@ -11,8 +11,8 @@ import numpy as np
 from sdpid.assurance.certificate.certificate import problem_dict
 from sdpid.assurance.recipe.stated import StatedProblem, in_words
 from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.prior.alike import described_pairs
 from sdpid.estimation.prior.friction import with_friction_max
+from sdpid.estimation.prior.prior import described_pairs
 from sdpid.estimation.problem import Problem
 from sdpid.verifier.reading import shown
 from sdpid.workflow.replay.compare import differences
