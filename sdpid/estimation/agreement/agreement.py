@@ -130,50 +130,42 @@ class Agreement(Shown):
 
     def summary(self) -> str:
         """Return the answer in a few sentences."""
-        said = [self._joint_verdict(), self._single_verdict(), self._effort_verdict()]
-        return " ".join([*filter(None, said), *self.notes])
-
-    def _joint_verdict(self) -> str:
-        if self.p is None:
-            return "Whether the estimates agree is not tested."
-        return (
-            f"The estimates {'agree' if self.agree else 'differ by more than their errors'}: the "
-            f"squared Mahalanobis distance of {self.rank} directions is {self.statistic:.4g} "
-            f"(p = {self.p:.2g})."
-        )
-
-    def _single_verdict(self) -> str:
-        tested = sum(each.agree is not None for each in self.differences)
-        if not tested:
-            return ""
-        expected, names = (1.0 - self.level) * tested, self.outside
-        listed = f" ({', '.join(names[:6])}{' and more' if len(names) > 6 else ''})" * bool(names)
-        return (
-            f"Of {tested} base parameters {len(names)}{listed} differ by more than "
-            f"{100.0 * self.level:g} % intervals allow; {expected:.2g} would by chance."
-        )
-
-    def _effort_verdict(self) -> str:
-        said = [f"{100.0 * e.relative:.2g} % on the motion of the {e.motion}" for e in self.efforts]
-        return f"Predicted efforts differ by {' and '.join(said)} (rms)." if said else ""
+        said = ["Whether the estimates agree is not tested."]
+        if self.p is not None:
+            said = [
+                f"The estimates {'agree' if self.agree else 'differ by more than their errors'}: "
+                f"the squared Mahalanobis distance of {self.rank} directions is "
+                f"{self.statistic:.4g} (p = {self.p:.2g})."
+            ]
+        if tested := sum(each.agree is not None for each in self.differences):
+            expected, names = (1.0 - self.level) * tested, self.outside
+            more = " and more" if len(names) > 6 else ""
+            listed = f" ({', '.join(names[:6])}{more})" if names else ""
+            said.append(
+                f"Of {tested} base parameters {len(names)}{listed} differ by more than "
+                f"{100.0 * self.level:g} % intervals allow; {expected:.2g} would by chance."
+            )
+        efforts = [
+            f"{100.0 * e.relative:.2g} % on the motion of the {e.motion}" for e in self.efforts
+        ]
+        if efforts:
+            said.append(f"Predicted efforts differ by {' and '.join(efforts)} (rms).")
+        return " ".join([*said, *self.notes])
 
     def _table(self) -> Table:
         """Return one row a parameter: with errors of each, or of the difference."""
+        shown = {"parameter": "name", "unit": "unit"}
+        shown |= {name: name for name in ("first", "other", "difference")}
+        if self.independent:
+            shown |= {"standard error": "standard_error", "t": "t", "p": "p"}
+        else:
+            shown |= {"error of first": "first_error", "error of other": "other_error"}
         columns: dict[str, list[object]] = {
-            "parameter": [each.name for each in self.differences],
-            "unit": [each.unit for each in self.differences],
-            "first": [each.first for each in self.differences],
-            "other": [each.other for each in self.differences],
-            "difference": [each.difference for each in self.differences],
+            header: [getattr(each, name) for each in self.differences]
+            for header, name in shown.items()
         }
         if self.independent:
-            columns["standard error"] = [each.standard_error for each in self.differences]
-            columns["t"] = [each.t for each in self.differences]
-            columns["p"] = [each.p for each in self.differences]
             columns[""] = ["differs" if e.agree is False else "" for e in self.differences]
-        else:
-            columns["error of first"] = [each.first_error for each in self.differences]
-            columns["error of other"] = [each.other_error for each in self.differences]
         return Table.of_columns(columns, {"t": ".2f", "p": ".2g"})
 
     def table(self) -> str:

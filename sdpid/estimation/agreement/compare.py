@@ -13,8 +13,8 @@ side.
 
 from __future__ import annotations
 
+from dataclasses import fields
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from sdpid.estimation.agreement.agreement import Agreement, Difference, EffortDi
 from sdpid.estimation.posterior import Estimated, Posterior, prior_rows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.base_parameters import BaseParameters
-from sdpid.robot.model.model import RobotModel
 
 # Variance of a difference below this share of the sum of the variances: both estimates rest on one
 # prior there, and what is left is rounding and its curvature.
@@ -49,12 +48,6 @@ _PARALLEL = 0.99
 # poses at rest, which simulated or coarsely measured logs may repeat.
 _SHARED = 0.01
 
-# Numbers of a `Difference`, in order: those of each estimate, and those of the test.
-_NUMBERS = (
-    "first", "other", "difference", "first_error", "other_error",
-    "standard_error", "freedom", "t", "p",
-)  # fmt: skip
-
 _SHARED_DATA = (
     "Both were fitted to samples of the same recording, so that their errors are not independent: "
     "differences are shown beside the errors of each, and nothing is tested."
@@ -67,6 +60,8 @@ _TREATED = (
     "Both were fitted to samples of the same recording, and were taken as independent as asked: "
     "differences are then tested against errors that are too large or too small."
 )
+_PRIORS = "Their priors differ, and are taken as independent beliefs."
+_FRICTION = "Their friction terms differ: a name may stand for another part of friction."
 _GIVEN = "Parameters that were given are taken as exact: only the errors of the estimate count."
 
 
@@ -77,32 +72,38 @@ def compare_estimates(
     """Return whether two estimates agree; see `Estimate.compare_to`."""
     require_probability(level, "compare_to: level")
     robot, bases = first.problem.robot, (first.problem.base, other.problem.base)
-    _require_one_robot(robot, other.problem.robot)
+    for what in ("joint", "link"):
+        a, b = (getattr(each.problem.robot, f"{what}_names") for each in (first, other))
+        if a != b:
+            raise DataError(
+                f"compare_to: the {what}s of '{robot.name}' are {', '.join(a)}, those of "
+                f"'{other.problem.robot.name}' {', '.join(b)}; compare estimates of one robot."
+            )
     pairs, notes = shared_parameters(*bases)
     if not len(pairs):
         raise DataError(
             f"compare_to: no base parameter of '{robot.name}' is the same function of its links in "
             "both estimates; are their kinematics the same?"
         )
-    given = [each.method == "given" for each in (first, other)]
-    together = not any(given) and _share_data(first.problem.samples, other.problem.samples)
+    given = any(each.method == "given" for each in (first, other))
+    together = not given and _share_data(first.problem.samples, other.problem.samples)
     apart = not together if independent is None else independent
-    if together or not apart:
-        notes.append(_TREATED if apart else _SHARED_DATA if together else _DEPENDENT)
-    if any(given):
-        notes.append(_GIVEN)
     errors = _Errors(first, other, pairs)
-    if errors.unlike_beliefs:
-        notes.append("Their priors differ, and are taken as independent beliefs.")
     terms = [[str(t) for t in e.problem.friction.described()] for e in (first, other)]
-    if terms[0] != terms[1]:
-        notes.append("Their friction terms differ: a name may stand for another part of friction.")
+    told = {
+        _SHARED_DATA: together and not apart,
+        _DEPENDENT: not (together or apart),
+        _TREATED: together and apart,
+        _GIVEN: given,
+        _PRIORS: errors.unlike_beliefs,
+        _FRICTION: terms[0] != terms[1],
+    }
     statistic, rank, freedom, p = errors.distance() if apart else (None, 0, None, None)
-    alone = [set(range(base.count)) - set(own) for base, own in zip(bases, pairs.T, strict=True)]
+    alone = [np.delete(base.names, own) for base, own in zip(bases, pairs.T, strict=True)]
     return Agreement(
-        differences=tuple(errors.differences(bases[0], pairs[:, 0], level, tested=apart)),
-        only_first=tuple(bases[0].names[i] for i in sorted(alone[0])),
-        only_other=tuple(bases[1].names[i] for i in sorted(alone[1])),
+        differences=errors.differences(bases[0], pairs[:, 0], level, tested=apart),
+        only_first=tuple(alone[0].tolist()),
+        only_other=tuple(alone[1].tolist()),
         independent=apart,
         level=level,
         statistic=statistic,
@@ -111,19 +112,8 @@ def compare_estimates(
         p=p,
         efforts=tuple(_efforts(first, other)),
         joint_names=robot.joint_names,
-        notes=tuple(notes),
+        notes=(*notes, *(words for words, holds in told.items() if holds)),
     )
-
-
-def _require_one_robot(first: RobotModel, other: RobotModel) -> None:
-    """Raise when two estimates are not of one robot, naming the joints or links that differ."""
-    for what in ("joint", "link"):
-        a, b = (getattr(each, f"{what}_names") for each in (first, other))
-        if a != b:
-            raise DataError(
-                f"compare_to: the {what}s of '{first.name}' are {', '.join(a)}, those of "
-                f"'{other.name}' {', '.join(b)}; compare estimates of one robot."
-            )
 
 
 def shared_parameters(first: BaseParameters, other: BaseParameters) -> tuple[Indices, list[str]]:
@@ -190,22 +180,19 @@ class _Errors:
     """The difference (k,) of two estimates, its covariance, and which parameters are tested."""
 
     def __init__(self, first: Estimated, other: Estimated, pairs: Indices) -> None:
-        self.values = first.base[pairs[:, 0]], other.base[pairs[:, 1]]
-        self.difference = self.values[1] - self.values[0]
-        k = len(pairs)
+        k, both = len(pairs), (first, other)
+        self.values = np.array([each.base[own] for each, own in zip(both, pairs.T, strict=True)])
+        self.singles, self.summed, common = np.zeros((2, k)), np.zeros((k, k)), np.zeros((k, k))
         # Of each estimate that was not given, its parameters as functions of theta, and its errors.
         self.known: list[tuple[Array, Posterior]] = []
-        self.summed, self.singles = np.zeros((k, k)), []
-        for estimate, own in zip((first, other), pairs.T, strict=True):
-            single = np.zeros(k)
+        for estimate, own, single in zip(both, pairs.T, self.singles, strict=True):
             if estimate.method != "given":
                 functions, posterior = estimate.problem.base.matrix[own], Posterior.of(estimate)
                 self.known.append((functions, posterior))
                 self.summed += posterior.covariance(functions)
-                single = np.sqrt(posterior.spread(functions)[0])
-            self.singles.append(single)
-        common, self.unlike_beliefs = np.zeros((k, k)), False
-        if len(self.known) == len(self.singles):
+                single[:] = np.sqrt(posterior.spread(functions)[0])
+        self.unlike_beliefs = False
+        if len(self.known) == len(both):
             (f, p), (g, q) = self.known
             a, b = f @ p.from_prior, g @ q.from_prior
             i, j = beliefs_in_common(first, other)
@@ -213,13 +200,13 @@ class _Errors:
             for one, two in product(p.sources, q.sources):
                 if one.same(two):
                     common += p.slopes(one, f) @ one.covariance @ q.slopes(two, g).T
-            alone = np.delete(a, i, axis=1), np.delete(b, j, axis=1)
-            self.unlike_beliefs = bool(a.size and b.size and (alone[0].any() or alone[1].any()))
+            alone = np.delete(a, i, axis=1).any() or np.delete(b, j, axis=1).any()
+            self.unlike_beliefs = bool(a.size and b.size and alone)
         self.common = common + common.T
         self.covariance = self.summed - self.common
         # What can differ at all, and is known in both.
         able = np.diag(self.covariance) > _ON_PRIOR * np.diag(self.summed)
-        self.tested: Mask = able & np.isfinite(self.singles[0] + self.singles[1])
+        self.tested: Mask = able & np.isfinite(self.singles).all(axis=0)
 
     def freedom(self, directions: Array) -> Array:
         """Return the degrees of freedom of the variance along directions (m, k): Satterthwaite's.
@@ -236,25 +223,27 @@ class _Errors:
 
     def differences(
         self, base: BaseParameters, chosen: Indices, level: float, *, tested: bool
-    ) -> list[Difference]:
+    ) -> tuple[Difference, ...]:
         """Return the parameters one by one, as they are called in a base."""
         from scipy.special import stdtr
 
+        difference = np.diff(self.values, axis=0)[0]
         sizes = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         freedom = self.freedom(np.eye(len(sizes)))
-        t = self.difference / np.where(self.tested, sizes, 1.0)
+        t = difference / np.where(self.tested, sizes, 1.0)
         p = 2.0 * stdtr(freedom, -np.abs(t))
-        rows = np.column_stack([*self.values, self.difference, *self.singles]).tolist()
-        rows = [[x if np.isfinite(x) else None for x in row] for row in rows]
-        tests = np.column_stack([sizes, freedom, t, p]).tolist()
+        tests = np.where(self.tested & tested, [sizes, freedom, t, p], np.nan)
+        errors = np.where(np.isfinite(self.singles), self.singles, np.nan)
         out = []
-        for k, i in enumerate(chosen):
-            own, agree = [None] * 4, None
-            if tested and self.tested[k]:
-                own, agree = tests[k], bool(p[k] >= 1.0 - level)
-            numbers: dict[str, Any] = dict(zip(_NUMBERS, [*rows[k], *own], strict=True))
-            out.append(Difference(name=base.names[i], unit=base.units[i], agree=agree, **numbers))
-        return out
+        for i, row in zip(
+            chosen, np.vstack([self.values, difference, errors, tests]).T, strict=True
+        ):
+            numbers = [None if np.isnan(number) else float(number) for number in row]
+            agree = None if numbers[-1] is None else numbers[-1] >= 1.0 - level
+            values = base.names[i], base.units[i], *numbers, agree
+            names = [each.name for each in fields(Difference)]
+            out.append(Difference(**dict(zip(names, values, strict=True))))
+        return tuple(out)
 
     def distance(self) -> tuple[float | None, int, float | None, float | None]:
         """Return the squared Mahalanobis distance, its rank, its degrees of freedom, and p."""
@@ -273,9 +262,10 @@ class _Errors:
         shares = 1.0 - lost
         free = shares > _ON_PRIOR
         rank = int(free.sum())
-        directions = np.zeros((rank, len(self.difference)))
+        directions = np.zeros((rank, len(self.tested)))
         directions[:, kept] = (white @ axes[:, free]).T
-        distance = float(np.sum((directions @ self.difference) ** 2 / shares[free]))
+        moved = directions @ np.diff(self.values, axis=0)[0]
+        distance = float(np.sum(moved**2 / shares[free]))
         # Of directions with few degrees of freedom the most is left to chance.
         freedom = float(rank / np.sum(1.0 / self.freedom(directions)))
         return distance, rank, freedom, float(fdtrc(rank, freedom, distance / rank))
