@@ -34,46 +34,30 @@ def arm() -> RobotModel:
     return load_robot("ur5_robot")
 
 
-def motion(seed: int, *, speed: float = 1.0) -> tuple[Array, Array, Array, Array]:
+def motion(seed: int) -> tuple[Array, Array, Array, Array]:
     """Return time, positions, velocities and accelerations of a smooth motion."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(2000) / 100.0
-    w, c = speed * rng.uniform(0.5, 3.0, (4, 6)), rng.uniform(0.0, 6.0, (4, 6))
+    rng, t = np.random.default_rng(seed), np.arange(2000) / 100.0
+    w, c = rng.uniform(0.5, 3.0, (4, 6)), rng.uniform(0.0, 6.0, (4, 6))
     return t, *sines(t, w, c, 0.5)
 
 
 def currents(
-    seed: int,
-    *,
-    mass: float = 0.0,
-    gains: Array = GAINS,
-    links: float = 1.0,
-    noise: float = NOISE,
-    speed: float = 1.0,
-    **others: Any,
+    seed: int, *, mass: float = 0.0, gains: Array = GAINS, noise: float = NOISE, **others: Any
 ) -> sdpid.Recording:
     """Return a log of currents, by Pinocchio's Newton-Euler recursion and a body on the flange."""
-    robot = arm()
-    model = robot.pin_model.copy()
-    for k in range(1, 7):
-        body = model.inertias[k]
-        model.inertias[k] = pin.Inertia(links * body.mass, body.lever, links * body.inertia)
+    model = arm().pin_model.copy()
     if mass:
         body = pin.Inertia(mass, COM, 0.004 * mass * np.diag([1.0, 1.2, 0.8]))
         frame = next(f for f in model.frames if f.name == "ee_link")
         model.inertias[6] += frame.placement.act(body)
-    t, q, v, a = motion(seed, speed=speed)
+    t, q, v, a = motion(seed)
     data = model.createData()
     tau = np.array([pin.rnea(model, data, *each) for each in zip(q, v, a, strict=True)])
     rng = np.random.default_rng(seed + 100)
     current = tau / gains + 0.05 * np.tanh(v / 0.01) + 0.02 * v + 0.03
-    return sdpid.Recording(
-        time=t,
-        position=q,
-        effort=current + noise * rng.standard_normal(q.shape),
-        joint_names=robot.joint_names,
-        **{"currents": True, **others},
-    )
+    current += noise * rng.standard_normal(q.shape)
+    options = {"joint_names": arm().joint_names, "currents": True, **others}
+    return sdpid.Recording(time=t, position=q, effort=current, **options)
 
 
 def identified(*logs: Any, **options: Any) -> IdentifiedGains:
@@ -100,22 +84,30 @@ def test_a_load_of_known_mass_shows_all_gains() -> None:
     assert np.all(found.rmse < NOISE)
 
 
+WHOLE: dict[str, Any] = {"com": COM, "inertia": 0.004 * MASS * np.diag([1.0, 1.2, 0.8])}
+
+
 def test_more_known_of_the_load_narrows_the_intervals() -> None:
-    load = sdpid.Load(mass=MASS, com=COM, inertia=0.004 * MASS * np.diag([1.0, 1.2, 0.8]))
-    found = identified(currents(0), currents(1, mass=MASS), load=load)
+    found = identified(currents(0), currents(1, mass=MASS), load=Load(mass=MASS, **WHOLE))
     assert np.all(np.abs(np.log(found.gains.gains / GAINS)) < 0.02)
     assert np.all(found.gains.standard_errors < 1.02 * plain().gains.standard_errors)
 
 
-def test_all_gains_follow_the_mass() -> None:
-    double = identified(currents(0), currents(1, mass=MASS), load=2.0 * MASS, consistent=False)
-    np.testing.assert_allclose(double.gains.gains, 2.0 * plain().unconstrained, rtol=1e-5)
-    unsure = identified(
-        currents(0), currents(1, mass=MASS), load=sdpid.Load(mass=MASS, mass_error=0.05 * MASS)
-    )
-    more = unsure.gains.relative_covariance - plain().gains.relative_covariance
-    np.testing.assert_allclose(more, np.full((6, 6), 0.05**2), rtol=1e-3)
-    assert unsure.gains.common_factor > 0.05
+@pytest.mark.parametrize("known", [{}, WHOLE])
+def test_gains_follow_the_mass_and_its_error(known: dict[str, Any]) -> None:
+    given = currents(0), currents(1, mass=MASS)
+
+    def found(share: float, error: float = 0.0) -> IdentifiedGains:
+        load = Load(mass=share * MASS, mass_error=error * MASS, **known)
+        return identified(*given, load=load, consistent=False)
+
+    less, more, sure, unsure = found(0.99), found(1.01), found(1.0), found(1.0, 0.05)
+    follows = np.log(more.gains.gains / less.gains.gains) / np.log(1.01 / 0.99)
+    # Of a load that is known by its mass alone all gains are in proportion to it.
+    assert bool(known) or np.allclose(follows, 1.0, atol=1e-5)
+    added = unsure.gains.relative_covariance - sure.gains.relative_covariance
+    np.testing.assert_allclose(added, 0.05**2 * np.outer(follows, follows), rtol=2e-3)
+    assert bool(known) or unsure.gains.common_factor > 0.05
     assert any("5 %: so are all gains" in note for note in unsure.notes)
 
 
@@ -210,7 +202,7 @@ def test_a_vertical_axis_shows_its_gain_only_by_a_known_inertia() -> None:
     options: dict[str, Any] = {"effects": "none", "starts": 2, "accept": "effort_scale"}
     said = "those of turn are open: what they move"
     refuses(IdentifiabilityError, said, identify_drive_gains, robot, *logs, load=2.0, **options)
-    whole = sdpid.Load(mass=2.0, com=[0.4, 0.0, 0.0], inertia=np.diag([0.1, 0.1, 0.18]))
+    whole = Load(mass=2.0, com=[0.4, 0.0, 0.0], inertia=np.diag([0.1, 0.1, 0.18]))
     found = identify_drive_gains(robot, *logs, load=whole, **options)
     assert found.gains.gains[0] == pytest.approx(2.0, rel=0.01)
 
@@ -318,24 +310,12 @@ def test_bodies_that_can_exist_cost_no_less() -> None:
 # ---- Two pairs of recordings of a UR10e show the same gains, and weigh each other's load.
 
 
-COLUMNS = {
-    "time": 1,
-    "position": list(range(2, 8)),
-    "velocity": list(range(8, 14)),
-    "effort": list(range(14, 20)),
-}
-RECORDED_MASS = 2.805
-EFFECTS = ("rotor_inertia", "load")
-
-
 def test_pairs_agree(data_folder: Path, tmp_path: Path) -> None:
     folder = data_folder / "ur10e_innopolis"
     robot = sdpid.load_robot(folder / "ur10e.urdf")
-
-    def read(path: Path) -> sdpid.Recording:
-        names = robot.joint_names
-        return sdpid.read_recording(path, columns=COLUMNS, joint_names=names, currents=True)
-
+    how: dict[str, Any] = {"joint_names": robot.joint_names, "currents": True}
+    names = {"position": 2, "velocity": 8, "effort": 14}
+    columns = {"time": 1, **{name: [*range(k, k + 6)] for name, k in names.items()}}
     # Rubbish before, a broken line at the end.
     lines = (folder / "20_02_19_15harm50secLoad.csv").read_text().splitlines()
     loaded = tmp_path / "loaded.csv"
@@ -346,7 +326,11 @@ def test_pairs_agree(data_folder: Path, tmp_path: Path) -> None:
     )
     one, two = (
         sdpid.identify_drive_gains(
-            robot, *map(read, pair), load=RECORDED_MASS, effects=EFFECTS, starts=2
+            robot,
+            *(sdpid.read_recording(path, columns=columns, **how) for path in pair),
+            load=2.805,
+            effects=("rotor_inertia", "load"),
+            starts=2,
         ).gains
         for pair in pairs
     )

@@ -158,12 +158,6 @@ def test_the_message_and_the_numbers() -> None:
     assert found.status == "optimal"
 
 
-def test_the_same_problem_gives_the_same_numbers() -> None:
-    first, second = (solve_robust(spoiled(ARM3, 6)[0]) for _ in range(2))
-    np.testing.assert_array_equal(np.asarray(first.theta), np.asarray(second.theta))
-    assert first.robust_gap == second.robust_gap
-
-
 def test_rows_too_large_to_keep_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, theta = spoiled(ROBOTS["planar"], 6, masked=True)
     kept = HuberLoss.of(problem, threshold=1.0)
