@@ -93,12 +93,17 @@ def score_blocks(fit: GainFit, found: Found) -> tuple[ScoreBlocks, Array]:
     T = information_root(np.vstack([*whole, believed]))
     products = []
     for number, (samples, own) in enumerate(zip(model.samples, fit.links, strict=True)):
-        rows = np.stack([design(j, each) for j, each in enumerate(model.columns(number, own))])
-        # No block goes over a break.
-        for part in samples.parts:
-            for start in range(part.start, part.stop, samples.block):
-                block = rows[:, start : min(start + samples.block, part.stop)]
-                X, left = block[..., :-1].reshape(-1, len(T)) @ T, block[..., -1].ravel()
-                products.append(X.T @ np.column_stack([X, left]))
-    H = np.array(products)
+        blocks = [
+            slice(start, min(start + samples.block, part.stop))
+            for part in samples.parts
+            for start in range(part.start, part.stop, samples.block)
+        ]
+        sums_of_blocks = np.zeros((len(blocks), T.shape[1], T.shape[1] + 1))
+        for j, columns in enumerate(model.columns(number, own)):
+            rows = design(j, columns)
+            rows = np.column_stack([rows[:, :-1] @ T, rows[:, -1]])
+            for sums, block in zip(sums_of_blocks, blocks, strict=True):
+                sums += rows[block, :-1].T @ rows[block]
+        products.append(sums_of_blocks)
+    H = np.concatenate(products)
     return ScoreBlocks("blocks", H[..., :-1], H[..., -1], np.eye(T.shape[1])), T

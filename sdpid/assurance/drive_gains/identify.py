@@ -32,9 +32,9 @@ from sdpid.estimation.effects.kinds import Effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.for_robot import prepare
-from sdpid.experiment.preparation.several import Logs, ProcessingOf
+from sdpid.experiment.preparation.several import Logs, ProcessingOf, as_pieces
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.readers.read import is_frame, read_recording
+from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
@@ -155,7 +155,7 @@ def identify_drive_gains(
         raise DataError("without_load: there are no recordings; give at least one.")
     checks.require_currents(bare, loaded)
     loads = _loads(load, len(loaded))
-    held = _held(arm, known)
+    held = _held(arm, known or {})
     _check_numbers(arm, description_error, starts)
     require_open_chain(arm, "gains")
     logs = [match_joints(arm, log) for log in (*bare, *loaded)]
@@ -258,8 +258,7 @@ def _best(fit: GainFit, found: Found, near: Array, starts: int) -> tuple[Found, 
 
 def _recordings(given: Logs) -> tuple[Recording, ...]:
     """Return recordings of currents, read as amperes."""
-    alone = isinstance(given, Recording | str | os.PathLike) or is_frame(given)
-    each: Any = (given,) if alone else given
+    each: Any = as_pieces(given)
     return tuple(
         log if isinstance(log, Recording) else read_recording(log, currents=True) for log in each
     )
@@ -286,10 +285,9 @@ def _loads(given: float | Load | Sequence[float | Load] | None, count: int) -> t
     return tuple(loads)
 
 
-def _held(robot: RobotModel, known: Mapping[str, float] | None) -> Array:
+def _held(robot: RobotModel, known: Mapping[str, float]) -> Array:
     """Return the known gains (n,), zero where there is none."""
-    held = np.zeros(robot.n)
-    for name, value in (known or {}).items():
+    for name, value in known.items():
         if name not in robot.joint_names:
             raise DataError(
                 f"known: '{robot.name}' has no joint '{name}'; it has "
@@ -297,8 +295,7 @@ def _held(robot: RobotModel, known: Mapping[str, float] | None) -> Array:
             )
         if not (np.isfinite(value) and value > 0.0):
             raise DataError(f"known: the gain of {name} is {value}; give a positive one, N·m/A.")
-        held[robot.joint_names.index(name)] = float(value)
-    return held
+    return np.array([float(known.get(name, 0.0)) for name in robot.joint_names])
 
 
 def _check_numbers(robot: RobotModel, description_error: float | None, starts: int) -> None:

@@ -245,15 +245,8 @@ def gain_processing(
 
 def first_terms(robot: RobotModel) -> tuple[str | FrictionTerm, ...]:
     """Return terms with which nearly right gains are found, before any are chosen by the data."""
-    terms: tuple[str | FrictionTerm, ...] = (
-        Coulomb(width=SMOOTH),
-        "viscous",
-        "offset",
-        "rotor_inertia",
-    )
-    if not np.any(robot.prior[:, 0] > 0.0):
-        return terms
-    return (*terms, LoadFriction(width=SMOOTH))
+    with_load = [LoadFriction(width=SMOOTH)] if np.any(robot.prior[:, 0] > 0.0) else []
+    return (Coulomb(width=SMOOTH), "viscous", "offset", "rotor_inertia", *with_load)
 
 
 def chosen_terms(
@@ -279,11 +272,9 @@ def chosen_terms(
     friction, effects
         As `identify_drive_gains` takes them.
     """
-    names = names_of_effects(effects)
-    given = friction_of(log, friction)
+    names, given = names_of_effects(effects), friction_of(log, friction)
     torques = replace(samples, effort=samples.effort * gains)
-    described = bool(np.any(robot.prior[:, 0] > 0.0))
-    prior = Prior() if described else None
+    prior = Prior() if np.any(robot.prior[:, 0] > 0.0) else None
     constraints = Constraints.of_size(robot)
 
     def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
