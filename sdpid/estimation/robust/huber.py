@@ -155,11 +155,6 @@ class WhitenedRows:
         share = max(2.0 * norm.sf(threshold), np.finfo(float).tiny)
         return np.asarray(np.sqrt(2.0 * gammainccinv(np.maximum(self.freedom, 1.0) / 2.0, share)))
 
-    def rms(self, values: Array) -> Array:
-        """Return root mean squares of values (K, n): of each joint, or of all, (g,)."""
-        count = np.maximum(self.freedom.sum(axis=0), 1.0)
-        return np.asarray(np.sqrt((self.size(values) ** 2).sum(axis=0) / count))
-
     def median(self, values: Array) -> Array:
         """Return deviations (g,) of normal values (K, n) of the same median size."""
         ratio, used = self.size(values) / self.quantile(_NORMAL_MEDIAN), self.freedom > 0.0
@@ -222,9 +217,8 @@ class HuberLoss:
             raise DataError(f"Huber loss: the threshold is {threshold}; give a positive number.")
         rows = WhitenedRows(problem)
         scale = rows.quantile(threshold)
-        if deviations is None:
-            return cls(rows, frozen(scale * _deviations(rows, scale)))
-        given = np.broadcast_to(np.asarray(deviations, dtype=np.float64), rows.groups)
+        found = _deviations(rows, scale) if deviations is None else deviations
+        given = np.broadcast_to(np.asarray(found, dtype=np.float64), rows.groups)
         if not np.all(np.isfinite(given) & (given > 0.0)):
             raise DataError(f"Huber loss: deviations are {given}; give positive numbers.")
         return cls(rows, frozen(scale * given))
@@ -309,21 +303,18 @@ class HuberLoss:
 
 def _deviations(rows: WhitenedRows, scale: Array) -> Array:
     """Return the standard deviations (g,) of whitened residuals, from a robust fit."""
-    problem = rows.problem
-    used = float(rows.freedom.sum())
+    problem, count = rows.problem, rows.freedom.sum(axis=0)
     # Residuals of a fit are smaller than the errors.
-    grow = np.sqrt(used / max(used - problem.base.count, 1))
-    least = rows.rms(rows.residuals(np.zeros(problem.base.count)))
-    least = _LEAST_DEVIATION * np.maximum(least, float(least.max()))
+    grow = np.sqrt(count.sum() / max(count.sum() - problem.base.count, 1))
+    efforts = rows.size(rows.residuals(np.zeros(problem.base.count)))
+    least = np.sqrt((efforts**2).sum(axis=0) / np.maximum(count, 1.0))
+    least = _LEAST_DEVIATION * np.maximum(least, least.max())
     least = np.where(least > 0.0, least, 1.0)
-    base = solve_wls(problem).base
-    found = np.maximum(grow * rows.median(rows.residuals(base)), least)
-    for _ in range(_DEVIATION_ROUNDS):
-        loss = HuberLoss(rows, scale * found)
-        base = solve_wls(loss.majorized(base)).base
-        updated = np.maximum(grow * rows.median(rows.residuals(base)), least)
-        settled = np.allclose(updated, found, rtol=_DEVIATION_SETTLED)
-        found = updated
-        if settled:
+    weighted, found = problem, np.full(rows.groups, np.inf)
+    for _ in range(1 + _DEVIATION_ROUNDS):
+        base, before = solve_wls(weighted).base, found
+        found = np.maximum(grow * rows.median(rows.residuals(base)), least)
+        if np.allclose(found, before, rtol=_DEVIATION_SETTLED):
             break
+        weighted = HuberLoss(rows, scale * found).majorized(base)
     return np.asarray(found)

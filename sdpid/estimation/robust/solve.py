@@ -114,7 +114,6 @@ def solve_robust(
     for _ in range(_FREE_ROUNDS):
         base = solve_wls(loss.majorized(base)).base
     seconds, iterations = 0.0, 0
-    estimate: RobustEstimate | None = None
     for rounds in range(1, max_rounds + 1):
         weighted = loss.majorized(base)
         if weighted.prior is None:
@@ -144,7 +143,7 @@ def solve_robust(
             return estimate
     raise SolverError(
         f"Huber cost of '{problem.robot.name}': not settled after {max_rounds} rounds "
-        f"({'' if estimate is None else estimate.message}; limits {_SETTLED:.0e} and "
+        f"({estimate.message}; limits {_SETTLED:.0e} and "
         f"{PROVEN:.0e}); allow more rounds (max_rounds) or raise the threshold.",
         problem=problem,
         found=estimate,
