@@ -7,6 +7,10 @@ from typing import Any
 
 from .exact import inner, positive_semidefinite
 
+# The matrix that a consistency asks to be positive semidefinite, in words.
+MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
+CONSISTENCIES = (*MATRICES, "none")
+
 
 def link_matrix(body: Any, consistency: str) -> list[list[Fraction]]:
     """Return M of (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), about the joint frame's origin.

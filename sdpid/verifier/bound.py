@@ -40,7 +40,7 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from .bodies import adjoint, link_matrix
+from .bodies import CONSISTENCIES, adjoint, link_matrix
 from .exact import (
     dot,
     factorize,
@@ -51,9 +51,7 @@ from .exact import (
     root_above,
     transposed,
 )
-from .reading import MalformedError, index, items, numbers, require_keys, shown, text
-
-CONSISTENCIES = ("pseudo_inertia", "spatial_inertia", "none")
+from .reading import MalformedError, index, items, names, numbers, require_keys, shown, text
 
 # The gap is relative to the cost, or to this share of ‖rhs‖² + floor where that is next to zero.
 TINY_COST = Fraction(1e-6)
@@ -68,7 +66,7 @@ _PRIOR = ["links", "inverses", "strength"]
 _MULTIPLIERS = ["y", "Z", "rows", "W"]
 
 
-class Recomputed:
+class Proof:
     """What the numbers of a certificate prove, claims aside.
 
     Attributes
@@ -87,6 +85,8 @@ class Recomputed:
         The least cost that gaps are relative to; a prior has no part in it.
     broken : list of str
         Why multipliers or theta prove nothing.
+    names, link_names : list of str
+        Of the parameters and links, in quotes.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -107,17 +107,19 @@ class Recomputed:
         self.data_cost = self.prior_cost = self.violation = self.constant = Fraction(0)
         self.worst = ""
         self.c, self.broken = [Fraction(0)] * p, list[str]()
+        origin = data["origin"]
+        self.names = list(map(shown, names(origin["theta_names"], p, "theta_names")))
+        self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
         self._sizes = self._sizes_of_parameters()
         self._squares()
         self._links()
         self._cones()
         self._rows()
         self._entropic()
-        # c·theta is at least this much within the bounds.
+        # c·theta is at least this much within the bounds; squares and divergences at least zero.
         ends = zip(self.c, self.lower, self.upper, strict=True)
-        self.lower_bound = self.constant + sum(
-            slope * Fraction(low if slope > 0 else high) for slope, low, high in ends
-        )
+        linear = sum(slope * Fraction(low if slope > 0 else high) for slope, low, high in ends)
+        self.lower_bound = max(self.constant + linear, self.floor)
 
     @property
     def cost(self) -> Fraction:
@@ -185,9 +187,8 @@ class Recomputed:
 
     def _cones(self) -> None:
         """Bound: the Z of the cones. The cones' violations."""
-        for number, (given, z) in enumerate(
-            zip(self.problem["cones"], self._Z_of_cones, strict=True), 1
-        ):
+        pairs = zip(self.problem["cones"], self._Z_of_cones, strict=True)
+        for number, (given, z) in enumerate(pairs, 1):
             cone = require_keys(given, CONE, f"cone {number}")
             name = f"cone {shown(text(cone['name'], f'the name of cone {number}'))}"
             link = index(cone["link"], self.links)

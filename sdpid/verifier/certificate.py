@@ -15,8 +15,8 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-from .bodies import has_margin
-from .bound import Recomputed
+from .bodies import MATRICES, has_margin
+from .bound import Proof
 from .exact import above
 from .reading import (
     REFUSED,
@@ -59,8 +59,6 @@ _MOST_NAMES = 60
 # More rows than any log has.
 _MOST = 10**15
 
-_MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
-
 
 def load(content: bytes) -> dict[str, Any]:
     """Parse a certificate; MalformedError where it is none of this version."""
@@ -69,25 +67,6 @@ def load(content: bytes) -> dict[str, Any]:
     more = () if data["version"] == VERSION else ("compression",)
     require_keys(data, (*KEYS, *more), "the certificate")
     return data
-
-
-class Proof(Recomputed):
-    """What the numbers of a certificate prove of the cost that it states.
-
-    Attributes
-    ----------
-    names, link_names : list of str
-        Of the parameters and links, in quotes.
-    """
-
-    def __init__(self, data: dict[str, Any]) -> None:
-        super().__init__(data)
-        known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
-        origin = require_keys(data["origin"], known, "origin")
-        self.names = list(map(shown, names(origin["theta_names"], len(self.c), "theta_names")))
-        self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
-        # Squares and divergences are never below zero.
-        self.lower_bound = max(self.lower_bound, self.floor)
 
 
 def check(data: dict[str, Any]) -> Result:
@@ -104,16 +83,21 @@ def check(data: dict[str, Any]) -> Result:
 
 def claimed(data: dict[str, Any]) -> dict[str, float | None]:
     """Return the numbers that a certificate which was checked claims."""
-    claims = data["claims"]
-    margins = [margin for margin in claims["margins"] or [] if margin is not None]
-    found = {key: claims[key] for key in ("cost", "lower_bound", "gap")}
-    return {**found, "margin": min(margins, default=None)}
+    found = {key: data["claims"][key] for key in ("cost", "lower_bound", "gap")}
+    return {**found, "margin": _least(data["claims"])}
+
+
+def _least(claims: dict[str, Any]) -> float | None:
+    """Return the least margin of a link that is claimed."""
+    return min((each for each in claims["margins"] or [] if each is not None), default=None)
 
 
 def prove(data: dict[str, Any], proof: Proof) -> Result:
     """Compare every claim with what was recomputed."""
     claims = require_keys(data["claims"], _CLAIMS, "claims")
     require_keys(data["metadata"], _METADATA, "metadata")
+    known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
+    require_keys(data["origin"], known, "origin")
     described = _described(data, proof)
     problems, said = list(proof.broken), []
     bound = numbers(claims["lower_bound"])
@@ -207,8 +191,8 @@ def _feasible(proof: Proof, claims: dict[str, Any]) -> str:
     """Return what feasible parameters obey, in words."""
     demands = ["bounds"]
     if proof.consistency != "none":
-        margins = [margin for margin in claims["margins"] if margin is not None]
-        least = f", the least margin {min(margins)!r} kg.m2" if margins else ""
+        margin = _least(claims)
+        least = "" if margin is None else f", the least margin {margin!r} kg.m2"
         demands.append(f"{proof.consistency} of {proof.links} links{least}")
     if count := len(proof.problem["rows"]) + len(proof.problem["cones"]):
         demands.append(f"{count} rows and cones to within {claims['violation']!r} of their size")
@@ -255,7 +239,7 @@ def _constraints(proof: Proof) -> str:
     if of := len(ends) - 10 * links:
         demands.append(f"{len(free)} of {of} of friction and drives may be negative")
     if proof.consistency != "none":
-        matrix = _MATRICES[proof.consistency]
+        matrix = MATRICES[proof.consistency]
         demands.append(f"a {matrix} with margin {float(proof.margin)!r} kg.m2 of each link")
     else:
         demands.append("no consistency of the links")

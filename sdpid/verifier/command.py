@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +19,13 @@ CHECKS = {
 }
 
 
-@dataclass(frozen=True)
-class Checked:
-    """Result of a check: sentences, the file's SHA-256 or the manifest's digest, and claims."""
-
-    result: Result
-    sha256: str
-    claims: dict[str, float | None] = field(default_factory=dict)
+# A result, the file's SHA-256 or the manifest's digest, and what is claimed.
+Checked = tuple[Result, str, dict[str, float | None]]
 
 
 def check_path(path: Any) -> Checked:
     """Check a results folder, or one file; OSError or one of REFUSED where it is no proof."""
-    return Checked(*folder.check(path)) if Path(path).is_dir() else check_file(path)
+    return folder.check(path) if Path(path).is_dir() else check_file(path)
 
 
 def check_file(path: Any) -> Checked:
@@ -45,7 +39,7 @@ def check_file(path: Any) -> Checked:
     load, check, claims = CHECKS[schema]
     data, sha256 = load(content), hashlib.sha256(content).hexdigest()
     result = Result((f"File {shown(str(path))}, SHA-256 {sha256}.",)) + check(data)
-    return Checked(result, sha256, claims(data))
+    return result, sha256, claims(data)
 
 
 def main(arguments: list[str]) -> int:
@@ -58,7 +52,7 @@ def main(arguments: list[str]) -> int:
         print("usage: python verifier FILE_OR_FOLDER", file=sys.stderr)
         return 2
     try:
-        result = check_path(arguments[0]).result
+        result = check_path(arguments[0])[0]
     except OSError as cause:
         print(f"{shown(arguments[0])}: cannot be read: {cause.strerror}", file=sys.stderr)
         return 2

@@ -98,15 +98,9 @@ def log_bounds(value: Fraction) -> tuple[Fraction, Fraction]:
 
 def root_above(value: Fraction) -> Fraction:
     """Return a rational just above the square root of value ≥ 0, to 80 binary digits."""
-    root, unit = _root(value)
-    return Fraction(root + 1, unit)
-
-
-def _root(value: Fraction) -> tuple[int, int]:
-    """Return n and d with n/d ≤ √value < (n + 1)/d."""
     small = value.denominator.bit_length() - value.numerator.bit_length()
     bits = 80 + max(0, small if value else 0)
-    return math.isqrt(math.floor(value * 4**bits)), 2**bits
+    return Fraction(math.isqrt(math.floor(value * 4**bits)) + 1, 2**bits)
 
 
 def above(value: Fraction) -> float:

@@ -98,9 +98,8 @@ def check(folder: Path, data: Mapping[str, Any]) -> Result:
     others = sorted({path.name for path in folder.iterdir()} - {NAME, *data["files"]})
     if others:
         unchecked.append(f"{listed(map(shown, others))}: not of this run")
-    count = len(data["files"])
-    said = () if problems else (f"All {count} files have the SHA-256 that {NAME} lists.",)
-    return Result(said, tuple(problems), tuple(unchecked))
+    said = f"All {len(data['files'])} files have the SHA-256 that {NAME} lists."
+    return Result(() if problems else (said,), tuple(problems), tuple(unchecked))
 
 
 def _sha256(path: Path) -> str:
@@ -117,6 +116,4 @@ def given(data: Mapping[str, Any]) -> tuple[str, ...]:
     for entry in data["inputs"]:
         what = "in memory" if entry["name"] is None else shown(entry["name"])
         said.append(f"the {entry['role']} {what}, SHA-256 {entry['sha256']}: it is not here")
-    if not said:
-        said.append("what the run was given: the manifest does not say")
-    return tuple(said)
+    return tuple(said) or ("what the run was given: the manifest does not say",)

@@ -30,7 +30,7 @@ REFUSED = (LookupError, TypeError, AttributeError, ArithmeticError, ValueError, 
 def shown(name: str) -> str:
     """Return a name in quotes, with every character escaped that a terminal would not print."""
     cut = name if len(name) <= _MAX_NAME else f"{name[:_MAX_NAME]}…"
-    return f"'{''.join(c if _plain(c) else _escaped(c) for c in cut)}'"
+    return f"'{''.join(map(_escaped, cut))}'"
 
 
 def listed(words: Iterable[str], most: int = 20) -> str:
@@ -40,13 +40,11 @@ def listed(words: Iterable[str], most: int = 20) -> str:
     return ", ".join(every[:most]) + more
 
 
-def _plain(c: str) -> bool:
-    """Whether a character is what it seems, also between quotes."""
-    return c.isprintable() and c not in "'\\"
-
-
 def _escaped(c: str) -> str:
-    return f"\\{c}" if c in "'\\" else c.encode("unicode_escape").decode()
+    """Return a character as it is seen for what it is, also between quotes."""
+    if c in "'\\":
+        return f"\\{c}"
+    return c if c.isprintable() else c.encode("unicode_escape").decode()
 
 
 def read_bytes(path: Any, limit: int = MAX_BYTES) -> bytes:

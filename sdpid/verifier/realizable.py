@@ -39,9 +39,6 @@ ExactMatrix = list[list[Fraction]]
 
 _ZERO = Fraction(0)
 
-# Where the six entries of the tensor stand, in the order of a link's parameters.
-_TENSOR = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Question:
@@ -96,33 +93,19 @@ class Question:
         """Number of links."""
         return len(self.link_names)
 
-    def combination(self, weights: Mapping[int, Fraction]) -> Vector:
-        """Return ``Σ weight_k·row_k`` without its zeros."""
-        terms: dict[int, list[tuple[Fraction, Fraction]]] = {}
-        for k, weight in weights.items():
-            for j, coefficient in self.rows[k].items():
-                terms.setdefault(j, []).append((weight, coefficient))
-        sums = {j: dot(*zip(*pairs, strict=True)) for j, pairs in terms.items()}
-        return {j: value for j, value in sums.items() if value != 0}
-
-    def link_part(self, c: Mapping[int, Fraction], link: int) -> list[Fraction]:
-        """Return the ten coefficients of a link."""
-        return [c.get(10 * link + k, _ZERO) for k in range(10)]
-
-    def outside(self, theta: Sequence[Fraction]) -> dict[str, Fraction]:
-        """Return the excess beyond its halfwidth of each number that theta does not have."""
-        out = {}
-        numbers = zip(self.names, self.rows, self.values, self.halfwidths, strict=True)
-        for name, row, value, half in numbers:
-            had = dot(row.values(), [theta[j] for j in row])
-            if (excess := abs(had - value) - half) > 0:
-                out[name] = excess
-        return out
+    @cached_property
+    def given(self) -> dict[str, tuple[Vector, Fraction, Fraction]]:
+        """Coefficients, value and halfwidth by the parameter's name."""
+        entries = zip(self.rows, self.values, self.halfwidths, strict=True)
+        return dict(zip(self.names, entries, strict=True))
 
     def faults(self, theta: Sequence[Fraction]) -> list[str]:
         """Return what keeps theta from being bodies that have the table; none where they do."""
-        outside = self.outside(theta).items()
-        found = [f"{parameter(name)} is off by {decimal_text(x)} too much" for name, x in outside]
+        found = []
+        for name, (row, value, half) in self.given.items():
+            had = dot(row.values(), [theta[j] for j in row])
+            if (excess := abs(had - value) - half) > 0:
+                found.append(f"{parameter(name)} is off by {decimal_text(excess)} too much")
         for j, (name, value) in enumerate(zip(self.theta_names, theta, strict=True)):
             least = 0 if j in self.nonnegative else -self.theta_max
             if not least <= value <= self.theta_max:
@@ -142,10 +125,8 @@ class Question:
 
 def coefficient_matrices(c: Sequence[Fraction]) -> tuple[ExactMatrix, ExactMatrix]:
     """Return C (3×3) and Q (4×4) of the ten coefficients of a link."""
-    C = [[_ZERO] * 3 for _ in range(3)]
-    for (i, j), value in zip(_TENSOR, c[4:], strict=True):
-        C[i][j] = C[j][i] = value if i == j else value / 2
-    trace = C[0][0] + C[1][1] + C[2][2]
+    (xx, yy, zz), (xy, xz, yz) = (c[4], c[6], c[9]), (x / 2 for x in (c[5], c[7], c[8]))
+    C, trace = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], xx + yy + zz
     Q = [[(trace if i == j else _ZERO) - C[i][j] for j in range(3)] for i in range(3)]
     half = [value / 2 for value in c[1:4]]
     return C, [[*row, h] for row, h in zip(Q, half, strict=True)] + [[*half, c[0]]]
@@ -212,22 +193,28 @@ class Refutation:
     slack: Mapping[int, Fraction] = field(default_factory=dict)
 
     @cached_property
-    def _index(self) -> dict[str, int]:
-        return {name: k for k, name in enumerate(self.question.names)}
-
-    @cached_property
     def coefficients(self) -> Vector:
         """Coefficients of the inequality in theta."""
-        return self.question.combination({self._index[n]: w for n, w in self.weights.items()})
+        terms: dict[int, list[tuple[Fraction, Fraction]]] = {}
+        for name, weight in self.weights.items():
+            for j, coefficient in self.question.given[name][0].items():
+                terms.setdefault(j, []).append((weight, coefficient))
+        sums = {j: dot(*zip(*pairs, strict=True)) for j, pairs in terms.items()}
+        return {j: value for j, value in sums.items() if value != 0}
 
     def link(self, link: int) -> list[Fraction]:
         """Return a link's coefficients with what the bounds add to them."""
-        c = self.question.link_part(self.coefficients, link)
+        c = [self.coefficients.get(10 * link + k, _ZERO) for k in range(10)]
         slack = self.slack.get(link, _ZERO)
         c[0] += self.masses.get(link, _ZERO) + slack
         for k in (4, 6, 9):
             c[k] += slack
         return c
+
+    def matrices(self, link: int) -> list[ExactMatrix]:
+        """Return the matrices of a link that are to be positive semidefinite."""
+        C, Q = coefficient_matrices(self.link(link))
+        return [Q, C] if self.question.consistency == "spatial_inertia" else [Q]
 
     @property
     def uses_mass_bound(self) -> bool:
@@ -268,10 +255,8 @@ class Refutation:
     @cached_property
     def most(self) -> Fraction:
         """Largest value of the left side within the halfwidths."""
-        q = self.question
-        used = [(w, self._index[name]) for name, w in self.weights.items()]
-        ends = [w * q.values[k] + abs(w) * q.halfwidths[k] for w, k in used]
-        return sum(ends, _ZERO)
+        used = [(w, *self.question.given[name][1:]) for name, w in self.weights.items()]
+        return sum((w * value + abs(w) * half for w, value, half in used), _ZERO)
 
     @cached_property
     def valid(self) -> bool:
@@ -280,13 +265,8 @@ class Refutation:
             return False
         if any(x < 0 for x in (*self.masses.values(), *self.slack.values())):
             return False
-        for link in range(self.question.n_links):
-            C, Q = coefficient_matrices(self.link(link))
-            if not positive_semidefinite(Q):
-                return False
-            if self.question.consistency == "spatial_inertia" and not positive_semidefinite(C):
-                return False
-        return True
+        links = range(self.question.n_links)
+        return all(positive_semidefinite(M) for link in links for M in self.matrices(link))
 
     @property
     def holds(self) -> bool:

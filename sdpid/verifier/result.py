@@ -27,11 +27,7 @@ class Result:
 
     def __add__(self, other: Result) -> Result:
         """Return the sentences of both."""
-        return Result(
-            self.statements + other.statements,
-            self.problems + other.problems,
-            self.unchecked + other.unchecked,
-        )
+        return Result(*(getattr(self, kind) + getattr(other, kind) for kind in self.KINDS))
 
     @property
     def passed(self) -> bool:

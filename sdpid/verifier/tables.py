@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from .bodies import MATRICES
 from .decimals import Rationals, decimal_text, linear_text, parameter, rounded
 from .reading import (
     REFUSED,
@@ -49,8 +50,6 @@ _MOST_LINKS = 1000
 # Terms, parameters, signs or faults that are printed; of more, how many there are.
 _MOST_SHOWN = 12
 
-_MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
-
 
 def load(content: bytes) -> dict[str, Any]:
     """Parse a file; MalformedError where it is no answer of this version."""
@@ -82,22 +81,20 @@ def _question(data: dict[str, Any], read: Any) -> Question:
     """Return the question of a file."""
     robot = require_keys(data["robot"], ("name", "links"), "robot")
     table = require_keys(data["table"], ("file", "sha256"), "table")
-    limits = require_keys(
-        data["constraints"], ("consistency", *LIMITS, "nonnegative"), "constraints"
-    )
+    keys = ("consistency", *LIMITS, "nonnegative")
+    limits = require_keys(data["constraints"], keys, "constraints")
     links = items(robot["links"], "the links")
     if not 0 < len(links) <= _MOST_LINKS:
         raise MalformedError(f"it has {len(links)} links")
     entries = items(data["parameters"], "parameters")
     given = [require_keys(one, PARAMETER, "a parameter") for one in entries]
-    theta_names = items(data["theta_names"], "theta_names")
-    count = len(theta_names)
+    count = len(theta_names := items(data["theta_names"], "theta_names"))
     if count < 10 * len(links) or not given:
         raise MalformedError("links and parameters do not fit")
     friction = items(limits["nonnegative"], "nonnegative")
     if any(index(j, count) < 10 * len(links) for j in friction):
         raise MalformedError("a sign that physics does not give")
-    if limits["consistency"] not in _MATRICES:
+    if limits["consistency"] not in MATRICES:
         raise MalformedError(f"consistency {limits['consistency']!r:.40} is not known")
     question = Question(
         robot=text(robot["name"], "the robot's name"),
@@ -204,7 +201,7 @@ def _constraints(q: Question) -> str:
     friction = f"; not negative: {signs}" if signs else ""
     limit = decimal_text(q.theta_max)
     return (
-        f"Constraints: every link's {_MATRICES[q.consistency]} with a margin of at least "
+        f"Constraints: every link's {MATRICES[q.consistency]} with a margin of at least "
         f"{decimal_text(q.margin)} kg.m2, its mass from {decimal_text(q.mass_min)} to "
         f"{decimal_text(q.mass_max)} kg, every parameter within {limit}{friction}."
     )
@@ -250,11 +247,8 @@ def _refuted(proof: Refutation) -> Result:
 
 def _numbers(q: Question, used: Any) -> str:
     """Return the numbers of some parameters in words."""
-    given = dict(zip(q.names, zip(q.values, q.halfwidths, strict=True), strict=True))
-    words = (
-        f"{parameter(name)} = {decimal_text(given[name][0])} +- {decimal_text(given[name][1])}"
-        for name in used
-    )
+    given = ((name, *map(decimal_text, q.given[name][1:])) for name in used)
+    words = (f"{parameter(name)} = {value} +- {half}" for name, value, half in given)
     return listed(words, _MOST_SHOWN)
 
 

@@ -162,20 +162,20 @@ def verify(
     PROVEN, but for what was not checked.
     """
     try:
-        checked = check_path(path)
+        result, sha256, claims = check_path(path)
         question = _question(Path(path)) if robot is not None and data is None else None
     except OSError as cause:
         raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
-    result, log, again = checked.result, None, tuple[str, ...]()
+    log, again = None, tuple[str, ...]()
     if robot is not None and question is not None:
         result = _of_robot(result, question, robot)
     if Path(path).is_dir():
         folder = Path(path)
         sealed = manifest.load(read_bytes(folder / manifest.NAME))
         proof = certificate.load(read_bytes(folder / CERTIFICATE))
-        result += Result(problems=tuple(_far(checked.claims["gap"])))
+        result += Result(problems=tuple(_far(claims["gap"])))
         holds = not any(each.startswith(CERTIFICATE) for each in result.problems)
         numbers = check_numbers(folder, sealed["files"], proof, holds)
         result += Result(told(numbers, "made again"), told(numbers, "not made again"))
@@ -205,9 +205,9 @@ def verify(
         made_again=again,
         problems=result.problems,
         unchecked=result.unchecked,
-        sha256=checked.sha256,
+        sha256=sha256,
         log=log,
-        **checked.claims,
+        **claims,
     )
 
 

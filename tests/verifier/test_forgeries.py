@@ -25,7 +25,6 @@ from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.estimate import Estimate
 from sdpid.verifier import bound
 from sdpid.verifier import certificate as checker
-from sdpid.verifier.bound import Recomputed
 from sdpid.verifier.command import main
 from sdpid.verifier.manifest import sealed
 from sdpid.verifier.reading import MAX_BYTES, MalformedError
@@ -434,14 +433,13 @@ def false(count: int, *kinds: str) -> list[Any]:
 
 def changed(name: str, how: Callable[[Any], None]) -> Callable[[Patch], None]:
     """Return what does something more after a method of the verifier."""
-    of = checker.Proof if name == "__init__" else Recomputed
-    kept = getattr(of, name)
+    kept = getattr(checker.Proof, name)
 
     def method(self: Any, *arguments: Any) -> None:
         kept(self, *arguments)
         how(self)
 
-    return lambda patch: patch.setattr(of, name, method)
+    return lambda patch: patch.setattr(checker.Proof, name, method)
 
 
 def no_violation(proof: Any) -> None:

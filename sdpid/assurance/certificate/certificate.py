@@ -33,7 +33,7 @@ from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.verifier import certificate as checker
-from sdpid.verifier.bound import CONE, ROW
+from sdpid.verifier.bound import CONE, ROW, Proof
 from sdpid.verifier.exact import above, product
 from sdpid.verifier.reading import digest
 from sdpid.verifier.result import Result
@@ -104,7 +104,7 @@ class Certificate(Shown):
         return replace(self.estimate, theta=self.theta, base=base)
 
     @cached_property
-    def _stated(self) -> tuple[dict[str, Any], checker.Proof]:
+    def _stated(self) -> tuple[dict[str, Any], Proof]:
         """Everything that the certificate states, and its exact evaluation."""
         problem, estimate, dual = self.problem, self.estimate, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
@@ -137,7 +137,7 @@ class Certificate(Shown):
                 "W": None if not len(dual.W) else semidefinite(dual.W).tolist(),
             },
         }
-        proof = checker.Proof(stated)
+        proof = Proof(stated)
         bound = downward(proof.lower_bound)
         claims: dict[str, Any] = {"lower_bound": bound, "margins": None}
         cost = violation = gap = None
@@ -231,7 +231,7 @@ class Certificate(Shown):
         atomic_write_text(path, _text(self.to_dict()) + "\n")
 
 
-def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
+def _gap(cost: float, bound: float, proof: Proof) -> float:
     """Return (cost − bound) relative to the cost, rounded up."""
     scale = max(Fraction(cost), proof.scale)
     return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0

@@ -120,8 +120,8 @@ class Refutation(Stored, realizable.Refutation):
     @property
     def change_bound(self) -> Fraction | None:
         """By what factor at least the halfwidths must grow, less one; None where none helps."""
-        halves = dict(zip(self.question.names, self.question.halfwidths, strict=True))
-        room = sum((abs(w) * halves[name] for name, w in self.weights.items()), Fraction(0))
+        given, weights = self.question.given, self.weights
+        room = sum((abs(w) * given[name][2] for name, w in weights.items()), Fraction(0))
         return (self.least - self.most) / room if room > 0 else None
 
     def inequality(self) -> str:

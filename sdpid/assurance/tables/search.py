@@ -20,7 +20,7 @@ from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import from_pseudo_inertia, margin_shift, matrix_basis
 from sdpid.verifier.decimals import rounded
 from sdpid.verifier.exact import positive_semidefinite
-from sdpid.verifier.realizable import ExactMatrix, Question, coefficient_matrices
+from sdpid.verifier.realizable import Question
 
 # Witnesses keep this share of its width away from the ends of the box, and of the bounds, so that
 # rounding does not carry them out of it.
@@ -220,11 +220,11 @@ class Search:
         )
         masses, slack = {}, {}
         for link, multiplier in enumerate(found.masses.tolist()):
-            if all(map(positive_semidefinite, _matrices(proof, link))):
+            if all(map(positive_semidefinite, proof.matrices(link))):
                 continue
             if mass_bound and multiplier > 0.0:
                 masses[link] = rounded(Fraction(multiplier / scale), _DIGITS, up=True)
-            matrices = _matrices(replace(proof, masses=masses), link)
+            matrices = replace(proof, masses=masses).matrices(link)
             doubles = [np.array(matrix, dtype=float) for matrix in matrices]
             lowest = min(float(np.linalg.eigvalsh(each)[0]) for each in doubles)
             rounding = _TINY * max(float(np.abs(each).max()) for each in doubles)
@@ -251,9 +251,3 @@ class Search:
                 inside = half * (1 - Fraction(_INSIDE))
                 out[own] -= (miss - inside if miss > 0 else miss + inside) / row[own]
         return out
-
-
-def _matrices(proof: Refutation, link: int) -> list[ExactMatrix]:
-    """Return the matrices of a link that an inequality needs to be positive semidefinite."""
-    C, Q = coefficient_matrices(proof.link(link))
-    return [C, Q] if proof.question.consistency == "spatial_inertia" else [Q]

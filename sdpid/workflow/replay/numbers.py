@@ -7,7 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from sdpid.verifier.certificate import Proof
+from sdpid.verifier.bound import Proof
 from sdpid.verifier.exact import product
 from sdpid.verifier.reading import REFUSED, MalformedError, items, numbers, parse, read_bytes, shown
 from sdpid.workflow.replay.compare import MOST, differences, read_table
