@@ -25,7 +25,7 @@ from sdpid.estimation.selection.choose import (
     with_chosen_effects,
     with_effects,
     with_every_term,
-    with_terms,
+    without_terms,
 )
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
@@ -533,25 +533,25 @@ def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
     samples = logged("rotor_inertia", seed=3)
     prior = Prior(bodies=1.1 * LINKS)
     problem = build_problem(ARM4, samples, friction=TERMS, weighting="residual", prior=prior)
-    terms = problem.friction.terms
-    every = (*terms, Tilt(BODIES), RotorInertia())
+    every = (*problem.friction.terms, Tilt(BODIES), RotorInertia())
     largest, independent = with_every_term(problem, every, prior)
     sigma = Factor.of(largest.rows, "residual").sigma
-    known = replace(samples, covariance=sigma)
-    for some in (terms, (*terms, RotorInertia()), every):
-        trial = with_terms(largest, some)
-        whole = build_problem(ARM4, known, friction=some, weighting="gls", prior=prior)
-        theta = np.random.default_rng(0).uniform(0.0, 1.0, whole.n_theta)
-        assert trial.base.theta_names == whole.base.theta_names
-        assert trial.cost_of(theta) == pytest.approx(whole.cost_of(theta), rel=COST)
-        assert trial.friction.parameters == whole.friction.parameters
+    known, rng = replace(samples, covariance=sigma), np.random.default_rng(0)
+    for absent in ((), every[-2:-1], every[-1:], every[-2:]):
+        trial = without_terms(largest, absent)
+        present = tuple(term for term in every if term not in absent)
+        whole = build_problem(ARM4, known, friction=present, weighting="gls", prior=prior)
+        theta = dict(zip(whole.base.theta_names, rng.uniform(0.0, 1.0, whole.n_theta), strict=True))
+        all_of_it = np.array([theta.get(name, 0.0) for name in trial.base.theta_names])
+        expected = whole.cost_of(np.array(list(theta.values())))
+        assert trial.cost_of(all_of_it) == pytest.approx(expected, rel=COST)
+        assert len(trial.feasible.rows) == trial.n_theta - whole.n_theta
     assert independent < samples.effort.size
 
 
 def test_rows_elsewhere_are_refused() -> None:
     problem = build_problem(ARM4, logged(), friction=TERMS, weighting="residual")
-    terms = problem.friction.terms
-    refuses(DataError, "rows", with_every_term, problem.without_rows(), terms, None)
+    refuses(DataError, "rows", with_every_term, problem.without_rows(), (), None)
 
 
 @pytest.mark.parametrize("found", [False, True])

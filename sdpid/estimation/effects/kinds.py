@@ -26,9 +26,8 @@ Effects = str | Iterable[str]
 _SEEN = 5.0
 
 
-def _says_nothing(parameters: Mapping[str, float]) -> str:
-    """Return no words."""
-    return ""
+# Words about an effect, from its parameters by name.
+Words = Callable[[Mapping[str, float]], str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +69,8 @@ class Effect:
     place: str = "joints"
     beside: str | None = None
     bends_friction: bool = False
-    size: Callable[[Mapping[str, float]], str] = _says_nothing
-    doubt: Callable[[Mapping[str, float]], str] = _says_nothing
+    size: Words = lambda _: ""
+    doubt: Words = lambda _: ""
 
     def held(self, terms: Sequence[FrictionTerm]) -> bool:
         """Whether terms hold it already."""
@@ -113,19 +112,14 @@ class Tried:
     parameters: int = 0
 
 
-def _angles(parameters: Mapping[str, float]) -> tuple[float, float]:
-    """Return the two angles of gravity in degrees."""
-    return float(np.degrees(parameters["Gx"])), float(np.degrees(parameters["Gy"]))
-
-
 def _size_of_tilt(parameters: Mapping[str, float]) -> str:
-    x, y = _angles(parameters)
+    x, y = np.degrees([parameters["Gx"], parameters["Gy"]])
     return f"gravity is turned by {x:.2f}° about x and {y:.2f}° about y"
 
 
 def _doubt_of_tilt(parameters: Mapping[str, float]) -> str:
     """Doubt angles that anybody would see."""
-    angle = float(np.hypot(*_angles(parameters)))
+    angle = float(np.degrees(np.hypot(parameters["Gx"], parameters["Gy"])))
     if angle <= _SEEN:
         return ""
     return (

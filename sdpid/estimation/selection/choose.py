@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,18 +18,17 @@ from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import close_terms
 from sdpid.estimation.effects.kinds import EFFECTS, Effect, Tried, at_estimate
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
 
 # An effect is chosen where a fall of the cost as large as its own has at most this probability if
@@ -164,11 +162,12 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
         if not candidates:
             return taken, []
         largest, independent = with_every_term(problem, (*terms, *candidates.values()), prior)
-        before = _solved(with_terms(largest, terms))
-        tried = [
-            _tried(effect, term, before, with_terms(largest, (*terms, term)), independent)
-            for effect, term in candidates.items()
-        ]
+        every = list(candidates.values())
+        before = _solved(without_terms(largest, every))
+        tried = []
+        for effect, term in candidates.items():
+            alone = without_terms(largest, [each for each in every if each is not term])
+            tried.append(_tried(effect, term, before, alone, independent))
         shown = [trial for trial in tried if trial.shown]
         if not shown:
             return taken, tried
@@ -196,48 +195,31 @@ def with_every_term(
         assert problem.prior is not None
         prior = replace(prior, kind="pullback", strength=problem.prior.strength)
         belief = replace(problem.prior, terms=prior_terms(prior, rows).terms)
-    cost = {"A": frozen(found.A), "rhs": frozen(found.rhs), "floor": found.floor, "prior": belief}
-    largest = _of_cost(problem, friction, rows.base, cost, rows).with_origin(weighting="residual")
+    feasible = FeasibleSet.build(
+        problem.constraints, problem.consistency, Layout(problem.robot, friction)
+    )
+    largest = replace(
+        problem,
+        friction=friction,
+        base=rows.base,
+        A=frozen(found.A),
+        rhs=frozen(found.rhs),
+        floor=found.floor,
+        feasible=feasible,
+        prior=belief,
+        rows=rows,
+    ).with_origin(weighting="residual")
     return largest, float(found.used / found.time - np.linalg.matrix_rank(found.A))
 
 
-def with_terms(problem: Problem, terms: Sequence[FrictionTerm]) -> Problem:
-    """Return a problem of `with_every_term` with some of its terms: the columns of these alone."""
-    full, prior, friction = problem.base, problem.prior, _model(problem.robot, terms)
-    layout = Layout(problem.robot, friction)
-    theta = np.array([full.theta_names.index(name) for name in layout.names], dtype=np.intp)
-    kept = np.flatnonzero(np.isin(full.kept, theta))
-    base = replace(
-        full,
-        names=tuple(full.names[i] for i in kept),
-        units=tuple(full.units[i] for i in kept),
-        matrix=frozen(full.matrix[np.ix_(kept, theta)]),
-        kept=np.argmax(full.kept[kept][:, None] == theta, axis=1),
-        theta_names=layout.names,
-        theta_units=layout.units,
-    )
-    columns, b = np.column_stack([problem.A[:, kept], problem.rhs]), len(kept)
-    R = np.asarray(np.linalg.qr(columns, mode="r"))
-    if prior is not None:
-        (term,) = prior.terms
-        assert isinstance(term, SquaredTerm)
-        prior = replace(prior, terms=(SquaredTerm(frozen(term.matrix[:, theta]), term.rhs),))
-    floor = problem.floor + float(np.sum(R[b:, b] ** 2))
-    cost = {"A": frozen(R[:b, :b]), "rhs": frozen(R[:b, b]), "floor": floor, "prior": prior}
-    return _of_cost(problem, friction, base, cost)
-
-
-def _of_cost(
-    problem: Problem,
-    friction: FrictionModel,
-    base: BaseParameters,
-    cost: Mapping[str, Any],
-    rows: RowSource | None = None,
-) -> Problem:
-    """Return a problem of other terms: the fields of its cost, and its constraints."""
-    layout = Layout(problem.robot, friction)
-    feasible = FeasibleSet.build(problem.constraints, problem.consistency, layout)
-    return replace(problem, friction=friction, base=base, feasible=feasible, rows=rows, **cost)
+def without_terms(problem: Problem, absent: Sequence[FrictionTerm]) -> Problem:
+    """Return a problem of `with_every_term` without some of its terms: all they have is zero."""
+    names = problem.friction.joint_names
+    zero = {each.name: 0.0 for term in absent for each in term.parameters(names)}
+    if not zero:
+        return problem
+    others = (*problem.constraints.others, Fixed(zero))
+    return problem.constrained(constraints=problem.constraints.replace(others=others))
 
 
 def _model(robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionModel:
