@@ -55,7 +55,6 @@ ROOMS = {
         "cluster_robust",
         "noise_spectrum",
         "motion_noise",
-        "gain_errors",
         "posterior",
         "agreement",
         "duality",

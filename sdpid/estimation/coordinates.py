@@ -121,11 +121,10 @@ class Coordinates:
         return out
 
 
-@dataclass(frozen=True, eq=False)
 class Limits:
     """Bounds on parameters and linear rows, in units of their sizes, as functions of x.
 
-    Of all p parameters and then all r rows it holds those that x can change; no equations.
+    Of some parameters (p,) and then all r rows it holds those that x can change; no equations.
 
     Attributes
     ----------
@@ -135,38 +134,27 @@ class Limits:
         Their sizes.
     C, lower, upper : ndarray
         ``lower ≤ C·x ≤ upper``.
-    counts : (int, int)
-        Numbers p of parameters and r of rows.
     """
 
-    chosen: Indices
-    sizes: Array
-    C: Array
-    lower: Array
-    upper: Array
-    counts: tuple[int, int]
-
-    @classmethod
-    def of(
-        cls, problem: Problem, scaling: Scaling, coordinates: Coordinates, bounded: Mask
-    ) -> Limits:
-        """Return the limits of the rows, and of some parameters (p,)."""
+    def __init__(
+        self, problem: Problem, scaling: Scaling, coordinates: Coordinates, bounded: Mask
+    ) -> None:
         feasible, X = problem.feasible, coordinates.directions
-        sizes = np.concatenate([scaling.theta, scaling.row_sizes(feasible)])
-        moved = np.abs(feasible.rows @ X).max(axis=1, initial=0.0)
-        limited = ~feasible.equations & (moved > FIXED * sizes[len(X) :])
-        chosen = np.flatnonzero(np.concatenate([bounded & np.any(X != 0.0, axis=1), limited]))
-        sizes = sizes[chosen]
-        functions = np.vstack([np.eye(len(X)), feasible.rows])[chosen]
-        here = functions @ coordinates.origin
-        lower = np.concatenate([feasible.lower, feasible.row_lower])[chosen]
-        upper = np.concatenate([feasible.upper, feasible.row_upper])[chosen]
-        C = functions @ X / sizes[:, None]
-        lower, upper = (lower - here) / sizes, (upper - here) / sizes
-        return cls(chosen, sizes, C, lower, upper, (len(X), len(feasible.rows)))
+        sizes = np.append(scaling.theta, scaling.row_sizes(feasible))
+        functions = np.vstack([np.eye(len(X)), feasible.rows])
+        moved = np.abs(functions @ X).max(axis=1, initial=0.0)
+        limited = ~feasible.equations & (moved[len(X) :] > FIXED * sizes[len(X) :])
+        self.chosen = np.flatnonzero(np.append(bounded & (moved[: len(X)] > 0.0), limited))
+        self.sizes, functions = sizes[self.chosen], functions[self.chosen]
+        lower = np.append(feasible.lower, feasible.row_lower)[self.chosen]
+        upper = np.append(feasible.upper, feasible.row_upper)[self.chosen]
+        self.C, here = functions @ X / self.sizes[:, None], functions @ coordinates.origin
+        self.lower, self.upper = (lower - here) / self.sizes, (upper - here) / self.sizes
+        self._ends = len(X), len(sizes)
 
     def split(self, values: Array) -> tuple[Array, Array]:
         """Return values of the chosen as those of all parameters and all rows; others are zero."""
-        out = np.zeros(sum(self.counts))
+        parameters, count = self._ends
+        out = np.zeros(count)
         out[self.chosen] = values
-        return out[: self.counts[0]], out[self.counts[0] :]
+        return out[:parameters], out[parameters:]

@@ -5,7 +5,7 @@ Where no inequality is active, an estimate is the least-squares solution of the 
 with L the pseudoinverse of both. The errors of h are those that the residuals show, whatever the
 weights say (see `sdpid.estimation.noise_spectrum`); those of the prior's rows have a variance of
 one, as stated. Where efforts were made of currents, the errors of the gains come on top (see
-`sdpid.estimation.gain_errors`), and so do biases by noise in the measured motion and by landings,
+`gain_errors`), and so do biases by noise in the measured motion and by landings,
 where they are known (see `sdpid.estimation.motion_noise`): each as one more error of that size in
 its direction, so that intervals hold the truth however large it is. An active inequality can only
 bring an estimate nearer to the truth, all in all: it is not counted, which errs on the wide side.
@@ -19,13 +19,15 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.kept import kept
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.compression.covariance import PRINTED
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import apply, weights_of
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.error_source import ErrorSource
-from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -117,6 +119,53 @@ def spectrum_of(estimate: Estimated) -> NoiseSpectrum:
     return NoiseSpectrum.of(estimate.problem, estimate.theta)
 
 
+# A pass over all rows.
+@kept
+def gain_errors(problem: Problem) -> ErrorSource | None:
+    """Return the errors of the logarithms of drive gains, None where there are none.
+
+    Efforts that were made of currents are gains times currents, ``y_j = k_j·i_j``: a gain that is
+    off by a share e_j moves all efforts of its joint by that share, and the compressed efforts
+    ``rhs = Σ_j rhs_j`` by ``Σ_j e_j·rhs_j``, with rhs_j the share of the joint's own rows. The
+    errors are the same in every row, so that no residual shows them as noise, and no longer record
+    averages them out: they stand beside the errors that residuals show, as a further term of every
+    covariance. Weights, the prior and what the data chose stay: it is the first order. An error
+    that all gains have in common moves every parameter by the same share.
+    """
+    rows = problem.rows
+    gains = None if rows is None else rows.samples.gains
+    if rows is None or gains is None or not gains.covariance.any():
+        return None
+    exponent = 0.5 * problem.score_exponent
+    target = np.sum(rows.map(_targets, exponent, sigma=problem.sigma), axis=0)
+    T = problem.excitation.root
+    # The normal equations are themselves the compressed rows of a printed weighting.
+    turned = problem.A @ T if problem.weighting in PRINTED else T
+    moves = frozen(T @ (turned.T @ target))
+    return ErrorSource("gains", moves, gains.relative_covariance, gains.freedom, gains)
+
+
+def _targets(rows: RowSource, sigma: Array, exponent: float) -> Array:
+    """Return the products (b, n) of whitened rows and the whitened efforts of each joint alone."""
+    n, count = rows.robot.n, rows.base.count
+    found = np.zeros((count, n))
+    for part in rows.parts():
+        own, mask = rows.rows(part), rows.mask(part)
+        # The last column of rows may be another: that of a second stage of instruments.
+        alone = rows.samples.effort[part][:, :, None] * np.eye(n)
+        stacked = np.concatenate([own[:, :, :-1], alone], axis=2)
+        weighted = apply(*weights_of(rows, part, sigma, exponent), stacked)
+        weighted = np.where(mask[:, :, None], weighted, 0.0).reshape(-1, count + n)
+        found += weighted[:, :count].T @ weighted[:, count:]
+    return found
+
+
+def error_sources(problem: Problem) -> tuple[ErrorSource, ...]:
+    """Return all that moves the fit of a problem beside noise: its gains, and its biases."""
+    gains = gain_errors(problem)
+    return problem.errors if gains is None else (gains, *problem.errors)
+
+
 def rows_covariance(problem: Problem, errors: FitErrors) -> Array:
     """Return the covariance (b, b) of compressed efforts that all errors of the fit are those of.
 
@@ -127,16 +176,27 @@ def rows_covariance(problem: Problem, errors: FitErrors) -> Array:
     return np.asarray(turned @ errors.scores @ turned.T + sum(each @ each.T for each in others))
 
 
-@dataclass(frozen=True, eq=False)
 class Posterior:
-    """The errors of an estimate.
+    """The errors of an estimate; without standard parameters it is the fit itself.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The estimate.
+    errors : FitErrors
+        Of the unconstrained fit, as residuals show them.
+
+    Raises
+    ------
+    SolverError
+        When the equations among the constraints contradict each other.
 
     Attributes
     ----------
     errors : FitErrors
-        Of the unconstrained fit, as residuals show them.
+        As given.
     sources : tuple of ErrorSource
-        What moves it beside.
+        What moves the fit beside.
     from_fit : ndarray, shape (p, b)
         How theta moves with the unconstrained fit.
     from_errors : ndarray, shape (p, r)
@@ -147,30 +207,7 @@ class Posterior:
         Directions in which they move it, and in which neither does, scaled.
     """
 
-    errors: FitErrors
-    sources: tuple[ErrorSource, ...]
-    from_fit: Array
-    from_errors: Array
-    from_prior: Array
-    seen: Array
-    unseen: Array
-
-    @classmethod
-    def of(cls, estimate: Estimated, groups: Groups = "frequencies") -> Posterior:
-        """Gather the errors of an estimate; without standard parameters it is the fit itself.
-
-        Raises
-        ------
-        DataError
-            When the problem has no rows, or too few groups.
-        SolverError
-            When the equations among the constraints contradict each other.
-        """
-        return cls.about(estimate, fit_errors(estimate, groups))
-
-    @classmethod
-    def about(cls, estimate: Estimated, errors: FitErrors) -> Posterior:
-        """Build from the errors of the unconstrained fit; as `of`."""
+    def __init__(self, estimate: Estimated, errors: FitErrors) -> None:
         problem = estimate.problem
         # What rounding hides of the data is not seen.
         excitation, B = problem.excitation, problem.base.matrix
@@ -188,11 +225,24 @@ class Posterior:
         rows = np.vstack([A @ (B @ basis), R @ basis])
         U, singular, V = np.linalg.svd(rows, full_matrices=True)
         rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
-        seen, unseen = basis @ V[:rank].T, basis @ V[rank:].T
-        L = (seen / singular[:rank]) @ U[:, :rank].T
-        of_data, of_prior = L[:, : len(A)], L[:, len(A) :]
-        from_errors, sources = of_data @ (A @ errors.root), error_sources(problem)
-        return cls(errors, sources, of_data @ A, from_errors, of_prior, seen, unseen)
+        self.seen, self.unseen = basis @ V[:rank].T, basis @ V[rank:].T
+        L = (self.seen / singular[:rank]) @ U[:, :rank].T
+        self.errors, self.sources = errors, error_sources(problem)
+        self.from_fit, self.from_prior = L[:, : len(A)] @ A, L[:, len(A) :]
+        self.from_errors = self.from_fit @ errors.root
+
+    @classmethod
+    def of(cls, estimate: Estimated, groups: Groups = "frequencies") -> Posterior:
+        """Gather the errors of an estimate.
+
+        Raises
+        ------
+        DataError
+            When the problem has no rows, or too few groups.
+        SolverError
+            When the equations among the constraints contradict each other.
+        """
+        return cls(estimate, fit_errors(estimate, groups))
 
     def slopes(self, source: ErrorSource, functions: Array) -> Array:
         """Return how functions (m, p) of theta move with each of a source's errors, (m, k)."""

@@ -12,9 +12,8 @@ from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
-    complement,
     from_pseudo_inertia,
-    inertia_tensor,
+    physical_parameters,
     pseudo_inertia,
     spatial_inertia,
     theta_from_physical,
@@ -69,15 +68,14 @@ class Scaling:
         total = float(h @ h) + problem.floor
         links = problem.robot.n_links
         G = problem.A @ problem.base.matrix
-        units = np.tile([1.0, *(length,) * 3, *(length**2,) * 6], links)
-        inertial = np.linalg.norm(G[:, : 10 * links] * units, axis=0)
+        inertial = np.linalg.norm(G[:, : 10 * links] * np.tile(_units(length), links), axis=0)
         seen = inertial[inertial > 1e-9 * inertial.max(initial=1.0)]
         reach = float(np.sqrt(np.mean(seen**2))) if seen.size else 1.0
         mass = np.sqrt(total) / (reach * np.sqrt(10.0 * links))
         mass = float(np.clip(mass, problem.constraints.mass_min, problem.constraints.mass_max))
         friction = np.linalg.norm(G[:, 10 * links :], axis=0)
-        size = np.sqrt(total / max(problem.robot.n, 1))
-        rest = np.where(friction > 0.0, size / np.where(friction > 0.0, friction, 1.0), 1.0)
+        size, moves = np.sqrt(total / max(problem.robot.n, 1)), friction > 0.0
+        rest = np.where(moves, size / np.where(moves, friction, 1.0), 1.0)
         sphere = from_pseudo_inertia(mass * np.diag([(_GYRATION * length) ** 2] * 3 + [1.0]))
         known = problem.robot.prior[:, :1] > 0.0
         bodies = thickened(np.where(known, problem.robot.prior, sphere), length)
@@ -87,8 +85,7 @@ class Scaling:
     @property
     def theta(self) -> Array:
         """Size of each standard parameter, shape (p,)."""
-        units = np.array([1.0, *(self.length,) * 3, *(self.length**2,) * 6])
-        return np.concatenate([(self.bodies[:, :1] * units).ravel(), self.friction])
+        return np.append(self.bodies[:, :1] * _units(self.length), self.friction)
 
     def around(self, theta: Array) -> Scaling:
         """Return the same scales with bodies of the sizes of theta's links."""
@@ -137,6 +134,11 @@ class Scaling:
         return np.asarray(np.maximum(size, np.finfo(float).tiny))
 
 
+def _units(length: float) -> Array:
+    """Return the size of each of a body's parameters (10,), for a mass of one."""
+    return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
+
+
 def congruent(T: Array, matrices: Array) -> Array:
     """Return ``T @ matrix @ T^T`` of stacks of matrices."""
     return np.asarray(T @ matrices @ np.swapaxes(T, -1, -2))
@@ -148,10 +150,9 @@ def thickened(bodies: Array, length: float) -> Array:
     Centers of mass are kept within a few lengths of the robot, and eigenvalues of the second
     moments about them between those of a tenth and of a few lengths.
     """
-    mass = np.maximum(bodies[:, 0], _LIGHTEST)
-    com = bodies[:, 1:4] / mass[:, None]
-    outer = com[:, :, None] * com[:, None, :]
-    about = inertia_tensor(bodies) - mass[:, None, None] * complement(outer)
+    bodies = np.array(bodies)
+    bodies[:, 0] = np.maximum(bodies[:, 0], _LIGHTEST)
+    mass, com, about = physical_parameters(bodies)
     distance = np.linalg.norm(com, axis=1, keepdims=True)
     com = com * np.minimum(1.0, _FARTHEST * length / np.maximum(distance, 1e-300))
     least, most = (mass * (share * length) ** 2 for share in (_THINNEST, _FARTHEST))

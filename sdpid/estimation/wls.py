@@ -56,25 +56,20 @@ def solve_wls(problem: Problem) -> Estimate:
     151
     """
     start = time.perf_counter()
+    theta, steps, message = None, 1, "closed form"
     if problem.prior is None:
-        base = frozen(least_squares(problem.A, problem.rhs))
-        return Estimate(
-            problem=problem,
-            method="wls",
-            base=base,
-            theta=None,
-            status="optimal",
-            message="closed form",
-            iterations=1,
-            solve_time=time.perf_counter() - start,
-        )
-    theta, steps = _newton(problem)
-    return Estimate.of_theta(
-        problem,
-        theta,
+        base = least_squares(problem.A, problem.rhs)
+    else:
+        found, steps = _newton(problem)
+        base, theta = problem.base_of(found), frozen(found)
+        message = f"unconstrained, with the prior; {steps} Newton steps"
+    return Estimate(
+        problem=problem,
         method="wls",
+        base=frozen(base),
+        theta=theta,
         status="optimal",
-        message=f"unconstrained, with the prior; {steps} Newton steps",
+        message=message,
         iterations=steps,
         solve_time=time.perf_counter() - start,
     )

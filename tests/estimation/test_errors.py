@@ -16,7 +16,6 @@ from sdpid.estimation import noise_spectrum
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import (
     UNDETERMINED,
     Excitation,
@@ -24,7 +23,7 @@ from sdpid.estimation.information import (
     information_rows,
 )
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import Groups, Posterior
+from sdpid.estimation.posterior import Groups, Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.model.base_parameters import structural_base
@@ -74,7 +73,7 @@ def test_with_right_weights_it_is_bayes(kind: str) -> None:
     rows = [term.curvature_rows(estimate.theta) for term in problem.prior.terms]
     G = problem.A @ problem.base.matrix
     expected = np.linalg.inv(G.T @ G + sum(R.T @ R for R in rows))
-    right = Posterior.about(estimate, Known(np.linalg.inv(problem.A)))
+    right = Posterior(estimate, Known(np.linalg.inv(problem.A)))
     B = problem.base.matrix
     size = np.sqrt(np.diag(B @ expected @ B.T))
     np.testing.assert_allclose(

@@ -42,9 +42,8 @@ from sdpid.estimation.compression.covariance import PRINTED, pooled
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress, effort_errors, with_contact_forces
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.posterior import Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.processing.samples import Samples

@@ -29,8 +29,8 @@ from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.conic.solve import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.information import information_root, information_rows
+from sdpid.estimation.posterior import gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.program import ReusableProgram
 from sdpid.estimation.sdp.solve import solve_sdp

@@ -275,7 +275,7 @@ class _Curves:
     def __init__(self, estimate: Estimate) -> None:
         self.theta, self.problem = _theta_of(estimate, "friction curve"), estimate.problem
         spectrum = spectrum_of(estimate)
-        self._posterior = Posterior.about(estimate, FitErrors.of(estimate, spectrum))
+        self._posterior = Posterior(estimate, FitErrors.of(estimate, spectrum))
         self._shapes = spectrum.whole_root[spectrum.base_count :]
         friction, profiled = self.problem.friction, self.problem.origin.profiled
         tail = self.theta[self.problem.n_theta - len(friction.parameters) :]

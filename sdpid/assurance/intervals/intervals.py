@@ -29,9 +29,8 @@ from sdpid.assurance.intervals.parameters import FROM_DATA, FROM_PRIOR, Paramete
 from sdpid.assurance.intervals.profile_likelihood import profile_intervals
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import error_sources
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.posterior import Groups, Posterior
+from sdpid.estimation.posterior import Groups, Posterior, error_sources
 
 Method = Literal["profile", "gauss_markov", "bootstrap"]
 

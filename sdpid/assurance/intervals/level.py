@@ -27,8 +27,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.estimation.duality.bound import cost_scale
-from sdpid.estimation.gain_errors import error_sources
-from sdpid.estimation.posterior import FitErrors, rows_covariance
+from sdpid.estimation.posterior import FitErrors, error_sources, rows_covariance
 from sdpid.estimation.problem import Problem
 
 # The estimate itself is known to this share of its cost.

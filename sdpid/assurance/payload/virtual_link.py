@@ -32,9 +32,8 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import gain_errors
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import FitErrors, Posterior, rows_covariance
+from sdpid.estimation.posterior import FitErrors, Posterior, gain_errors, rows_covariance
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.evidence import strength_by_evidence
 from sdpid.estimation.prior.prior import Prior, prior_terms
@@ -319,6 +318,6 @@ def gains_share(estimate: Estimate, errors: FitErrors) -> Array | None:
     if not estimate.problem.errors:
         return None
     best = np.array(estimate.theta)
-    functions, posterior = _functions(best, quantities(best)), Posterior.about(estimate, errors)
+    functions, posterior = _functions(best, quantities(best)), Posterior(estimate, errors)
     shares = [posterior.share(source, functions) for source in estimate.problem.errors]
     return frozen(np.pad(np.sum(shares, axis=0), (0, 10 - len(functions))))

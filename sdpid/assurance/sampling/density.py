@@ -307,7 +307,7 @@ def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> Mat
     """Return how far parameters and rows are from their limits, a rounding less."""
     X = coordinates.directions
     bounded = np.abs(X).max(axis=1) > _FIXED * scaling.theta
-    limits = Limits.of(problem, scaling, coordinates, bounded)
+    limits = Limits(problem, scaling, coordinates, bounded)
     rows = np.vstack([np.eye(len(X)), problem.feasible.rows])[limits.chosen]
     # A value is the sum of its parts, which rounding is relative to.
     room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(coordinates.origin) / limits.sizes)

@@ -161,7 +161,7 @@ def nearer_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array | Non
     distance = np.linalg.solve(basis[:links, :links], there)
     along = Coordinates(theta, null)
     for scaling in (reference, reference.around(theta)):
-        limits = Limits.of(problem, scaling, along, feasible.bounded)
+        limits = Limits(problem, scaling, along, feasible.bounded)
         blocks = along.inequalities(feasible, scaling, slack=_SLACK)
         program = ConicProgram(
             M=distance[:, :-1],

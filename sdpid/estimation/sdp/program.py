@@ -79,7 +79,7 @@ class SdpProgram:
         if proximal_weight > 0.0:
             M = np.vstack([M, np.sqrt(proximal_weight) * np.eye(n)])
             m = np.concatenate([m, np.zeros(n)])
-        limits = Limits.of(problem, scaling, coordinates, bounds_included)
+        limits = Limits(problem, scaling, coordinates, bounds_included)
         blocks = coordinates.inequalities(problem.feasible, scaling)
         moving = [
             i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > FIXED

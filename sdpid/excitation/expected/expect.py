@@ -259,7 +259,7 @@ def _posterior(run: Rehearsal, errors: RunErrors) -> Posterior:
         estimate = Estimate(problem=problem, base=frozen(base), theta=None, **about)
     else:
         estimate = Estimate.of_theta(problem, run.theta, **about)
-    return Posterior.about(estimate, FitErrors(errors.root, errors.scores, errors.freedom))
+    return Posterior(estimate, FitErrors(errors.root, errors.scores, errors.freedom))
 
 
 def _believed(run: Rehearsal) -> Array:

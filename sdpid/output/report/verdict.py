@@ -20,8 +20,7 @@ from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.contact_noise import contact_noise
-from sdpid.estimation.gain_errors import gain_errors
-from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.posterior import Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import MARGIN, SMALL
