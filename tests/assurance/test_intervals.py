@@ -1,5 +1,6 @@
 """Intervals against brute force, closed forms, and what is known to be unknowable."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -64,30 +65,20 @@ def relaxed() -> Estimate:
     return sdpid.solve_sdp(build_problem(ARM, samples, constraints=limits))
 
 
-def test_a_linear_cost_in_a_ball_is_least_at_its_rim() -> None:
+@pytest.mark.parametrize("radius", [0.5, 2.0])
+def test_a_linear_cost_in_a_ball_is_least_at_its_rim(radius: float) -> None:
     rng = np.random.default_rng(0)
     M, m, cost = np.diag([1.0, 2.0, 3.0]), rng.standard_normal(3), rng.standard_normal(3)
-    program = ConicProgram(
-        M=M, m=m, cost=cost, C=np.zeros((0, 3)), lower=np.zeros(0), upper=np.zeros(0), radius=0.7
-    )
-    found = solve_conic(program)
+    rows = {"C": np.eye(3), "lower": np.full(3, -9.0), "upper": np.full(3, 9.0)}
+    program = ConicProgram(M=M, m=m, cost=cost, radius=radius, **rows)
     pull = np.linalg.solve(M.T, cost)
-    np.testing.assert_allclose(M @ found.x + m, -0.7 * pull / np.linalg.norm(pull), atol=SOLVED)
-    # The multipliers: of the radius the rate at which it helps, of the residual the pull.
-    np.testing.assert_allclose(found.ball, [np.linalg.norm(pull), *pull], atol=SOLVED)
-
-
-def test_a_family_gives_what_its_programs_give() -> None:
-    rng = np.random.default_rng(1)
-    rows = {"C": np.eye(4), "lower": -np.ones(4), "upper": np.full(4, 0.3)}
-    program = ConicProgram(M=rng.standard_normal((4, 4)), m=np.zeros(4), radius=1.0, **rows)
-    family = ConicFamily(program)
-    for radius in (0.5, 2.0):
-        cost = rng.standard_normal(4)
-        alone = ConicProgram(M=program.M, m=program.m, cost=cost, radius=radius, **rows)
-        expected = solve_conic(alone)
-        found = family.solve(cost, radius)
-        np.testing.assert_allclose(found.x, expected.x, atol=SOLVED)
+    rim = -radius * pull / np.linalg.norm(pull)
+    # Alone, and as one of a family of other costs and radii.
+    family = ConicFamily(replace(program, cost=-cost, radius=1.0))
+    for found in (solve_conic(program), family.solve(cost, radius)):
+        np.testing.assert_allclose(M @ found.x + m, rim, atol=SOLVED)
+        # The multipliers: of the radius the rate at which it helps, of the residual the pull.
+        np.testing.assert_allclose(found.ball, [np.linalg.norm(pull), *pull], atol=SOLVED)
 
 
 def dense_blocks(problem: Problem) -> tuple[Array, Array, list[Array], list[Array]]:
@@ -109,25 +100,19 @@ def dense_blocks(problem: Problem) -> tuple[Array, Array, list[Array], list[Arra
     return inverse, everything, maps, residuals
 
 
-def test_leverage_is_corrected_as_the_long_formula_does() -> None:
-    problem = relaxed().problem
-    _, _, maps, residuals = dense_blocks(problem)
-    errors = np.array([own @ e for own, e in zip(maps, residuals, strict=True)])
-    expected = errors.T @ errors
-    blocks = ScoreBlocks.of(problem)
-    np.testing.assert_allclose(blocks.covariance, expected, rtol=1e-6, atol=1e-12)
-
-
-def test_degrees_of_freedom_are_satterthwaites() -> None:
+def test_leverage_and_freedom_are_those_of_the_long_formulas() -> None:
     problem = relaxed().problem
     inverse, rows, maps, residuals = dense_blocks(problem)
+    errors = np.array([own @ e for own, e in zip(maps, residuals, strict=True)])
+    blocks = ScoreBlocks.of(problem)
+    np.testing.assert_allclose(blocks.covariance, errors.T @ errors, rtol=1e-6, atol=1e-12)
     left = np.eye(len(rows)) - rows @ inverse @ rows.T
     c = np.eye(len(inverse))[2]
     parts = np.split(left, np.cumsum([len(each) for each in residuals])[:-1])
     weights = np.array([c @ own @ part for own, part in zip(maps, parts, strict=True)])
     gamma = weights @ weights.T
+    # Satterthwaite's.
     expected = np.trace(gamma) ** 2 / np.sum(gamma**2)
-    blocks = ScoreBlocks.of(problem)
     assert blocks.freedom(c[None] @ blocks.root)[0] == pytest.approx(expected, rel=1e-6)
 
 
@@ -281,9 +266,21 @@ def test_counts_of_rows_cannot_be_written_to() -> None:
         rows[0] = 0
 
 
-def test_profile_needs_standard_parameters_and_squares() -> None:
-    with pytest.raises(DataError, match="gauss_markov"):
-        sdpid.confidence_intervals(sdpid.solve_wls(pressed().problem))
+@pytest.mark.parametrize(
+    ("call", "arguments"),
+    [
+        (sdpid.confidence_intervals, ()),
+        (friction_curve, (0.1,)),
+        (joint_curve, (0,)),
+        (link_properties, ()),
+        (sdpid.cost_of_constraints, ()),
+    ],
+)
+def test_standard_parameters_are_needed(
+    call: Callable[..., Any], arguments: tuple[Any, ...]
+) -> None:
+    free = sdpid.solve_wls(pressed().problem)
+    refuses(DataError, "standard parameters|wls", call, free, *arguments)
 
 
 def test_cost_of_constraints_adds_up() -> None:
@@ -300,7 +297,6 @@ def test_cost_of_constraints_adds_up() -> None:
     assert len(price.to_dict()["constraints"]) == len(price.constraints)
     # Names are those of the constraints everywhere else.
     assert set(price.constraints) <= {each.name for each in estimate.problem.feasible.named}
-    refuses(DataError, "wls", sdpid.cost_of_constraints, free)
 
 
 def test_what_a_local_solver_missed_is_no_constraint_s_cost() -> None:
@@ -400,12 +396,16 @@ def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
     np.testing.assert_allclose(basic.upper, 2.0 * first.estimate - first.lower, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", [-1, 0.5, True, None])
-def test_seeds_that_are_none_are_refused(seed: Any) -> None:
-    estimate = sdpid.solve_wls(arm_problem())
-    refuses(DataError, "seed", sdpid.confidence_intervals, estimate, method="bootstrap", seed=seed)
-    refuses(DataError, "seed", sdpid.smallest_mass_eigenvalue, estimate, seed=seed)
-    refuses(DataError, "seed", sdpid.compare, estimate.problem, starts=1, seed=seed)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [*(("seed", each) for each in (-1, 0.5, True, None)), *(("n_jobs", n) for n in (0, 1.5, True))],
+)
+def test_seeds_and_jobs_that_are_none_are_refused(name: str, value: Any) -> None:
+    estimate, given = sdpid.solve_wls(arm_problem()), {name: value}
+    refuses(DataError, name, resample, estimate, resamples=5, **given)
+    refuses(DataError, name, sdpid.compare, estimate.problem, starts=1, **given)
+    if name == "seed":
+        refuses(DataError, name, sdpid.smallest_mass_eigenvalue, estimate, **given)
 
 
 def test_a_generator_is_a_seed() -> None:
@@ -614,13 +614,10 @@ def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
     assert error < found.half_width[0, 0] < 1.05 * error
 
 
-def test_it_needs_standard_parameters() -> None:
-    problem = simulated(np.random.default_rng(5))
-    refuses(DataError, "constrained solver", friction_curve, sdpid.solve_wls(problem), 0.1)
-    refuses(DataError, "constrained solver", joint_curve, sdpid.solve_wls(problem), 0)
-    for level in (0.0, 1, 95, float("nan"), None):
-        with pytest.raises(DataError, match="give a probability between 0 and 1"):
-            joint_curve(sdpid.solve_wls(problem), 0, level=level)
+@pytest.mark.parametrize("level", [0.0, 1, 95, float("nan"), None])
+def test_levels_that_are_none_are_refused(level: Any) -> None:
+    words = "give a probability between 0 and 1"
+    refuses(DataError, words, joint_curve, pressed(), 0, level=level)
 
 
 def test_a_bias_of_the_fit_is_in_the_band() -> None:
@@ -691,8 +688,6 @@ def test_what_nothing_tells_has_no_end() -> None:
     found = link_properties(sdpid.solve_sdp(problem))
     assert found.upper[0, 0] == np.inf
     assert found.lower[0, 0] == 0.0
-    # Without standard parameters there are none at all.
-    refuses(DataError, "no standard parameters", link_properties, sdpid.solve_wls(problem))
 
 
 # ---- The same results whoever computes them: one thread, several, or a cluster.
@@ -720,12 +715,6 @@ def test_profile_intervals_do_not_depend_on_the_jobs() -> None:
     np.testing.assert_array_equal(one.lower, two.lower)
     np.testing.assert_array_equal(one.upper, two.upper)
     assert one.solves == two.solves >= 2 * len(one)
-
-
-@pytest.mark.parametrize("n_jobs", [0, 1.5, True])
-def test_jobs_that_are_none_are_refused(n_jobs: Any) -> None:
-    refuses(DataError, "n_jobs", resample, pressed(), resamples=5, n_jobs=n_jobs)
-    refuses(DataError, "n_jobs", sdpid.compare, pressed().problem, starts=1, n_jobs=n_jobs)
 
 
 @pytest.mark.xdist_group("dask")

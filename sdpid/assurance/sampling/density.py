@@ -13,13 +13,15 @@ its curvature. Directions that neither sees are flat: the constraints alone boun
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.coordinates import Coordinates, Limits
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Groups, fit_errors, rows_covariance
@@ -40,8 +42,7 @@ _FIXED = 1e-12
 _OPEN = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Matrices:
+class Matrices(NamedTuple):
     """Symmetric matrices ``constants + Σ x_k·linear_k``.
 
     Attributes
@@ -63,28 +64,13 @@ class Matrices:
         constants = [each.constant for each in moving]
         return cls(np.reshape(constants, (len(moving), size, size)), linear)
 
-    def __len__(self) -> int:
-        return len(self.constants)
-
-    @property
-    def flat(self) -> Array:
-        """Their entries, (n, N·s·s)."""
-        return self.linear.reshape(len(self.linear), self.constants.size)
-
     def along(self, v: Array) -> Array:
         """Return how the matrices change along directions (C, n), shape (C, N, s, s)."""
-        return np.asarray((v @ self.flat).reshape(len(v), *self.constants.shape))
+        return np.tensordot(v, self.linear, 1)
 
     def at(self, x: Array) -> Array:
         """Return the matrices at points (C, n), shape (C, N, s, s)."""
-        return self.constants + self.along(x)
-
-    def single(self) -> list[Matrix]:
-        """Return them one by one."""
-        index = np.arange(len(self.linear))
-        return [
-            Matrix(index, self.linear[:, i], constant) for i, constant in enumerate(self.constants)
-        ]
+        return np.asarray(self.constants + self.along(x))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +86,10 @@ class Density:
     mean, slope : ndarray, shape (n,)
     precision : ndarray, shape (n, n)
         Of the Gaussian.
-    walls : tuple of Matrices
-        What must be positive definite: the matrix inequalities, and every limit as a number.
+    walls : Matrices
+        What must be positive definite.
+    limits, room_at_zero : ndarray, shapes (r, n) and (r,)
+        What must be positive: ``room_at_zero + limits @ x``.
     bodies : Matrices
         Pseudo-inertias of the links that an entropic prior is about.
     strength : float
@@ -115,7 +103,9 @@ class Density:
     mean: Array
     slope: Array
     precision: Array
-    walls: tuple[Matrices, ...]
+    walls: Matrices
+    limits: Array
+    room_at_zero: Array
     bodies: Matrices
     strength: float
     unseen: int
@@ -158,7 +148,7 @@ class Density:
         feasible, log_det = problem.feasible, problem.log_det
         walls = coordinates.inequalities(feasible, scaling, slack=-_INSIDE)
         bodies = coordinates.pseudo_inertias(scaling, log_det.links)
-        limits = _limits(problem, scaling, coordinates)
+        limits, room = _limits(problem, scaling, coordinates)
         return cls(
             problem=problem,
             coordinates=coordinates,
@@ -166,9 +156,11 @@ class Density:
             # Costs are twice nats.
             slope=0.5 * (log_det.trace_slope() @ coordinates.directions),
             precision=precision,
-            walls=(Matrices.of(walls, n, feasible.size), limits),
+            walls=Matrices.of(walls, n, feasible.size),
+            limits=limits,
+            room_at_zero=room,
             bodies=Matrices.of(bodies, n, 4),
-            strength=log_det.strength,
+            strength=log_det.strength if len(log_det.links) else 0.0,
             unseen=unseen,
         )
 
@@ -193,6 +185,13 @@ class Density:
         values, vectors = np.linalg.eigh(self.precision)
         kept = values > _OPEN * values[-1]
         M = np.sqrt(0.5 * values[kept])[:, None] * vectors[:, kept].T
+        # A limit is a matrix of one entry.
+        numbers = Matrices(self.room_at_zero[:, None, None], self.limits.T[:, :, None, None])
+        matrices = [
+            Matrix(np.arange(self.n), linear, constant)
+            for each in (self.walls, self.bodies, numbers)
+            for linear, constant in zip(each.linear.swapaxes(0, 1), each.constants, strict=True)
+        ]
         program = ConicProgram(
             M=M,
             m=-M @ self.mean,
@@ -200,7 +199,7 @@ class Density:
             C=np.zeros((0, self.n)),
             lower=np.zeros(0),
             upper=np.zeros(0),
-            log_dets=tuple(each for own in self.matrices for each in own.single()),
+            log_dets=tuple(matrices),
             weight=1.0,
         )
         solution = solve_conic(program)
@@ -214,45 +213,36 @@ class Density:
             )
         return solution.x
 
-    @property
-    def matrices(self) -> tuple[Matrices, ...]:
-        """All that must be positive definite, the bodies last."""
-        return (*self.walls, self.bodies)
+    def room(self, x: Array) -> Array:
+        """Return how far points (C, n) are from the limits, (C, r)."""
+        return np.asarray(self.room_at_zero + x @ self.limits.T)
 
     def inside(self, x: Array) -> bool:
         """Return whether a point (n,) is strictly inside."""
-        every = (np.linalg.eigvalsh(each.at(x[None])) for each in self.matrices)
-        return all(bool(values.min(initial=1.0) > 0.0) for values in every)
+        values = [np.linalg.eigvalsh(each.at(x[None])) for each in (self.walls, self.bodies)]
+        return all(bool(each.min(initial=1.0) > 0.0) for each in (*values, self.room(x[None])))
 
     def covariance_at(self, x: Array) -> Array:
         """Return the inverse curvature (n, n) of the density weakened by the barrier at a point.
 
         The ellipsoid of radius one about a point inside is inside of every wall.
         """
-        H = self.precision.copy()
-        for each in self.matrices:
+        slopes = [(self.limits / self.room(x[None]).T).T]
+        for each in (self.walls, self.bodies):
             root = np.linalg.inv(np.linalg.cholesky(each.at(x[None])[0]))
-            whitened = root @ each.linear @ np.swapaxes(root, 1, 2)
-            flat = whitened.reshape(each.flat.shape)
-            H += flat @ flat.T
-        return np.asarray(np.linalg.inv(H))
+            slopes.append((root @ each.linear @ np.swapaxes(root, 1, 2)).reshape(self.n, -1))
+        flat = np.hstack(slopes)
+        return np.asarray(np.linalg.inv(self.precision + flat @ flat.T))
 
 
 def _with_fixed_parameters(problem: Problem) -> Problem:
     """Return a problem whose parameters with one possible value have equations that say so."""
-    feasible = problem.feasible
+    feasible, limits = problem.feasible, problem.constraints
     fixed = np.flatnonzero(feasible.lower == feasible.upper)
     if not len(fixed):
         return problem
-    limits = feasible.lower[fixed]
-    extended = replace(
-        feasible,
-        row_names=(*feasible.row_names, *(f"{feasible.theta_names[k]} fixed" for k in fixed)),
-        rows=np.vstack([feasible.rows, np.eye(problem.n_theta)[fixed]]),
-        row_lower=np.concatenate([feasible.row_lower, limits]),
-        row_upper=np.concatenate([feasible.row_upper, limits]),
-    )
-    return replace(problem, feasible=extended)
+    known = Fixed({feasible.theta_names[k]: float(feasible.lower[k]) for k in fixed})
+    return problem.constrained(constraints=limits.replace(others=(*limits.others, known)))
 
 
 def _gaussian(
@@ -303,8 +293,8 @@ def _unseen(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> int
     return int(coordinates.directions.shape[1]) - seen
 
 
-def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> Matrices:
-    """Return how far parameters and rows are from their limits, a rounding less."""
+def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> tuple[Array, Array]:
+    """Return how far parameters and rows are from their limits, a rounding less (see `Density`)."""
     X = coordinates.directions
     bounded = np.abs(X).max(axis=1) > _FIXED * scaling.theta
     limits = Limits(problem, scaling, coordinates, bounded)
@@ -312,5 +302,5 @@ def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> Mat
     # A value is the sum of its parts, which rounding is relative to.
     room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(coordinates.origin) / limits.sizes)
     constants = np.concatenate([-limits.lower - room, limits.upper - room])
-    linear, real = np.vstack([limits.C, -limits.C]), np.isfinite(constants)
-    return Matrices(constants[real, None, None], linear[real].T[:, :, None, None])
+    real = np.isfinite(constants)
+    return np.vstack([limits.C, -limits.C])[real], constants[real]

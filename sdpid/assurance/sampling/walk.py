@@ -23,6 +23,10 @@ _TINY = 1e-300
 # A level is met but for rounding.
 _ROUNDING = 1e-9
 
+# A chain that would leave less than this share of its room to a wall stays where it is: rounding
+# could take it through.
+_LEAST_ROOM = 1e-9
+
 
 def hit_and_run(
     density: Density,
@@ -62,26 +66,19 @@ def hit_and_run(
 def _swept(density: Density, x: Array, directions: Array, rng: np.random.Generator) -> Array:
     """Return where chains (C, n) are after a step along each of some directions (k, n)."""
     # From the points themselves in every sweep, so that roundings do not add up.
-    matrices = [each for each in density.matrices if len(each)]
-    here, pulls = [each.at(x) for each in matrices], directions @ density.precision
-    roots, steps = _roots(here), [each.along(directions) for each in matrices]
-    strength = density.strength if len(density.bodies) else 0.0
+    matrices = density.walls, density.bodies
+    here, steps = [each.at(x) for each in matrices], [each.along(directions) for each in matrices]
+    room, pushes = density.room(x), directions @ density.limits.T
+    pulls = directions @ density.precision
     for k, v in enumerate(directions):
         # The line is inside at t where 1 + t·rate is positive for all of these.
-        rates = [
-            relative_eigenvalues(L, D[k]).reshape(len(x), -1)
-            for L, D in zip(roots, steps, strict=True)
-        ]
-        bodies = rates[-1] if strength else np.zeros((len(x), 0))
+        rates = [relative_eigenvalues(F, D[k]) for F, D in zip(here, steps, strict=True)]
         slope = (x - density.mean) @ pulls[k] + density.slope @ v
-        t = drawn_on_lines(slope, float(pulls[k] @ v), strength, bodies, np.hstack(rates), rng)
-        moved = [F + t[:, None, None, None] * D[k] for F, D in zip(here, steps, strict=True)]
-        for i in _outside(moved):
-            # Rounding would take the chain through a wall: it stays where it is.
-            t[i] = 0.0
-            for F, own in zip(moved, here, strict=True):
-                F[i] = own[i]
-        here, roots = moved, _roots(moved)
+        every = np.hstack([*rates, pushes[k] / room])
+        t = drawn_on_lines(slope, float(pulls[k] @ v), density.strength, rates[-1], every, rng)
+        t[np.any(1.0 + t[:, None] * every < _LEAST_ROOM, axis=1)] = 0.0
+        here = [F + t[:, None, None, None] * D[k] for F, D in zip(here, steps, strict=True)]
+        room = room + t[:, None] * pushes[k]
         x = x + t[:, None] * v
     return x
 
@@ -127,45 +124,11 @@ def _reach(slope: Array, curvature: float, fall: Array) -> Array:
     return np.where(slope > 0.0, downhill, uphill)
 
 
-def relative_eigenvalues(L: Array, D: Array) -> Array:
-    """Return the eigenvalues (..., s), rising, of ``L^(-1)·D·L^(-T)``.
+def relative_eigenvalues(F: Array, D: Array) -> Array:
+    """Return the eigenvalues (C, N·s) of ``L^(-1)·D·L^(-T)`` of matrices ``F = L·L^T``.
 
-    With ``F = L·L^T`` the matrix ``F + t·D`` is positive definite as long as ``1 + t·value`` is
-    positive for all of them.
+    These are (C, N, s, s), and D one matrix each (N, s, s). The matrix ``F + t·D`` is positive
+    definite as long as ``1 + t·value`` is positive for all of them.
     """
-    if L.shape[-1] == 1:
-        return np.asarray(D / L**2)
-    half = _lower_solve(L, D)
-    return np.asarray(np.linalg.eigvalsh(_lower_solve(L, np.swapaxes(half, -1, -2))))
-
-
-def _lower_solve(L: Array, right: Array) -> Array:
-    """Return ``L^(-1)·right``, row by row: for thousands of small matrices that is fastest."""
-    out = np.empty(L.shape)
-    for i in range(L.shape[-1]):
-        known = np.einsum("...k,...kj->...j", L[..., i, :i], out[..., :i, :])
-        out[..., i, :] = (right[..., i, :] - known) / L[..., i, i, None]
-    return out
-
-
-def _roots(matrices: list[Array]) -> list[Array]:
-    """Return L with ``F = L·L^T`` of matrices F (C, N, s, s)."""
-    found = []
-    for F in matrices:
-        if F.shape[-1] == 1 and not F.min(initial=1.0) > 0.0:
-            raise np.linalg.LinAlgError
-        # Of numbers the square root is much faster.
-        root = np.sqrt(F) if F.shape[-1] == 1 else np.linalg.cholesky(F)
-        found.append(np.asarray(root, dtype=np.float64))
-    return found
-
-
-def _outside(matrices: list[Array]) -> list[int]:
-    """Return the chains of which a matrix (C, N, s, s) is not positive definite."""
-    try:
-        _roots(matrices)
-    except np.linalg.LinAlgError:
-        if len(matrices[0]) == 1:
-            return [0]
-        return [i for i in range(len(matrices[0])) if _outside([F[i : i + 1] for F in matrices])]
-    return []
+    root = np.linalg.inv(np.linalg.cholesky(F))
+    return np.asarray(np.linalg.eigvalsh(root @ D @ np.swapaxes(root, -1, -2)).reshape(len(F), -1))
