@@ -444,7 +444,7 @@ def test_a_free_joint_floats_the_base() -> None:
 def test_what_is_read_survives_being_written(tmp_path: Path) -> None:
     """A robot from MJCF can be written as MJCF from its kinematics and read again."""
     from sdpid.output.robots.mjcf import write_mjcf
-    from tests.output.test_urdf import bodies, estimate_of, problem_of
+    from tests.output.test_robots import bodies, estimate_of, problem_of
 
     problem = problem_of(sdpid.load_robot(FOLLOWER))
     links = bodies(np.random.default_rng(0), 4)
