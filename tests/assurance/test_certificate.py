@@ -145,29 +145,6 @@ def test_status_of_the_script(tmp_path: Path) -> None:
     assert command.main([]) == 2
 
 
-# ---- What is claimed is as strong as can be, and no stronger ------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("claim", "toward"), [("cost", -math.inf), ("lower_bound", math.inf), ("gap", -math.inf)]
-)
-def test_no_claim_can_be_better_by_a_digit(
-    kind: str, claim: str, toward: float, tmp_path: Path
-) -> None:
-    data = made(kind)
-    data["claims"][claim] = math.nextafter(data["claims"][claim], toward)
-    assert rejected(sealed(data), tmp_path)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_margins_cannot_be_better(kind: str, tmp_path: Path) -> None:
-    for link, margin in enumerate(stated(kind)["claims"]["margins"]):
-        data = made(kind)
-        data["claims"]["margins"][link] = margin + 1e-12
-        assert rejected(sealed(data), tmp_path)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
     problem = problem_of(kind, LIGHT)
@@ -270,18 +247,16 @@ def test_descriptions_may_be_changed(tmp_path: Path) -> None:
     assert checked(data, tmp_path).passed
 
 
-def test_a_key_occurs_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "floor",
+    ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000, '0.0, "floor": 0.0'],
+)
+def test_literals_are_numbers_and_a_key_occurs_once(floor: str) -> None:
     text = json.dumps(stated("pseudo"))
     assert holds(text)
     assert not holds(text[:-1] + ', "theta": null}')
-    assert not holds(text.replace('"floor": ', '"floor": 0.0, "floor": ', 1))
-
-
-@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000])
-def test_literals_that_are_no_numbers(literal: str) -> None:
-    text = json.dumps(stated("pseudo"))
-    floor = json.dumps(stated("pseudo")["problem"]["floor"])
-    forged = text.replace(f'"floor": {floor}', f'"floor": {literal}', 1)
+    own = json.dumps(stated("pseudo")["problem"]["floor"])
+    forged = text.replace(f'"floor": {own}', f'"floor": {floor}', 1)
     assert forged != text
     assert not holds(forged)
 
@@ -299,6 +274,12 @@ def change(path: tuple[Any, ...], how: Callable[[Any], Any]) -> Callable[[Data],
 def scaled(factor: float) -> Callable[[Any], Any]:
     """Return what scales all numbers of a value."""
     return lambda value: (factor * np.array(value)).tolist()
+
+
+def lopsided(matrices: Any) -> Any:
+    """Return matrices of which one triangle alone would not show that the first is ⪰ 0."""
+    matrices[0][0][1] += 1e-3 * max(map(max, matrices[0]))
+    return matrices
 
 
 # Of the total mass, a known friction, and a wall that nothing leans on: each is said otherwise.
@@ -323,12 +304,17 @@ TAMPERED: dict[str, Callable[[Data], None]] = {
     "no cone": change(("problem", "cones"), lambda cones: []),
     "no multiplier of the cone": lambda data: data["multipliers"]["Z"].pop(),
     "a larger multiplier of the cone": change(("multipliers", "Z", -1), scaled(1.1)),
+    "an asymmetric multiplier": change(("multipliers", "Z"), lopsided),
     "a negative multiplier of the cone": change(("multipliers", "Z", -1), scaled(-1.0)),
     "a smaller floor": change(("problem", "floor"), lambda floor: 0.9 * floor),
     "a smaller margin": change(("problem", "margin"), lambda value: value + 1e-2),
     "version 1": change(("version",), lambda version: 1),
-    "another cost": change(("claims", "cost"), lambda cost: 0.999 * cost),
-    "another bound": change(("claims", "lower_bound"), lambda bound: 1.001 * bound),
+    # No claim can be better by a digit.
+    "another cost": change(("claims", "cost"), lambda cost: math.nextafter(cost, -math.inf)),
+    "another bound": change(("claims", "lower_bound"), lambda x: math.nextafter(x, math.inf)),
+    "another gap": change(("claims", "gap"), lambda gap: math.nextafter(gap, -math.inf)),
+    "another margin": change(("claims", "margins", 0), lambda margin: margin + 1e-12),
+    "the other's margin": change(("claims", "margins", 1), lambda margin: margin + 1e-12),
 }
 ENTROPIC: dict[str, Callable[[Data], None]] = {
     "another strength": change(("problem", "entropic_prior", "strength"), scaled(1.01)),
@@ -341,6 +327,7 @@ ENTROPIC: dict[str, Callable[[Data], None]] = {
     "no tangent": change(("multipliers", "W"), lambda value: None),
     "another tangent": change(("multipliers", "W"), scaled(1.1)),
     "a tangent that touches nowhere": change(("multipliers", "W"), scaled(-1.0)),
+    "an asymmetric tangent": change(("multipliers", "W"), lopsided),
     "one tangent less": lambda data: data["multipliers"]["W"].pop(),
 }
 
@@ -351,15 +338,6 @@ ENTROPIC: dict[str, Callable[[Data], None]] = {
 def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> None:
     data = made(kind)
     {**TAMPERED, **ENTROPIC}[name](data)
-    assert rejected(sealed(data), tmp_path)
-
-
-@pytest.mark.parametrize("field", ["Z", "W"])
-def test_matrices_must_be_symmetric(field: str, tmp_path: Path) -> None:
-    """One triangle alone does not show that a multiplier is positive semidefinite."""
-    data = made("entropic")
-    matrix = data["multipliers"][field][0]
-    matrix[0][1] += 1e-3 * max(map(max, matrix))
     assert rejected(sealed(data), tmp_path)
 
 

@@ -4,6 +4,7 @@ import itertools
 import pickle
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -468,25 +469,15 @@ def test_each_is_named_read_only_and_travels(condition: Condition) -> None:
         condition.link = "other"  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    ("condition", "message"),
-    [
-        (TotalMass(1.0, links=("nose",)), "no link 'nose'"),
-        (CenterOfMassInBox("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (CenterOfMassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (CenterOfMassInHull("nose"), "no link 'nose'"),
-        (MassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (Fixed({"m_99": 1.0}), "m_99"),
-        (FixedLink("nose"), "no link 'nose'"),
-        (EqualLinks("finger", "nose"), "no link 'nose'"),
-        (MirrorSymmetry("nose", (0, 1, 0)), "no link 'nose'"),
-        (MirrorPair("nose", "finger", (0, 1, 0)), "no link 'nose'"),
-    ],
-)
-def test_links_and_parameters_that_the_robot_does_not_have(
-    condition: Condition, message: str
-) -> None:
-    refuses(ModelError, message, compiled, condition)
+@pytest.mark.parametrize("condition", ALL, ids=lambda c: type(c).__name__)
+def test_links_and_parameters_that_the_robot_does_not_have(condition: Condition) -> None:
+    unknown = {"links": ("nose",), "values": {"m_99": 1.0}}
+    named = [each for each in ("link", "first", "second", *unknown) if hasattr(condition, each)]
+    assert named
+    for name in named:
+        other = replace(condition, **{name: unknown.get(name, "nose")})  # type: ignore[type-var]
+        words = "'m_99'" if name == "values" else "no link 'nose'"
+        refuses(ModelError, words, compiled, other)
 
 
 def test_a_description_without_inertias_fixes_nothing(denso: RobotModel) -> None:
@@ -817,6 +808,7 @@ def test_more_conditions_never_cost_less(consistency: Consistency) -> None:
 # ---- Friction of left and right joints: which terms, which way, and how much they may differ.
 
 
+OFF = r"'FL_hip' is 0\.[0-9]+ m away from that of 'RR_hip'"
 TERMS = ("asymmetric_coulomb", "viscous", "offset", "rotor_inertia", "stribeck", "load", "tilt")
 
 
@@ -865,14 +857,25 @@ def test_a_share_is_of_the_mean(left: float, right: float, holds: bool) -> None:
         assert all(row.coefficients @ theta >= row.lower for row in rows) is holds
 
 
-def test_refused() -> None:
-    robot = sdpid.load_robot("a1", root="free_flyer")
-    for joint, words in (
-        ("FL_hip_joint", r"'FL_hip' is .* m away from that of 'RR_hip'"),
-        ("knee", r"equal_friction: 'a1.*' has no joint knee"),
-    ):
-        refuses(ModelError, words, equal_friction, robot, [(joint, "RR_hip_joint")])
-    refuses(DataError, "no two joints of", equal_friction, sdpid.load_robot("ur5_robot"))
+@pytest.mark.parametrize(
+    ("asked", "name", "pairs", "error", "words"),
+    [
+        (equal_friction, "a1", [("FL_hip_joint", "RR_hip_joint")], ModelError, OFF),
+        (equal_friction, "a1", [("knee", "RR_hip_joint")], ModelError, "'a1.*' has no joint knee"),
+        (equal_friction, "ur5_robot", None, DataError, "no two joints of"),
+        (mirror_pairs, "a1", [("FL_hip", "RR_hip")], ModelError, OFF),
+        (mirror_pairs, "a1", [("left_foot", "FR_hip")], ModelError, "has no link left_foot"),
+        (mirror_pairs, "ur5_robot", None, DataError, "differ in a word for a side"),
+    ],
+)
+def test_what_are_no_mirror_images_is_refused(
+    asked: Any, name: str, pairs: Any, error: type[Exception], words: str
+) -> None:
+    robot = sdpid.load_robot(name, root="free_flyer")
+    refuses(error, f"{asked.__name__}: .*{words}", asked, robot, pairs)
+
+
+def test_pairs_of_joints_that_are_none_are_refused() -> None:
     for within in (2, True, np.nan):
         words = f"within is {within}; give a share"
         refuses(DataError, words, EqualFriction, "a", "b", within=within)
@@ -899,14 +902,6 @@ def test_legs_that_are_described_as_mirror_images_obey() -> None:
     rows = [row for pair in mirror_pairs(robot) for row in pair.compile(layout)]
     assert len(rows) == 60
     assert max(abs(float(row.coefficients @ theta)) for row in rows) < 1e-12
-
-
-def test_what_are_no_mirror_images_is_refused() -> None:
-    robot = sdpid.load_robot("a1", root="free_flyer")
-    with pytest.raises(ModelError, match=r"'FL_hip' is 0\.[0-9]+ m away from that of 'RR_hip'"):
-        mirror_pairs(robot, [("FL_hip", "RR_hip")])
-    refuses(ModelError, "has no link left_foot", mirror_pairs, robot, [("left_foot", "FR_hip")])
-    refuses(DataError, "differ in a word for a side", mirror_pairs, sdpid.load_robot("ur5_robot"))
 
 
 FRONT = ("FL_hip", "FR_hip")

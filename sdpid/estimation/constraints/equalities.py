@@ -96,9 +96,7 @@ class FixedLink(Condition):
                 f"FixedLink of '{self.link}': the description of '{layout.robot.name}' gives it a "
                 f"mass of {body[0]} kg; give the body."
             )
-        for k, name in enumerate(PARAMETER_NAMES):
-            value = float(body[k])
-            yield link_row(layout, link, f"{name} of {self.link} fixed", _unit(k), value, value)
+        yield from _ten(f"{self.link} fixed", layout.body(link, np.eye(10)), body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +167,12 @@ class MirrorSymmetry(Condition):
         """
         link = layout.link(self.link)
         n = np.asarray(self.normal)
-        u = np.cross(n, _unit(int(np.argmin(np.abs(n))), 3))
+        u = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
         u /= np.linalg.norm(u)
         point = np.asarray(self.point)
         height, along, across = (np.append(a, -a @ point) for a in (n, u, np.cross(n, u)))
         factors = {
-            "center of mass": _unit(3, 4),
+            "center of mass": np.eye(4)[3],
             "product of inertia 1": along,
             "product of inertia 2": across,
         }
@@ -278,10 +276,6 @@ def unit_normal(values: ArrayLike | None, what: str) -> Array:
     return frozen(direction / np.linalg.norm(direction))
 
 
-def _unit(k: int, size: int = 10) -> Array:
-    return np.asarray(np.eye(size)[k])
-
-
 def _require_two(kind: str, first: str, second: str, remedy: str) -> None:
     if first == second:
         raise DataError(f"{kind}: '{first}' is named twice; {remedy}.")
@@ -305,7 +299,12 @@ def _reflection(values: ArrayLike, what: str) -> Array:
 
 def _pair(layout: Layout, first: str, second: str, image: Array, says: str) -> Iterator[Row]:
     """Yield ``second = image @ first``, one equation a parameter."""
-    one, two = layout.link(first), layout.link(second)
-    for k, name in enumerate(PARAMETER_NAMES):
-        coefficients = layout.body(two, _unit(k)) - layout.body(one, image[k])
-        yield Row(f"{name} of {second} {says} {first}", frozen(coefficients), 0.0, 0.0)
+    differences = layout.body(layout.link(second), np.eye(10))
+    differences = differences - layout.body(layout.link(first), image)
+    yield from _ten(f"{second} {says} {first}", differences, np.zeros(10))
+
+
+def _ten(says: str, coefficients: Array, values: Array) -> Iterator[Row]:
+    """Yield an equation for each of the ten parameters of a link."""
+    for name, row, value in zip(PARAMETER_NAMES, coefficients, values.tolist(), strict=True):
+        yield Row(f"{name} of {says}", frozen(row), value, value)

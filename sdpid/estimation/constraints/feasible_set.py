@@ -179,11 +179,10 @@ class FeasibleSet(Shown):
         """Every constraint: consistency, masses, signs, theta_max, rows by limit, cones."""
         matrices = [self._matrix(i) for i in np.flatnonzero(self.required).tolist()]
         links = sum(matrix.kind == "consistency" for matrix in matrices)
+        limits = np.stack([self.lower, self.upper], axis=1)
         bounds = [
-            self._bound(k, side, limit)
-            for k, limits in enumerate(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
-            for side, limit in zip(_SIDES, limits, strict=True)
-            if np.isfinite(limit)
+            self._bound(k, _SIDES[end], float(limits[k, end]))
+            for k, end in np.argwhere(np.isfinite(limits)).tolist()
         ]
         bounds.sort(key=lambda bound: bound.kind == "theta_max")
         rows = [row for j in range(len(self.rows)) for row in self._row(j)]
@@ -193,11 +192,8 @@ class FeasibleSet(Shown):
         """Return a link's consistency, or a cone."""
         name, link = self.block_names[i], self.link_names[self.block_links[i]]
         if i >= self.n_own:
-            return Constraint(kind="cone", name=name, index=i, link=link)
-        margin, unit = self.constraints.margin, "kg.m2"
-        return Constraint(
-            kind="consistency", name=name, index=i, link=link, limit=margin, unit=unit
-        )
+            return Constraint("cone", name, i, link)
+        return Constraint("consistency", name, i, link, None, self.constraints.margin, "kg.m2")
 
     def _bound(self, k: int, side: Side, limit: float) -> Constraint:
         """Return one side of the bounds of a parameter."""
@@ -209,21 +205,19 @@ class FeasibleSet(Shown):
             kind = "theta_max"
         elif kind == "mass":
             words = f"mass of {link} at {side} {limit:g} kg"
-        return Constraint(
-            kind=kind, name=words, index=k, link=link, side=side, limit=limit, unit=unit
-        )
+        return Constraint(kind, words, k, link, side, limit, unit)
 
     def _row(self, j: int) -> Iterator[Constraint]:
         """Yield an equation, or the finite limits of a linear row."""
         name, limits = self.row_names[j], (float(self.row_lower[j]), float(self.row_upper[j]))
         if limits[0] == limits[1]:
-            yield Constraint(kind="row", name=name, index=j, limit=limits[0])
+            yield Constraint("row", name, j, limit=limits[0])
             return
         both = bool(np.isfinite(limits).all())
         for side, limit in zip(_SIDES, limits, strict=True):
             if np.isfinite(limit):
                 words = f"{name}, at {side} {limit:g}" if both else name
-                yield Constraint(kind="row", name=words, index=j, side=side, limit=limit)
+                yield Constraint("row", words, j, None, side, limit)
 
     @property
     def bounded(self) -> Mask:

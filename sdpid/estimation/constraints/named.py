@@ -9,7 +9,7 @@ ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "con
 Side = Literal["least", "most"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Constraint:
     """One inequality or equation of a feasible set.
 
