@@ -335,12 +335,21 @@ def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
     assert 0.4 < errors.floating.torque / (np.sqrt(3.0) * 0.05) < 1.0
     assert np.all(errors.rows[:6] == 0)
     assert np.all((errors.rmse[6:] / 0.02 > 0.4) & (errors.rmse[6:] / 0.02 < 1.1))
-    # What the parameters leave open of predicted efforts is what they move them by.
-    root, _ = parameter_root(estimate)
-    fresh = gait(20, seed=8).samples
-    moved = [found.predict(estimate.base + step, fresh) for step in root.T]
-    open_part = np.linalg.norm(moved - found.predict(estimate.base, fresh), axis=0)
-    np.testing.assert_allclose(_left_open(estimate, fresh), open_part, rtol=1e-6, atol=1e-9)
+    # What the parameters leave open of predicted efforts is what they move them by, those of
+    # gains included: forces explain their part of both.
+    fresh, n = gait(20, seed=8).samples, made.robot.n
+    deviations = np.where(np.arange(n) < 6, 0.0, 0.02)
+    names, covariance = made.robot.joint_names, np.diag(deviations**2)
+    gains = sdpid.DriveGains(joint_names=names, gains=np.ones(n), covariance=covariance)
+    geared = sdpid.solve_sdp(
+        problem(replace(noisy, gains=gains), weighting="residual", prior=sdpid.Prior())
+    )
+    for each in (estimate, geared):
+        root, slopes = parameter_root(each)
+        steps = np.hstack([root, slopes * deviations[: slopes.shape[1]]])
+        moved = [found.predict(each.base + step, fresh) for step in steps.T]
+        open_part = np.linalg.norm(moved - found.predict(each.base, fresh), axis=0)
+        np.testing.assert_allclose(_left_open(each, fresh), open_part, rtol=1e-6, atol=1e-9)
     deviations = sdpid.solve_wls(found).standard_errors
     z = (sdpid.solve_wls(found).base - found.base_of(made.theta)) / deviations
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
