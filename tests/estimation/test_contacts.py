@@ -26,6 +26,7 @@ from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
 from sdpid.output.report.verdict import _forces
 from sdpid.robot.legs.find import find_legs
+from sdpid.robot.model.contacts.closure import close_loops
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages
 from tests.helpers.data import row_source
@@ -428,9 +429,6 @@ def test_what_a_kind_transmits_leaves_nothing_and_more_does(kind: Kind, moments:
 # ---- A loop that closes is a contact of two links: a four-bar linkage beside MuJoCo.
 
 
-GROUND = 0.28
-
-
 def description() -> str:
     """Return the URDF, cut where coupler and rocker meet, with frames at their ends."""
     ends = "".join(
@@ -441,22 +439,12 @@ def description() -> str:
     return linkages.urdf("four_bar").partition("<loop_joint")[0] + ends + "</robot>"
 
 
-def closed() -> Array:
-    """Return joint positions where the loop is closed: by the cosine rule."""
-    crank = 1.0
-    tip = 0.1 * np.array([np.cos(crank), np.sin(crank)])
-    way = tip - [GROUND, 0.0]
-    size, turn = np.linalg.norm(way), np.arctan2(way[1], way[0])
-    rocker = turn - np.arccos((size**2 + 0.25**2 - 0.3**2) / (2.0 * size * 0.25))
-    end = [GROUND + 0.25 * np.cos(rocker), 0.25 * np.sin(rocker)]
-    return np.array([crank, np.arctan2(*(end - tip)[::-1]) - crank, rocker])
-
-
 def turning(K: int = 300) -> Samples:
     """Return a run in which a motor drives the crank, and the other joints have none."""
     model = mujoco.MjModel.from_xml_string(linkages.mjcf("four_bar"))
     data, states = mujoco.MjData(model), np.zeros((4, K, 3))
-    data.qpos[:] = closed()
+    robot = sdpid.load_robot(linkages.urdf("four_bar"))
+    data.qpos[:] = close_loops(robot, np.array([[1.0, 0.0, 0.0]]), robot.passive)[0]
     for k in range(20 * K):
         data.qfrc_applied[0] = (
             0.6 * np.sin(1e-3 * k) + 0.5 * np.sin(3.5e-3 * k) - 0.05 * data.qvel[0]

@@ -178,13 +178,6 @@ def test_compression_takes_every_row_once(
     assert used == int(rows.mask(slice(None)).sum())
 
 
-def test_the_rows_of_other_samples() -> None:
-    rows, _ = source(30)
-    other, _ = source(20, seed=1)
-    assert rows.on(other.samples).n_samples == 20
-    near(rows.on(other.samples).regressor(slice(None)), plain(other))
-
-
 # ---- Rows have the columns that they are said to have, and no others.
 
 
@@ -255,13 +248,12 @@ def test_residual_weighting_finds_variances_and_correlation_time(memory: float) 
     np.testing.assert_allclose(diagonal / variance, time, rtol=0.35)
 
 
-def test_white_residuals_count_in_full_and_masked_ones_not_at_all() -> None:
+def test_masked_residuals_do_not_count() -> None:
     samples, variance = noisy(2, 0.0)
     mask = np.random.default_rng(3).random((COUNT, 3)) < 0.6
     spoiled = replace(samples, effort=np.where(mask, samples.effort, 1e3), mask=mask)
-    for given_samples, share in ((samples, 0.15), (spoiled, 0.2)):
-        sigma = build_problem(ARM3, given_samples, weighting="residual").sigma
-        np.testing.assert_allclose(np.diag(sigma), variance, rtol=share)
+    sigma = build_problem(ARM3, spoiled, weighting="residual").sigma
+    np.testing.assert_allclose(np.diag(sigma), variance, rtol=0.2)
 
 
 @given(SEEDS)

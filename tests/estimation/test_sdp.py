@@ -196,15 +196,6 @@ def test_lower_bounds_hold_for_any_multipliers(seed: int, consistency: Consisten
         assert bound <= problem.cost_of(random_feasible(problem, rng))
 
 
-@pytest.mark.parametrize("consistency", BOTH)
-def test_the_denso(denso: RobotModel, consistency: Consistency) -> None:
-    problem = noisy(denso, 4, consistency=consistency, margin=0.005, noise=3.0)
-    estimate = solve_sdp(problem)
-    assert certify(estimate).passed
-    assert estimate.worst_margin >= 0.005
-    assert estimate.cost > solve_wls(problem).cost
-
-
 def test_stronger_constraints_cost_more() -> None:
     """f4(eps) ≥ f6(2·eps) ≥ f6(eps) ≥ f without constraints (docs/theory, section 4)."""
     problem = noisy(ARM3, 5)
