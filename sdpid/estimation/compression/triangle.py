@@ -19,8 +19,8 @@ from sdpid._common.arrays import Array, Indices
 # Rows multiplied at a time, in bytes: Y stays in a core's second-level cache beside the rows.
 PIECE = 1 << 19
 
-# Fewer rows than this many times the columns wait for others: what is done once for any number
-# of rows costs about as much as that many rows.
+# A piece has at least this many times as many rows as columns: what is done once for any number of
+# rows costs about as much as that many.
 _FEW = 4
 
 # The Gram matrix starts as the identity, and its eigenvalues may grow to this: its condition
@@ -56,8 +56,6 @@ class Triangle:
         # No eigenvalue of G is larger.
         self._growth = 1.0
         self._seen: Any = None
-        self._waiting: list[Array] = []
-        self._count = 0
         self._R: Array | None = self._T
 
     def __getstate__(self) -> tuple[int, Array]:
@@ -73,14 +71,13 @@ class Triangle:
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""
         if self._R is None:
-            found = self._factor()
-            self._R = _triangle(np.vstack([found, *self._waiting])) if self._waiting else found
+            self._R = self._factor()
             self._R.setflags(write=False)
         return self._R
 
     def scale(self, factor: float) -> None:
         """Multiply all rows so far by a number, as one does to forget them slowly."""
-        self._restart(factor * self.R)
+        self._T, self._R = factor * self._T, None
 
     def add(self, rows: Array, at: Indices | None = None) -> None:
         """Fold further rows (k, columns) in, or (k, c) of those columns alone; k may be zero."""
@@ -90,16 +87,7 @@ class Triangle:
             whole[:, at] = rows
             rows = whole
         self._R = None
-        few = _FEW * self.columns
-        if self._count + len(rows) < few:
-            if len(rows):
-                self._waiting.append(rows.copy())
-                self._count += len(rows)
-            return
-        if self._waiting:
-            rows = np.concatenate([*self._waiting, rows])
-            self._waiting, self._count = [], 0
-        size = max(PIECE // (8 * self.columns), few)
+        size = max(PIECE // (8 * self.columns), _FEW * self.columns)
         for start in range(0, len(rows), size):
             self._fold(rows[start : start + size])
 
@@ -126,7 +114,6 @@ class Triangle:
     def _restart(self, factor: Array) -> None:
         """Be this triangle alone."""
         self._T, self._G, self._R = factor, None, None
-        self._waiting, self._count = [], 0
 
     def _fold(self, rows: Array) -> None:
         if self._G is None:
