@@ -17,6 +17,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.constraints.mass import TotalMass
+from sdpid.estimation.local.log_cholesky import solve_log_cholesky
 from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.problem import Problem, build_problem, describe
@@ -286,18 +287,10 @@ def error_of(problem: Problem, base: Array, truth: Array) -> float:
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
-def test_wls_on_the_denso(denso: RobotModel, weighting: Weighting) -> None:
-    problem, _, truth = exact(denso, 0, weighting=weighting)
-    assert error_of(problem, solve_wls(problem).base, truth) <= EXACT
-
-
-@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18", "residual"])
-@pytest.mark.parametrize("consistency", BOTH)
-def test_sdp_on_the_denso(
-    denso: RobotModel, weighting: Weighting, consistency: Consistency
-) -> None:
+@pytest.mark.parametrize("consistency", ["none", *BOTH])
+def test_the_denso(denso: RobotModel, weighting: Weighting, consistency: Consistency) -> None:
     problem, _, truth = exact(denso, 1, weighting=weighting, consistency=consistency)
-    estimate = solve_sdp(problem)
+    estimate = solve_wls(problem) if consistency == "none" else solve_sdp(problem)
     assert estimate.status == "optimal"
     assert error_of(problem, estimate.base, truth) <= EXACT
 
@@ -321,19 +314,15 @@ def test_sdp_on_small_arms_and_a_tree(seed: int) -> None:
 
 
 @pytest.mark.parametrize("consistency", BOTH)
-def test_slsqp_from_near_the_truth(consistency: Consistency) -> None:
-    problem, theta, truth = exact(ARMS[3], 3, consistency=consistency)
-    start = theta * (1.0 + 0.02 * np.random.default_rng(0).standard_normal(len(theta)))
-    estimate = solve_slsqp(problem, start=start)
-    assert estimate.status == "optimal"
-    assert error_of(problem, estimate.base, truth) <= LOCAL_PARAMETERS
-
-
-@pytest.mark.parametrize("consistency", BOTH)
-def test_slsqp_from_a_random_start(consistency: Consistency) -> None:
-    problem, _, truth = exact(ARMS[2], 4, consistency=consistency)
+@pytest.mark.parametrize("solve", [solve_slsqp, solve_log_cholesky])
+@pytest.mark.parametrize("near", [True, False])
+def test_local_solvers_from_some_start(solve: Any, near: bool, consistency: Consistency) -> None:
+    problem, theta, truth = exact(ARMS[2], 4, consistency=consistency)
     start = random_start(problem, np.random.default_rng(5))
-    estimate = solve_slsqp(problem, start=start)
+    if near:
+        start = theta * (1.0 + 0.02 * np.random.default_rng(0).standard_normal(len(theta)))
+    estimate = solve(problem, start=start)
+    assert estimate.status == "optimal"
     assert error_of(problem, estimate.base, truth) <= LOCAL_PARAMETERS
     np.testing.assert_array_equal(np.asarray(estimate.start), start)
 
