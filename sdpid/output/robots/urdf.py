@@ -169,7 +169,7 @@ class Urdf(RobotText):
         if len(roots) != 1:
             raise ModelError(f"URDF: {len(roots)} links have no parent, there must be one.")
         self.root_link = self.bodies[roots[0]].name
-        self.carriers = self.match({str(b.joint): k for k, b in own.items()}, roots[0])
+        self.carriers = self.match({str(b.joint): k for k, b in own.items() if b.moving}, roots[0])
 
     def children(self, carrier: int) -> dict[int, FixedChild]:
         """Return the links fixed to one, directly or through others, by number.
