@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import PLACES as URDF_PLACES
 from sdpid.output.robots.joint_friction import Kind, Places, Rows, nonnegative_fit
 from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
-from sdpid.output.robots.mjcf import open_source
+from sdpid.output.robots.mjcf import Mjcf, open_source
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import source_text
 from sdpid.robot.description.inertials import NOTHING, Inertial
@@ -35,49 +34,39 @@ from sdpid.robot.description.mjcf import compiled
 Joints = Mapping[str, Mapping[str, float]]
 
 
-class UrdfPattern:
-    """A URDF with places for inertials and for damping and friction of joints.
+class Pattern:
+    """A robot's text with places for inertials and for attributes of joints.
 
-    Attributes
+    Parameters
     ----------
+    file : Urdf or Mjcf
+        The text that is changed.
     suffix : str
         Of the names of files.
     places : mapping
         The attributes that joints have, by term.
+    notes : tuple of str
+        What else differs from the source.
+
+    Attributes
+    ----------
     names : sequence of str
         The bodies that the joints move.
     frames : ndarray, shape (links, 4, 4)
         The joints' frames in those of the bodies.
-    notes : tuple of str
-        What else differs from the source.
     """
 
-    suffix = ".urdf"
-    places = URDF_PLACES
-
-    def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
-        robot = problem.robot
-        self._file = Urdf(robot, source_text(robot, source, f"URDF of '{robot.name}'"))
-        self.names = [self._file.name(k) for k in self._file.carriers]
+    def __init__(
+        self, file: Urdf | Mjcf, suffix: str, places: Mapping[Kind, str], notes: tuple[str, ...]
+    ) -> None:
+        self._file, self.suffix, self.places, self.notes = file, suffix, places, notes
+        self.names = [file.name(k) for k in file.carriers]
         self.frames = np.tile(np.eye(4), (len(self.names), 1, 1))
-        inside = {k for carrier in self._file.carriers for k in self._file.children(carrier)}
-        counted = [k for k in inside if np.any(self._file.bodies[k].theta)]
-        impossible = [
-            k
-            for k, body in enumerate(self._file.bodies)
-            if not body.moving
-            and k not in (*self._file.carriers, *counted)
-            and consistent(body) is False
-        ]
-        for k in (*counted, *impossible):
-            self._file.write(k, NOTHING)
-        self._document = self._file.document
-        self.notes: tuple[str, ...] = ()
-        if impossible:
-            self.notes = (
-                "links that do not move, with inertials in the description that no body can have, "
-                "now zero: " + ", ".join(self._file.name(k) for k in impossible),
-            )
+        if isinstance(file, Mjcf):
+            self.frames = np.array([file.frame(k) for k in range(len(self.names))])
+        for k in _inside(file):
+            file.write(k, NOTHING)
+        self._document = file.document
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""
@@ -92,45 +81,45 @@ class UrdfPattern:
         self._file.read_back(bodies)
 
     def require_loaded(self, text: str, name: str) -> None:
-        """Do nothing: readers differ only in the inertials, and those are audited."""
+        """Refuse an MJCF that MuJoCo does not load; one with meshes would take seconds.
 
-
-class MjcfPattern:
-    """As `UrdfPattern`, an MJCF with places for damping, dry friction and armature of joints."""
-
-    suffix = ".xml"
-    places = MJCF_PLACES
-
-    def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
-        robot = problem.robot
-        self._file, self.notes = open_source(robot, source, f"MJCF of '{robot.name}'")
-        self.names = [self._file.name(k) for k in self._file.carriers]
-        self.frames = np.array([self._file.frame(k) for k in range(robot.n_links)])
-        for carrier in self._file.carriers:
-            for k, child in self._file.children(carrier).items():
-                if np.any(child.body):
-                    self._file.write(k, NOTHING)
-        self._document = self._file.document
-
-    def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
-        """Return the text of a robot."""
-        self._file.document = self._document.branch()
-        for carrier, body in zip(self._file.carriers, bodies, strict=True):
-            self._file.write(carrier, body)
-        self._file.write_joints(joints)
-        return self._file.document.text()
-
-    def require_right(self, bodies: Array) -> None:
-        """Refuse a text, the last one, that does not have the efforts of the bodies."""
-        self._file.read_back(bodies)
-
-    def require_loaded(self, text: str, name: str) -> None:
-        """Refuse a text that MuJoCo does not load; one with meshes would take seconds."""
-        if self._file.ours:
+        URDFs differ only in the inertials, and those are audited.
+        """
+        if isinstance(self._file, Mjcf) and self._file.ours:
             compiled(text, None, None, f"{self._file.what} ({name})")
 
 
-Pattern: TypeAlias = UrdfPattern | MjcfPattern
+def urdf_pattern(problem: Problem, source: str | os.PathLike[str] | None) -> Pattern:
+    """Return a URDF with places for damping and friction of joints."""
+    robot = problem.robot
+    file = Urdf(robot, source_text(robot, source, f"URDF of '{robot.name}'"))
+    inside = _inside(file)
+    impossible = [
+        k
+        for k, body in enumerate(file.bodies)
+        if not body.moving and k not in (*file.carriers, *inside) and consistent(body) is False
+    ]
+    for k in impossible:
+        file.write(k, NOTHING)
+    note = (
+        "links that do not move, with inertials in the description that no body can have, now "
+        f"zero: {', '.join(file.name(k) for k in impossible)}"
+    )
+    return Pattern(file, ".urdf", URDF_PLACES, (note,) if impossible else ())
+
+
+def mjcf_pattern(problem: Problem, source: str | os.PathLike[str] | None) -> Pattern:
+    """Return an MJCF with places for damping, dry friction and armature of joints."""
+    robot = problem.robot
+    file, notes = open_source(robot, source, f"MJCF of '{robot.name}'")
+    return Pattern(file, ".xml", MJCF_PLACES, notes)
+
+
+def _inside(file: Urdf | Mjcf) -> list[int]:
+    """Return the bodies that are part of those that joints move."""
+    children = (file.children(carrier) for carrier in file.carriers)
+    return [k for each in children for k, child in each.items() if np.any(child.body)]
+
 
 # Rows at a time: columns of all terms take some 2 kB each.
 _CHUNK = 20_000

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import atomic_write_text
 from sdpid._common.seeds import generator
 from sdpid._common.tables import Shown, Table, json_text, plain_dict
@@ -216,11 +216,8 @@ class Ranges(Shown):
         """Return plain values for JSON; ``pseudo_inertia`` holds mjlab's arguments as they are."""
         joints: dict[str, dict[str, Any]] = {}
         for each in self.joints:
-            joints.setdefault(each.joint, {})[each.attribute] = {
-                "reference": each.reference,
-                "absolute": each.absolute,
-                "scale": each.scale,
-            }
+            numbers = {"reference": each.reference, "absolute": each.absolute, "scale": each.scale}
+            joints.setdefault(each.joint, {})[each.attribute] = numbers
         content = {
             "schema": "sdpid-ranges",
             "version": 1,
@@ -231,12 +228,9 @@ class Ranges(Shown):
             "relative_to": _REFERENCE,
             "bodies": {
                 body.name: {
-                    "mass": body.mass,
-                    "com": body.com,
+                    **{key: getattr(body, key) for key in ("mass", "com")},
                     "pseudo_inertia": body.mjlab(),
-                    "mass_scale": body.mass_scale,
-                    "com_shift": body.com_shift,
-                    "inside": body.inside,
+                    **{key: getattr(body, key) for key in ("mass_scale", "com_shift", "inside")},
                 }
                 for body in self.bodies
             },
@@ -303,30 +297,36 @@ def ranges_of(
             f"ranges of '{problem.robot.name}': a drawn body has no positive definite "
             "pseudo-inertia; solve with consistency='pseudo_inertia'."
         ) from None
-    ends = _ends(found, probability)
-    within = np.all((ends[0] <= found) & (found <= ends[1]), axis=-1)
+    ends, within = _ends(found, probability)
     mass, com, _ = physical_parameters(bodies)
-    mean_mass, mean_com, _ = physical_parameters(mean)
-    scale, shift = _ends(mass / mean_mass, probability), _ends(com - mean_com, probability)
+    reference, center, _ = physical_parameters(mean)
+    scales, _ = _ends(mass / reference, probability)
+    shifts, _ = _ends(com - center, probability)
     widened, feasible = _independent(problem, thetas, frames, bodies, ends)
+    inside = np.all(within, axis=2)
+    rows = zip(
+        *(names, reference.tolist(), center.tolist(), ends.tolist(), scales.tolist()),
+        *(shifts.tolist(), inside.mean(axis=0).tolist()),
+        strict=True,
+    )
     return Ranges(
         bodies=tuple(
             BodyRanges(
                 name=name,
-                mass=float(mean_mass[k]),
-                com=tuple(mean_com[k].tolist()),
-                changes={key: _pair(ends[:, k, i]) for i, key in enumerate(NAMES)},
-                mass_scale=_pair(scale[:, k]),
-                com_shift=tuple(_pair(shift[:, k, i]) for i in range(3)),
-                inside=float(within[:, k].mean()),
+                mass=kilograms,
+                com=tuple(place),
+                changes={key: _pair(each) for key, each in zip(NAMES, change, strict=True)},
+                mass_scale=_pair(scale),
+                com_shift=tuple(map(_pair, shift)),
+                inside=share,
             )
-            for k, name in enumerate(names)
+            for name, kilograms, place, change, scale, shift, share in rows
         ),
         joints=tuple(_joint_ranges(problem, attributes, probability)),
         probability=probability,
         number=len(thetas),
         made=dict(made),
-        inside=float(within.all(axis=1).mean()),
+        inside=float(np.all(inside, axis=1).mean()),
         widened=widened,
         feasible=feasible,
     )
@@ -339,35 +339,31 @@ def in_frames(bodies: Array, frames: Array) -> Array:
     return from_pseudo_inertia(frames @ pseudo_inertia(bodies) @ np.swapaxes(frames, -1, -2))
 
 
-def _ends(values: Array, probability: float) -> Array:
-    """Return the ends of the central range of each value over the draws, (2, ...)."""
+def _ends(values: Array, probability: float) -> tuple[Array, Mask]:
+    """Return the ends of the central range of each value over the draws, (..., 2), and who is in.
+
+    The latter for every draw, (draws, ...).
+    """
     tail = 0.5 * (1.0 - probability)
-    return np.asarray(np.quantile(values, [tail, 1.0 - tail], axis=0))
+    low, high = np.quantile(values, [tail, 1.0 - tail], axis=0)
+    inside = np.asarray((low <= values) & (values <= high))
+    return np.stack([low, high], axis=-1), inside
 
 
-def _pair(ends: Array) -> Range:
+def _pair(ends: Sequence[float] | Array) -> Range:
     return float(ends[0]), float(ends[1])
 
 
 def _joint_ranges(
     problem: Problem, attributes: Mapping[str, Array], probability: float
-) -> list[JointRange]:
-    """Return the ranges of the joints' attributes, joint by joint."""
-    out = []
+) -> Iterator[JointRange]:
+    """Yield the ranges of the joints' attributes, joint by joint."""
     for j, joint in enumerate(problem.friction.joint_names):
         for attribute, values in attributes.items():
-            drawn, reference = values[:-1, j], float(values[-1, j])
-            ends = _ends(drawn, probability)
-            out.append(
-                JointRange(
-                    joint=joint,
-                    attribute=attribute,
-                    reference=reference,
-                    absolute=_pair(ends),
-                    scale=_pair(ends / reference) if reference > 0.0 else None,
-                )
-            )
-    return out
+            reference, (ends, _) = float(values[-1, j]), _ends(values[:-1, j], probability)
+            numbers: dict[str, Any] = {"reference": reference, "absolute": _pair(ends)}
+            numbers["scale"] = _pair(ends / reference) if reference > 0.0 else None
+            yield JointRange(joint=joint, attribute=attribute, **numbers)
 
 
 def _independent(
@@ -376,7 +372,7 @@ def _independent(
     """Return how much wider efforts spread, and how many constraints hold, without correlation."""
     count, links = min(_TRIALS, len(thetas)), 10 * problem.robot.n_links
     mean = thetas.mean(axis=0)
-    drawn = generator(0).uniform(ends[0], ends[1], (count, *bodies.shape[1:]))
+    drawn = generator(0).uniform(ends[..., 0], ends[..., 1], (count, *bodies.shape[1:]))
     there = changed(bodies.mean(axis=0), drawn)
     boxed = np.tile(mean, (count, 1))
     boxed[:, :links] = in_frames(there, np.asarray(np.linalg.inv(frames))).reshape(count, links)

@@ -23,10 +23,10 @@ from sdpid.output.robots.joint_friction import Kind
 from sdpid.output.robots.written_bodies import possible_body
 from sdpid.output.samples.patterns import (
     Joints,
-    MjcfPattern,
     Pattern,
-    UrdfPattern,
     drawn_attributes,
+    mjcf_pattern,
+    urdf_pattern,
 )
 from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
 from sdpid.robot.description.bodies import DescribedBody, exact_decimal
@@ -233,9 +233,9 @@ def _patterns(problem: Problem, kinds: Sequence[str], source: Source) -> list[Pa
         raise ExportError("source: is an MJCF, no URDF can be made of it; ask for kinds=('mjcf',).")
     patterns: list[Pattern] = []
     if "urdf" in kinds:
-        patterns.append(UrdfPattern(problem, None if mjcf else source))
+        patterns.append(urdf_pattern(problem, None if mjcf else source))
     if "mjcf" in kinds:
-        patterns.append(MjcfPattern(problem, source))
+        patterns.append(mjcf_pattern(problem, source))
     return patterns
 
 
