@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,16 +76,14 @@ def pieces(trajectory: Trajectory) -> tuple[Piece, ...]:
         One begins where the one before it ends.
     """
     made: list[Piece] = []
-    parts = trajectory.curves()
-    for start, curve in parts:
+    for start, curve in trajectory.curves():
         own = [
             piece
-            for a, b in zip(curve.breaks, curve.breaks[1:], strict=False)
-            for piece in _split(curve, float(a), float(b), _HALVINGS)
+            for a, b in pairwise(curve.breaks.tolist())
+            for piece in _split(curve, a, b, _HALVINGS)
         ]
         # Only the periodic part is there several times, and what follows it comes later.
-        turns = trajectory.periods if curve is trajectory.series else 1
-        for turn in range(turns):
+        for turn in range(trajectory.periods if curve is trajectory.series else 1):
             shift = start + turn * curve.duration
             made += [Piece(p.begin + shift, p.end + shift, p.coefficients) for p in own]
     return tuple(made)
@@ -126,7 +125,7 @@ def write_joint_trajectory(trajectory: Trajectory, path: str | os.PathLike[str])
 def _message(trajectory: Trajectory) -> Iterator[str]:
     """Yield the lines of the file."""
     step = max(int(trajectory.rate_hz // RATE_HZ), 1)
-    time, states = whole_motion(trajectory)
+    time, states = _whole_motion(trajectory)
     last = len(time) - 1
     index = np.append(np.arange(0, last, step), last)
     yield f"# trajectory_msgs/JointTrajectory by sdpid {__version__}; rad or m, and s."
@@ -137,11 +136,11 @@ def _message(trajectory: Trajectory) -> Iterator[str]:
     yield f"joint_names: {json.dumps(list(trajectory.joint_names))}"
     yield "points:"
     nanoseconds = np.rint(1e9 * time[index]).astype(np.int64)
-    position, velocity, acceleration = states[:, index]
-    for k, when in enumerate(nanoseconds.tolist()):
-        yield f"- positions: {_listed(position[k], _MESSAGE)}"
-        yield f"  velocities: {_listed(velocity[k], _MESSAGE)}"
-        yield f"  accelerations: {_listed(acceleration[k], _MESSAGE)}"
+    for when, state in zip(nanoseconds.tolist(), states[:, index].swapaxes(0, 1), strict=True):
+        position, velocity, acceleration = (_listed(each, _MESSAGE) for each in state)
+        yield f"- positions: {position}"
+        yield f"  velocities: {velocity}"
+        yield f"  accelerations: {acceleration}"
         yield f"  time_from_start: {{sec: {when // 10**9}, nanosec: {when % 10**9}}}"
 
 
@@ -221,51 +220,27 @@ def _program(trajectory: Trajectory) -> Iterator[str]:
     yield "end"
 
 
-def whole_motion(trajectory: Trajectory) -> tuple[Array, Array]:
-    """Return a whole trajectory sample by sample, its last instant included.
+def _whole_motion(trajectory: Trajectory) -> tuple[Array, Array]:
+    """Return times (K,), and positions, velocities, accelerations (3, K, n), at its own rate.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Sampled at its own rate.
-
-    Returns
-    -------
-    time : ndarray, shape (K,)
-        From zero to the end, s.
-    states : ndarray, shape (3, K, n)
-        Positions, velocities and accelerations, rad (m where a joint slides) and s.
+    From zero to the end, the last instant included.
     """
     _, last = trajectory.curves()[-1]
     end = np.array([last.duration])
-    ends = [last.evaluate(end, derivative=order) for order in range(3)]
-    states = np.concatenate([np.stack(trajectory.sample()), np.stack(ends)], axis=1)
+    ends = np.stack([last.evaluate(end, derivative=order) for order in range(3)])
+    states = np.concatenate([np.stack(trajectory.sample()), ends], axis=1)
     return np.arange(trajectory.n_samples + 1) / trajectory.rate_hz, states
 
 
-def motion_columns(trajectory: Trajectory) -> dict[str, Array]:
-    """Return time, positions, velocities and accelerations of a whole trajectory, by column.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Sampled at its own rate, its last instant included.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (K,)
-        ``time`` in s from zero, and ``position_<joint>``, ``velocity_<joint>`` and
-        ``acceleration_<joint>`` in rad (m where a joint slides) and s, quantity by quantity.
-    """
-    time, states = whole_motion(trajectory)
-    columns = {"time": time}
-    quantities = ("position", "velocity", "acceleration")
-    for quantity, values in zip(quantities, states, strict=True):
-        for name, column in zip(trajectory.joint_names, values.T, strict=True):
-            columns[f"{quantity}_{name}"] = column
-    return columns
-
-
 def write_motion_csv(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Write the columns of `motion_columns` as CSV with all digits."""
-    Table.of_columns({k: v.tolist() for k, v in motion_columns(trajectory).items()}).write(path)
+    """Write a whole trajectory as CSV with all digits, its last instant included.
+
+    The columns are ``time`` in s from zero, and ``position_<joint>``, ``velocity_<joint>`` and
+    ``acceleration_<joint>`` in rad (m where a joint slides) and s, quantity by quantity.
+    """
+    time, states = _whole_motion(trajectory)
+    quantities = ("position", "velocity", "acceleration")
+    names = [f"{quantity}_{name}" for quantity in quantities for name in trajectory.joint_names]
+    columns = {"time": time.tolist()}
+    columns |= dict(zip(names, np.hstack(list(states)).T.tolist(), strict=True))
+    Table.of_columns(columns).write(path)

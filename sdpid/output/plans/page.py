@@ -174,19 +174,18 @@ def _subtitle(plan: Plan) -> str:
 
 def _joints(plan: Plan, motion: Played, charts: Charts) -> Iterator[dict[str, Any]]:
     """Yield the charts of each joint: its quantities and, where they are near, their limits."""
+    ends = ("lower limit", "upper limit")
     for name, rows in limited_quantities(plan.robot, plan.joint_limits, motion):
         shown = []
-        for label, values, lower, upper in rows:
+        for label, values, *limits in rows:
             far = _FAR * (float(np.abs(values).max()) or 1.0)
-            near = {
+            columns = {"motion": values} | {
                 what: np.full(len(values), limit)
-                for what, limit in (("lower limit", lower), ("upper limit", upper))
+                for what, limit in zip(ends, limits, strict=True)
                 if limit is not None and abs(limit) <= far
             }
-            number = charts.add(x=motion.time, **{"motion": values, **near})
-            shown.append(
-                (number, label, [("motion", BLUE), *((each, RED, DASHED) for each in near)])
-            )
+            lines = [(each, RED, DASHED) if each in ends else (each, BLUE) for each in columns]
+            shown.append((charts.add(x=motion.time, **columns), label, lines))
         yield {"name": name, "charts": shown}
 
 
@@ -200,8 +199,8 @@ def _distances(plan: Plan, motion: Played, charts: Charts) -> tuple[int, Lines] 
     room = 1e3 * (collision.distances(motion.position[::step]) - asked)
     nearest = np.argsort(room.min(axis=0))[: len(COLORS)]
     names = [
-        f"{collision.pairs[k].first} – {collision.pairs[k].second} ({1e3 * asked[k]:.2g} mm asked)"
-        for k in nearest
+        f"{pair.first} – {pair.second} ({1e3 * least:.2g} mm asked)"
+        for pair, least in ((collision.pairs[k], asked[k]) for k in nearest)
     ]
     return _together(charts, motion.time[::step], names, room[:, nearest].T)
 
@@ -220,20 +219,25 @@ def _spectrum(plan: Plan, motion: Played, charts: Charts) -> tuple[int, Lines]:
 def _expected(plan: Plan, charts: Charts) -> dict[str, Any]:
     """Return what the run will buy: tables and a chart."""
     expected = plan.expected
-    curves = list(_curves(expected))[: len(COLORS)]
+    curves = dict(list(_curves(expected))[: len(COLORS)])
     seconds = np.array([each.seconds for each in expected.durations])
-    names, shares = [name for name, _ in curves], [2.0 + np.log10(share) for _, share in curves]
-    shown = len(seconds) > 1 and bool(curves)
+    chart = None
+    if len(seconds) > 1 and curves:
+        shares = [2.0 + np.log10(share) for share in curves.values()]
+        chart = _together(charts, np.log10(seconds), list(curves), shares)
+    still: dict[str, list[str]] = {}
+    for each in expected.open_directions:
+        still.setdefault(each.reason, []).append(", ".join(each.parameters))
     return {
         "expected": expected,
-        "open": _open(expected),
+        "open": list(still.items()),
         "parameters": list(_parameters(expected)),
         "durations": [
-            (each.seconds, each.repetitions, [share[k] for _, share in curves])
+            (each.seconds, each.repetitions, [share[k] for share in curves.values()])
             for k, each in enumerate(expected.durations)
         ],
-        "curves": names,
-        "over_duration": _together(charts, np.log10(seconds), names, shares) if shown else None,
+        "curves": list(curves),
+        "over_duration": chart,
     }
 
 
@@ -274,14 +278,6 @@ def _falling(names: Sequence[str], values: Array, errors: Array) -> Iterator[tup
     for k in np.argsort(-np.nan_to_num(shares[0])):
         if told[k]:
             yield names[k], shares[:, k]
-
-
-def _open(expected: Expected) -> list[tuple[str, list[str]]]:
-    """Return what stays open, by what would help."""
-    found: dict[str, list[str]] = {}
-    for each in expected.open_directions:
-        found.setdefault(each.reason, []).append(", ".join(each.parameters))
-    return list(found.items())
 
 
 def _parameters(expected: Expected) -> Iterator[dict[str, Any]]:

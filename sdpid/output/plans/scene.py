@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,58 +50,55 @@ def scene_of(
     clearance : float
         Least distance that is asked, m.
     """
-    shown = Motion(motion.rate_hz, motion.position)
+    shown, lines, distances = Motion(motion.rate_hz, motion.position), [], None
     if collision is None:
         surfaces, notes = described_surfaces(robot)
-        lines = []
         notes = (*notes, "Shapes are those of the description: no collisions were checked.")
     else:
+        half, surfaces = _WIDE * max(robot.reach, 0.1), []
         names = {each.name for each in collision.obstacles}
-        solids = [each for each in collision.solids if not isinstance(each.shape, Plane)]
-        surfaces = [_surface(each, obstacle=each.body in names) for each in solids]
         planes = [each.shape for each in collision.solids if isinstance(each.shape, Plane)]
-        half = _WIDE * max(robot.reach, 0.1)
+        for each in collision.solids:
+            if not isinstance(each.shape, Plane):
+                surfaces.append(_surface(each, "obstacles" if each.body in names else "links"))
         surfaces += [_sheet(plane, half) for plane in planes]
         lines = [grid(*_sides(plane, half)) for plane in planes]
         notes = ("Shapes are those that were checked for collisions.",)
-    traces = [Line(trace) for trace in _traces(robot, shown)]
+        distances = _nearest(collision, motion, clearance)
     return robot_scene(
         robot,
         shown,
         _GROUPS,
         [_colored(each) for each in surfaces],
         label=f"The arm of {robot.name} along the motion, and what is around it",
-        lines=[*lines, *traces],
-        distances=None if collision is None else _nearest(collision, motion, clearance),
+        lines=[*lines, *_traces(robot, shown)],
+        distances=distances,
         notes=notes,
     )
 
 
-def _surface(solid: Solid, *, obstacle: bool) -> Surface:
-    """Return what is drawn of a solid."""
-    group, link = "obstacles" if obstacle else "links", solid.joint - 1
+def _surface(solid: Solid, group: str) -> Surface:
+    """Return what is drawn of a solid that is no plane."""
+    link = solid.joint - 1
+    assert not isinstance(solid.shape, Plane)
     if isinstance(solid.shape, Mesh):
         points = solid.shape.triangles().reshape(-1, 3)
         return Surface(link, points, np.arange(len(points)).reshape(-1, 3), group)
-    assert not isinstance(solid.shape, Plane)
-    found = surface_of(solid.shape, link)
-    return Surface(link, found.points, found.faces, group)
+    return replace(surface_of(solid.shape, link), group=group)
 
 
 def _colored(surface: Surface) -> Surface:
     """Return a link's surface in the link's color."""
-    if surface.group != "links":
-        return surface
-    color = _COLORS[(surface.link + 1) % len(_COLORS)]
-    return Surface(surface.link, surface.points, surface.faces, surface.group, color)
+    own = _COLORS[(surface.link + 1) % len(_COLORS)]
+    return replace(surface, color=own) if surface.group == "links" else surface
 
 
-def _traces(robot: RobotModel, motion: Motion) -> Iterator[Array]:
-    """Yield where the links without followers go, shape (F, 3)."""
+def _traces(robot: RobotModel, motion: Motion) -> Iterator[Line]:
+    """Yield where the links without followers go."""
     followed = {int(parent) - 1 for parent in list(robot.pin_model.parents)[1:]}
     origins = motion.placements(robot)[:, :, :3, 3]
     for link in sorted(set(range(robot.n_links)) - followed):
-        yield origins[:, link]
+        yield Line(origins[:, link])
 
 
 def _nearest(collision: CollisionModel, motion: Played, clearance: float) -> dict[str, Any] | None:

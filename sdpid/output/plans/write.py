@@ -6,8 +6,9 @@ All files appear together, or none.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from sdpid import __version__
 from sdpid._common.extras import installation
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
-from sdpid._common.tables import plain_dict
+from sdpid._common.tables import plain, plain_dict
+from sdpid.excitation.geometry.obstacles import obstacles_to_dict
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.output.plans.motion_files import (
@@ -26,13 +28,13 @@ from sdpid.output.plans.motion_files import (
     write_motion_csv,
     write_urscript,
 )
-from sdpid.output.plans.settings_files import LIMITS, OBSTACLES, PLAN, settings_files
+from sdpid.robot.description.catalog import robot_names
+
+# What the plan can be made again from, and the files that it names.
+PLAN, LIMITS, OBSTACLES = "plan.toml", "limits.toml", "obstacles.toml"
 
 # Written last: it lists the other files.
 _RESULT = "plan.json"
-
-# What the plan can be made again from.
-_CONFIG = PLAN
 
 # Every file that a plan may have.
 NAMES = (
@@ -43,11 +45,11 @@ NAMES = (
     "report.html",
     LIMITS,
     OBSTACLES,
-    _CONFIG,
+    PLAN,
     _RESULT,
 )
 
-_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG, careful=True)
+_FOLDER = RunFolder(NAMES, _RESULT, PLAN, careful=True)
 
 require_writable = _FOLDER.require_writable
 
@@ -106,10 +108,14 @@ def write_plan(
     require_writable(target, writes_config=True)
 
     def fill(stage: Path) -> dict[str, Any]:
-        texts = settings_files(plan, target) if config is None else {_CONFIG: config}
-        with progress(3, "writing the plan") as advance:
-            for _ in _write(plan, stage, texts, note):
-                advance(1)
+        texts = settings_files(plan, target) if config is None else {PLAN: config}
+        if (reason := ended_early(plan)) is not None:
+            texts[PLAN] = f"# {reason}\n{texts[PLAN]}"
+        for name, text in texts.items():
+            (stage / name).write_text(text, encoding="utf-8")
+        with progress(2, "writing the plan") as advance:
+            _write_motion(plan, stage, note)
+            advance(1)
             _write_page(plan, stage, command, note)
             advance(1)
         return plan_content(plan)
@@ -120,6 +126,8 @@ def write_plan(
 def plan_content(plan: Plan) -> dict[str, Any]:
     """Return a plan's results as plain values: limits, expected errors, notes, assumptions."""
     collision = plan.collision
+    told = ("objective", "purpose", "condition_number", "log_det")
+    made = ("notes", "motion", "settings")
     content = {
         "sdpid": __version__,
         "robot": plan.robot.name,
@@ -127,10 +135,7 @@ def plan_content(plan: Plan) -> dict[str, Any]:
         "duration_s": plan.trajectory.duration,
         "rate_hz": plan.trajectory.rate_hz,
         "periods": plan.trajectory.periods,
-        "objective": plan.objective,
-        "purpose": plan.purpose,
-        "condition_number": plan.condition_number,
-        "log_det": plan.log_det,
+        **{name: getattr(plan, name) for name in told},
         "standard_errors": dict(zip(plan.names, plan.standard_errors.tolist(), strict=True)),
         "expected": plan.expected.to_dict(),
         "limits": plan.limits.to_dict(),
@@ -139,9 +144,7 @@ def plan_content(plan: Plan) -> dict[str, Any]:
         "left_out": None if collision is None else collision.left_out,
         "history": plan.history,
         "assumed": plan.limits.notes,
-        "notes": plan.notes,
-        "motion": plan.motion,
-        "settings": plan.settings,
+        **{name: getattr(plan, name) for name in made},
     }
     return plain_dict(content)
 
@@ -159,14 +162,11 @@ def ended_early(plan: Plan) -> str | None:
     )
 
 
-def _write(
-    plan: Plan, folder: Path, texts: dict[str, str], note: Callable[[str], None]
-) -> Iterator[None]:
-    """Write motion, programs and settings into an empty folder, step by step."""
+def _write_motion(plan: Plan, folder: Path, note: Callable[[str], None]) -> None:
+    """Write the motion in every form that the robot can take."""
     motion = plan.trajectory
     write_motion_csv(motion, folder / "trajectory.csv")
     motion.to_toml(folder / "trajectory.toml")
-    yield
     write_joint_trajectory(motion, folder / "joint_trajectory.yaml")
     if motion.n == JOINTS and not np.any(plan.joint_limits.sliding):
         write_urscript(motion, folder / "excitation.script")
@@ -175,11 +175,6 @@ def _write(
             f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, this "
             "robot has others"
         )
-    if (reason := ended_early(plan)) is not None:
-        texts[_CONFIG] = f"# {reason}\n{texts[_CONFIG]}"
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    yield
 
 
 def _write_page(plan: Plan, folder: Path, command: str | None, note: Callable[[str], None]) -> None:
@@ -192,3 +187,79 @@ def _write_page(plan: Plan, folder: Path, command: str | None, note: Callable[[s
     there = [name for name in NAMES if (folder / name).exists()]
     text = plan_html(plan, command=command, names=[*there, _RESULT])
     (folder / "report.html").write_text(text, encoding="utf-8")
+
+
+# Arguments of `design_excitation` that are options, and their names.
+_OPTIONS = {
+    name: name
+    for name in (
+        *("robot", "duration", "collisions", "friction", "previous", "noise", "objective"),
+        *("motion", "closed", "harmonics", "start", "periods", "torque_spread", "starts"),
+        *("time_limit", "seed"),
+    )
+} | {"purpose": "for", "package_dirs": "package_dir"}
+
+# Those that name files, perhaps among others.
+_FILES = ("robot", "previous", "package_dirs")
+
+# Limits of joints; the others are of the whole arm.
+_OF_JOINTS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
+
+
+def settings_files(plan: Plan, folder: Path) -> dict[str, str]:
+    """Return texts of ``plan.toml`` and the files that it names, from a plan's settings.
+
+    What no option can say, such as a robot or a recording in memory, stands in comments.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its settings.
+    folder : Path
+        Where the files will be; others are named relative to it.
+    """
+    import tomli_w
+
+    settings = dict(plan.settings)
+    texts: dict[str, str] = {}
+    values: dict[str, Any] = {}
+    if limits := settings.pop("limits", None):
+        table = _limits_table(limits, plan.trajectory.joint_names)
+        texts[LIMITS], values["limits"] = tomli_w.dumps(table), LIMITS
+    if settings.pop("obstacles", None) and plan.collision is not None:
+        table = obstacles_to_dict(plan.collision.obstacles)
+        texts[OBSTACLES], values["obstacles"] = tomli_w.dumps(plain(table)), OBSTACLES
+    comments = [f"# sdpid {__version__}: sdpid excite --config FILE makes this plan again."]
+    for name, value in settings.items():
+        several = isinstance(value, Sequence) and not isinstance(value, str)
+        each = [_written(name, v, folder) for v in (value if several else [value])]
+        if name not in _OPTIONS or None in each:
+            comments.append(f"# no option says this: {name} = {json.dumps(plain(value))}")
+        else:
+            values[_OPTIONS[name]] = each if several else each[0]
+    return {PLAN: "\n".join(comments) + "\n" + tomli_w.dumps(values), **texts}
+
+
+def _written(name: str, value: Any, folder: Path) -> Any:
+    """Return a value for TOML, None where there is none."""
+    if name in _FILES and isinstance(value, str) and Path(value).exists():
+        return os.path.relpath(Path(value).resolve(), folder.resolve())
+    if isinstance(value, Mapping) or (name == "robot" and value not in robot_names()):
+        return None
+    return value
+
+
+def _limits_table(limits: Mapping[str, Any], joints: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of `Limits` as the tables of its file."""
+    table: dict[str, Any] = {"arm": {}}
+    for key, value in limits.items():
+        if value is None:
+            continue
+        if key not in _OF_JOINTS or isinstance(value, int | float | str):
+            table["arm"][key] = value
+            continue
+        named = value if isinstance(value, Mapping) else dict(zip(joints, value, strict=True))
+        for joint, each in named.items():
+            if each is not None:
+                table.setdefault("arm" if joint == "*" else joint, {})[key] = each
+    return table
