@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sdpid._common.tables import Table, plain
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.intervals.intervals import Intervals
@@ -33,11 +31,9 @@ def ends_of(intervals: Intervals | None) -> dict[str, Ends]:
     """Return the intervals by parameter."""
     if intervals is None:
         return {}
-    columns = (intervals.names, intervals.lower, intervals.upper, intervals.label)
-    return {
-        str(name): Ends(_plain(low), _plain(high), str(label))
-        for name, low, high, label in zip(*columns, strict=True)
-    }
+    ends = plain(intervals.lower), plain(intervals.upper)
+    columns = zip(intervals.names, *ends, intervals.label, strict=True)
+    return {str(name): Ends(low, high, str(label)) for name, low, high, label in columns}
 
 
 def intervals_dict(intervals: Intervals) -> dict[str, Any]:
@@ -58,31 +54,18 @@ def in_words(intervals: Intervals | None) -> str | None:
     return f"{100.0 * level:g} % intervals ({method}): {_ABOUT[method]}"
 
 
-def _plain(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-# Columns of an interval.
-_ENDS = ("lower", "upper", "label")
-
-
 def base_table(
     estimate: Estimate, wls: Estimate | None = None, intervals: Intervals | None = None
 ) -> Table:
     """Return the table of base parameters, with errors, the unconstrained fit and intervals."""
     base = estimate.problem.base
-    header = ["parameter", "unit", "value", "standard_error"]
-    columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
-    columns.append(known_errors(estimate))
+    columns: dict[str, Sequence[object]] = {"parameter": base.names, "unit": base.units}
+    columns |= {"value": estimate.base.tolist(), "standard_error": known_errors(estimate)}
     if wls is not None:
-        header.append("unconstrained")
-        columns.append(wls.base.tolist())
-    if intervals is not None:
-        header += _ENDS
-        columns += _end_columns(base.names, intervals)
-    header.append("regrouping")
-    columns.append([base.expression(name) for name in base.names])
-    return Table(tuple(header), tuple(zip(*columns, strict=True)))
+        columns["unconstrained"] = wls.base.tolist()
+    columns |= _end_columns(base.names, intervals)
+    columns["regrouping"] = [base.expression(name) for name in base.names]
+    return Table.of_columns(columns)
 
 
 def known_errors(estimate: Estimate) -> list[float | None]:
@@ -98,21 +81,19 @@ def theta_table(estimate: Estimate, intervals: Intervals | None = None) -> Table
     """Return the table of standard parameters, with intervals and shares of their sources."""
     base = estimate.problem.base
     none: list[None] = [None] * len(base.theta_names)
+    columns: dict[str, Sequence[object]] = {"parameter": base.theta_names, "unit": base.theta_units}
+    columns["value"] = none if estimate.theta is None else estimate.theta.tolist()
+    columns |= _end_columns(base.theta_names, intervals)
     sources = None if estimate.theta is None else provenance(estimate)
-    columns: list[Sequence[object]] = [base.theta_names, base.theta_units]
-    columns.append(none if estimate.theta is None else estimate.theta.tolist())
-    header = ["parameter", "unit", "value"]
-    if intervals is not None:
-        header += _ENDS
-        columns += _end_columns(base.theta_names, intervals)
     for name in ("data", "physics", "prior"):
-        header.append(name)
-        columns.append(none if sources is None else getattr(sources, name).tolist())
-    return Table(tuple(header), tuple(zip(*columns, strict=True)))
+        columns[name] = none if sources is None else getattr(sources, name).tolist()
+    return Table.of_columns(columns)
 
 
-def _end_columns(names: Sequence[str], intervals: Intervals) -> list[Sequence[object]]:
+def _end_columns(names: Sequence[str], intervals: Intervals | None) -> dict[str, Sequence[object]]:
     """Return lower ends, upper ends and labels of the intervals of the named parameters."""
+    if intervals is None:
+        return {}
     ends, none = ends_of(intervals), Ends(None, None, "")
-    rows = [ends.get(name, none) for name in names]
-    return [[row.lower for row in rows], [row.upper for row in rows], [row.label for row in rows]]
+    columns = zip(*(ends.get(name, none) for name in names), strict=True)
+    return dict(zip(Ends._fields, columns, strict=True))

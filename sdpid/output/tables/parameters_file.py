@@ -99,31 +99,25 @@ def parameters_dict(
     from sdpid import __version__
 
     problem, base = estimate.problem, estimate.problem.base
-    ends = _ends(intervals)
+    ends, robot = _ends(intervals), problem.robot
     standard: dict[str, Any] | None = None
     if estimate.theta is not None:
-        parts = provenance(estimate).to_dict()
+        shares = provenance(estimate).to_dict()
+        rows = zip(base.theta_names, plain(estimate.theta), base.theta_units, strict=True)
         standard = {
-            name: {
-                "value": value,
-                "unit": unit,
-                "interval": ends.get((name, "standard"), ends.get((name, None))),
-                "shares": parts[name],
-            }
-            for name, value, unit in zip(
-                base.theta_names, plain(estimate.theta), base.theta_units, strict=True
-            )
+            name: {"value": value, "unit": unit, "interval": ends.get((name, "standard"))}
+            | {"shares": shares[name]}
+            for name, value, unit in rows
         }
-    robot = problem.robot
+    errors = known_errors(estimate)
+    of_base = zip(base.names, plain(estimate.base), base.units, errors, strict=True)
     return {
         "format": FORMAT,
         "version": VERSION,
         "made_by": f"sdpid {__version__}",
         "robot": robot.name,
         "joints": list(robot.joint_names),
-        "links": dict(
-            zip((str(i + 1) for i in range(robot.n_links)), robot.link_names, strict=True)
-        ),
+        "links": {str(i): name for i, name in enumerate(robot.link_names, start=1)},
         "frames": "link parameters are about the origin and along the axes of the joint's frame",
         "method": estimate.method,
         "status": estimate.status,
@@ -138,33 +132,24 @@ def parameters_dict(
         "interval_level": getattr(intervals, "level", None),
         "standard": standard,
         "base": {
-            name: {
-                "value": value,
-                "unit": unit,
-                "standard_error": error,
-                "interval": ends.get((name, "base"), ends.get((name, None))),
-                "expression": base.expression(name),
-            }
-            for name, value, unit, error in zip(
-                base.names, plain(estimate.base), base.units, known_errors(estimate), strict=True
-            )
+            name: {"value": value, "unit": unit, "standard_error": error}
+            | {"interval": ends.get((name, "base")), "expression": base.expression(name)}
+            for name, value, unit, error in of_base
         },
     }
 
 
-def _ends(intervals: Intervals | None) -> dict[tuple[str, str | None], list[float | None]]:
-    """Return both ends of each interval by name and kind; kind None stands for both kinds."""
+def _ends(intervals: Intervals | None) -> dict[tuple[str, str], list[float | None]]:
+    """Return both ends of each interval by name and kind; one of no kind stands for both."""
     if intervals is None:
         return {}
-    kinds: Sequence[str | None] = getattr(intervals, "kind", (None,) * len(intervals.names))
-    out: dict[tuple[str, str | None], list[float | None]] = {}
-    both = zip(plain(intervals.lower), plain(intervals.upper), strict=True)
-    for name, kind, (lower, upper) in zip(intervals.names, kinds, both, strict=True):
-        out[name, kind] = [lower, upper]
-    for (name, kind), value in list(out.items()):
+    kinds: Sequence[str] = getattr(intervals, "kind", ("",) * len(intervals.names))
+    out: dict[tuple[str, str], list[float | None]] = {}
+    rows = zip(intervals.names, kinds, plain(intervals.lower), plain(intervals.upper), strict=True)
+    for name, kind, *ends in rows:
+        out[name, kind or "base"] = ends
         # A standard parameter that is a base parameter is listed once, as that.
-        if kind == "base":
-            out.setdefault((name, "standard"), value)
+        out.setdefault((name, "standard"), ends)
     return out
 
 
@@ -216,17 +201,16 @@ def _content(source: Path) -> Any:
         text = read_regular(source).decode("utf-8-sig")
     except UnicodeDecodeError as cause:
         raise DataError(f"{source}: cannot be read ({cause}).") from None
-    if source.suffix.lower() == ".json":
-        try:
-            return json.loads(text)
-        except (ValueError, RecursionError) as cause:
-            raise DataError(f"{source}: not JSON ({cause}).") from None
-    yaml = require("yaml", extra="yaml")
+    wrong: tuple[type[Exception], ...] = (ValueError, RecursionError)
+    load, what = json.loads, "JSON"
+    if source.suffix.lower() != ".json":
+        yaml = require("yaml", extra="yaml")
+        load, what, wrong = yaml.safe_load, "YAML", (*wrong, yaml.YAMLError)
     try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as cause:
+        return load(text)
+    except wrong as cause:
         reason = str(cause).replace("\n", " ")
-        raise DataError(f"{source}: not YAML ({reason}).") from None
+        raise DataError(f"{source}: not {what} ({reason}).") from None
 
 
 def _value(entry: Any, what: str) -> float:
