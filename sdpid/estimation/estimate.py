@@ -19,7 +19,6 @@ from sdpid.estimation.duality.bound import Multipliers
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
-from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed", "given"]
@@ -137,8 +136,7 @@ class Estimate(Shown):
         """
         if self.theta is None:
             return None
-        feasible = self.problem.feasible
-        found = margin(feasible.bodies(self.theta), feasible.consistency)
+        found = self.problem.feasible.margins(self.theta)
         return tuple(float(each) if np.isfinite(each) else None for each in found)
 
     @property

@@ -283,15 +283,18 @@ class Posterior:
         data = functions @ self.from_errors if data is None else data
         prior = functions @ self.from_prior
         own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.scores, data), 0.0)
-        believed = np.sum(prior**2, axis=1)
-        slopes = [self.slopes(source, functions) for source in self.sources]
-        beside = [(s.variance(m), s.degrees(m)) for s, m in zip(self.sources, slopes, strict=True)]
-        total = own + believed + sum(variance for variance, _ in beside)
-        uncertain = _share(own, total, 1.0) ** 2 / self.errors.freedom(data)
-        uncertain += sum(_share(v, total, 0.0) ** 2 / degrees for v, degrees in beside)
-        freedom = 1.0 / np.maximum(uncertain, np.finfo(float).eps)
-        share, lost = _share(believed, total, 0.0), self.lost(functions)
-        return np.where(lost, np.inf, total), np.where(lost, 1.0, share), freedom
+        moved = [(source, self.slopes(source, functions)) for source in self.sources]
+        variances = np.array([own, np.sum(prior**2, axis=1), *(s.variance(m) for s, m in moved)])
+        known = np.full(len(own), np.inf)
+        degrees = np.array([self.errors.freedom(data), known, *(s.degrees(m) for s, m in moved)])
+        total = variances.sum(axis=0)
+        # Where there is nothing, all of it is noise.
+        shares = np.zeros_like(variances)
+        shares[0] = 1.0
+        np.divide(variances, total, out=shares, where=total > 0.0)
+        freedom = 1.0 / np.maximum(np.sum(shares**2 / degrees, axis=0), np.finfo(float).eps)
+        lost = self.lost(functions)
+        return np.where(lost, np.inf, total), np.where(lost, 1.0, shares[1]), freedom
 
     def lost(self, functions: Array) -> Mask:
         """Return of which functions (k, p) of theta neither data nor prior say anything."""
@@ -302,13 +305,7 @@ class Posterior:
         """Return the share (k,) of a source of errors in the variances of functions (k, p)."""
         variance, _, _ = self.spread(functions)
         own = source.variance(self.slopes(source, functions))
-        return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
-
-
-def _share(part: Array, total: Array, otherwise: float) -> Array:
-    """Return the share of a part; of nothing it is stated."""
-    out = np.full_like(part, otherwise)
-    return np.asarray(np.divide(part, total, out=out, where=total > 0.0))
+        return np.divide(own, variance, out=np.zeros_like(own), where=variance > 0.0)
 
 
 def prior_rows(estimate: Estimated) -> Array:

@@ -218,7 +218,18 @@ class FirstStage:
             self.information = self.link.T @ self.link
             values = np.linalg.eigvalsh(self.link)
             values = values * np.abs(values)
-        _require_seen(np.asarray(values))
+        # Squares of the canonical correlations.
+        least, unseen = (
+            float(values.min(initial=1.0)),
+            int(np.count_nonzero(~(values > _UNSEEN**2))),
+        )
+        if unseen:
+            raise IdentifiabilityError(
+                f"instruments: {unseen} of {r} directions of the base parameters do not move with "
+                f"the measured motion (correlation {max(least, 0.0) ** 0.5:.1e}, limit "
+                f"{_UNSEEN:.0e}); check that the reference is that of this recording and the "
+                "joints are in its order, or record a larger motion."
+            )
         self.fit, self.shift = _solved(cross, gram[z, -1]), np.zeros(r)
         if len(pairs) > 1:
             plain = (problem.A @ problem.excitation.root).T @ problem.rhs
@@ -290,20 +301,6 @@ def weighed(rows: RowSource, sigma: Array) -> Factor:
 
 def _solved(matrix: Array, rhs: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, rhs))
-
-
-def _require_seen(squares: Array) -> None:
-    """Raise unless every direction of the measured regressor is seen by the instruments."""
-    least = float(squares.min(initial=1.0))
-    if least > _UNSEEN**2:
-        return
-    unseen = int(np.count_nonzero(squares <= _UNSEEN**2))
-    raise IdentifiabilityError(
-        f"instruments: {unseen} of {len(squares)} directions of the base parameters do not move "
-        f"with the measured motion (correlation {max(least, 0.0) ** 0.5:.1e}, limit "
-        f"{_UNSEEN:.0e}); check that the reference is that of this recording and the joints are in "
-        "its order, or record a larger motion."
-    )
 
 
 def lag_of(measured: Samples, instruments: Samples) -> float | None:
