@@ -15,7 +15,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.answers import Refutation
-from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
 from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import from_pseudo_inertia, margin_shift, matrix_basis
 from sdpid.verifier.decimals import rounded
@@ -33,6 +33,11 @@ _SMALL = 1e-6
 
 # Equations that are this close to dependent are, and what moves less along them is fixed.
 _DEPENDENT = 1e-11
+
+# Clarabel's, tried in turn until the solver's own account of its errors is no more than this: where
+# changes are a million halfwidths it stops early with some of them.
+_REGULARIZATIONS = (1e-8, 1e-10, 1e-12, 1e-6)
+_ACCURATE = 1e-8
 
 # Masses of scales, kg: beyond, they are no sizes.
 _MASSES = (1e-2, 1e3)
@@ -143,35 +148,25 @@ class Search:
         basis = scaling.basis() @ along
         n, more = basis.shape[1], moved.shape[1]
         # The variables: theta along the equations, and then the margin beyond the one asked for,
-        # which is not beyond all sense, or the changes.
+        # or the changes.
         most = np.full(count, (1.0 - _INSIDE) * float(q.theta_max))
         least, room = -most, _INSIDE * float(q.mass_max - q.mass_min)
         least[: 10 * links : 10] = float(q.mass_min) + room
         most[: 10 * links : 10] = float(q.mass_max) - room
         least[list(q.nonnegative)] = 0.0
         body = scaling.mass * scaling.length**2
-        ends = (-np.inf, float(q.theta_max) / body) if inner else (0.0, np.inf)
-        limits = (
-            (rows, moved, value - half, np.inf),
-            (rows, -moved, -np.inf, value + half),
-            (np.diag(1.0 / scaling.theta), 0.0, least / scaling.theta, most / scaling.theta),
-            (np.zeros((more, count)), np.eye(more), *ends),
-        )
-        functions = np.vstack([each[0] for each in limits])
-        extra = np.vstack([np.broadcast_to(x, (len(f), more)) for f, x, *_ in limits])
-        lower, upper = (
-            np.concatenate([np.broadcast_to(each[k], len(each[0])) for each in limits])
-            for k in (2, 3)
-        )
+        none, first = np.full(len(rows), np.inf), np.full(more, -np.inf if inner else 0.0)
+        functions = np.vstack([rows, rows, np.diag(1.0 / scaling.theta), np.zeros((more, count))])
+        extra = np.vstack([moved, -moved, np.zeros((count, more)), np.eye(more)])
+        lower = np.concatenate([value - half, -none, least / scaling.theta, first])
+        upper = np.concatenate([none, value + half, most / scaling.theta, np.full(more, np.inf)])
         here, C = functions @ origin, np.hstack([functions @ basis, extra])
         # What the equations hold fixed is left to the check of what is found.
         moves = np.abs(C).max(axis=1) > _DEPENDENT
         shift = margin_shift(q.consistency)
         roots = np.asarray(np.linalg.inv(scaling.roots(len(shift))))
-        units, less = (
-            congruent(roots[:, None], matrix_basis(q.consistency)),
-            congruent(roots, shift),
-        )
+        units = congruent(roots[:, None], matrix_basis(q.consistency))
+        less = congruent(roots, shift)
         linear = np.einsum("lka,lkij->laij", basis[: 10 * links].reshape(links, 10, n), units)
         linear = np.concatenate([linear, -inner * body * less[:, None]], axis=1)
         constants = np.einsum("lk,lkij->lij", origin[: 10 * links].reshape(links, 10), units)
@@ -185,8 +180,13 @@ class Search:
             upper=(upper - here)[moves],
             blocks=tuple(map(Matrix, [np.arange(n + 1)] * links, linear, constants)),
         )
-        solution = solve_conic(program)
-        if solution.x is None or "Infeasible" in solution.status:
+        solution = solve_with_retries(
+            lambda regularization: solve_conic(program, regularization=regularization),
+            _REGULARIZATIONS,
+            lambda _, found: None if "Infeasible" in found.status else (found, found.error),
+            enough=_ACCURATE,
+        ).value
+        if solution is None or solution.x is None:
             return None
         pulls = np.zeros(len(C))
         pulls[moves] = solution.rows
