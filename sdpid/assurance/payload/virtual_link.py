@@ -29,7 +29,6 @@ from sdpid.assurance.payload.payload import Description, least_second_moment, qu
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
@@ -149,37 +148,35 @@ def payload_problem(
         granted, spread = _granted(loaded, columns, links)
         errors.append(_known(parts[0][1] @ own[:, :first] @ spread))
     robot = load_robot(_BALL, root="free_flyer")
-    layout = Layout(robot, FrictionModel.from_terms((), robot.joint_names, first=robot.n_base))
+    problem = replace(
+        loaded,
+        robot=robot,
+        friction=FrictionModel.from_terms((), robot.joint_names, first=robot.n_base),
+        base=replace(
+            loaded.base,
+            names=tuple(f"payload {i + 1}" for i in range(shown)),
+            units=("",) * shown,
+            matrix=frozen(V),
+            kept=np.arange(shown),
+            theta_names=robot.parameter_names,
+            theta_units=robot.parameter_units,
+        ),
+        A=frozen(np.diag(singular)),
+        rhs=frozen(U @ left),
+        floor=max(float(left @ left - np.sum((U @ left) ** 2)), 0.0)
+        + sum(each.floor for each, _ in parts),
+        prior=None,
+        rows=None,
+        origin=Origin(weighting=loaded.weighting),
+        errors=_of_gains(parts),
+    )
     constraints = Constraints(
         mass_min=_MASS_MIN,
         mass_max=mass_max,
         theta_max=mass_max * max(1.0, 2.0 * extent**2),
         others=(Extent(extent),),
     )
-    base = replace(
-        loaded.base,
-        names=tuple(f"payload {i + 1}" for i in range(shown)),
-        units=("",) * shown,
-        matrix=frozen(V),
-        kept=np.arange(shown),
-        theta_names=layout.names,
-        theta_units=layout.units,
-    )
-    floor = float(left @ left - np.sum((U @ left) ** 2))
-    problem = replace(
-        loaded,
-        robot=robot,
-        friction=layout.friction,
-        base=base,
-        A=frozen(np.diag(singular)),
-        rhs=frozen(U @ left),
-        floor=max(floor, 0.0) + sum(each.floor for each, _ in parts),
-        feasible=FeasibleSet.build(constraints, "pseudo_inertia", layout),
-        prior=None,
-        rows=None,
-        origin=Origin(weighting=loaded.weighting),
-        errors=_of_gains(parts),
-    )
+    problem = problem.constrained(consistency="pseudo_inertia", constraints=constraints)
     return problem, _joined(errors), granted
 
 
@@ -208,21 +205,19 @@ def _known(moves: Array) -> FitErrors:
 
 def _joined(parts: Sequence[FitErrors]) -> FitErrors:
     """Return independent errors together; their degrees of freedom are by Welch's formula."""
-    from scipy.linalg import block_diag
-
-    ends = np.cumsum([each.root.shape[1] for each in parts])[:-1]
 
     def freedom(directions: Array) -> Array:
         total, spread = np.zeros((2, len(directions)))
-        for each, own in zip(parts, np.split(directions, ends, axis=1), strict=True):
+        for each in parts:
+            own = directions @ each.root
             variance = np.einsum("ki,ij,kj->k", own, each.scores, own)
             total += variance
             spread += variance**2 / each.freedom(own)
         out = np.full(len(directions), np.inf)
         return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
 
-    scores = block_diag(*(each.scores for each in parts))
-    return FitErrors(np.hstack([each.root for each in parts]), scores, freedom)
+    scores = np.sum([each.root @ each.scores @ each.root.T for each in parts], axis=0)
+    return FitErrors(np.eye(len(scores)), scores, freedom)
 
 
 def _of_gains(parts: Sequence[tuple[Problem, Array]]) -> tuple[ErrorSource, ...]:
