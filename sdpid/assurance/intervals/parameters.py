@@ -10,15 +10,14 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.information import UNDETERMINED
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 
 # What bounds a parameter.
 FROM_DATA, FROM_PHYSICS, FROM_PRIOR = "from data", "from physics", "from the prior"
 
-# A standard parameter is determined by the data where the base parameters leave less than this
-# of it open, in scaled units: rounding.
+# A parameter is determined by the data where what they show leaves less than this of it open, in
+# scaled units: rounding.
 _OPEN = 1e-7
 
 
@@ -75,25 +74,19 @@ class ParameterFunctions(NamedTuple):
                 )
             kept = [i for name in requested for i in kept if names[i] == name]
         scale = Scaling.of(problem).theta
-        # Base parameters in units in which the rows of their matrix are of order one.
-        size = np.linalg.norm(base.matrix * scale, axis=1)
-        size = np.where(size > 0.0, size, 1.0)
-        rows = base.matrix * scale / size[:, None]
-        excitation = problem.excitation
-        norms = np.where(excitation.column_norms > 0.0, excitation.column_norms * size, 1.0)
-        lost = excitation.directions[excitation.singular_values < UNDETERMINED]
+        # What the data show, in units in which rows are of order one.
+        shown = problem.excitation.inverse @ base.matrix * scale
+        size = np.linalg.norm(shown, axis=1, keepdims=True)
         goal = functions[kept] * scale
-        found = np.linalg.lstsq(rows.T, goal.T, rcond=None)[0].T
-        missing = np.linalg.norm(goal - found @ rows, axis=1) > _OPEN * np.linalg.norm(goal, axis=1)
-        blind = np.linalg.norm(found / norms @ lost.T, axis=1)
-        blind_limit = _OPEN * np.linalg.norm(found / norms, axis=1)
+        found = np.linalg.lstsq((shown / size).T, goal.T, rcond=None)[0]
+        left = np.linalg.norm(goal - found.T @ (shown / size), axis=1)
         return cls(
             names=tuple(names[i] for i in kept),
             kind=tuple(kind[i] for i in kept),
             units=tuple(units[i] for i in kept),
             functions=functions[kept],
-            functionals=found / size,
-            determined=~missing & (blind <= blind_limit),
+            functionals=(found / size).T @ problem.excitation.inverse,
+            determined=left <= _OPEN * np.linalg.norm(goal, axis=1),
         )
 
     def only(self, chosen: Mask) -> ParameterFunctions:
