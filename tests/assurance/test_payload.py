@@ -26,6 +26,7 @@ from sdpid.estimation.posterior import FitErrors
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import margin, point_masses, transform
 from tests.helpers.data import FRICTION, make_samples, random_theta
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, planar_arm
 
@@ -171,25 +172,16 @@ def test_intervals_hold_the_truth_as_often_as_they_say(arm: RobotModel) -> None:
     """Errors last for several samples, as those of filtered signals do."""
     rng = np.random.default_rng(1)
     theta = random_theta(arm, rng)
-    phase = 2.0 * np.pi * np.outer(0.05 * np.arange(300), [0.1, 0.2, 0.3, 0.5])
-    rate = 2.0 * np.pi * np.array([0.1, 0.2, 0.3, 0.5])
-    both = []
+    rates, both = 2.0 * np.pi * np.array([[0.1], [0.2], [0.3], [0.5]]), []
     for values in (with_payload(theta, load()), theta):
-        size, shift = rng.uniform(-0.7, 0.7, (arm.n, 4)), rng.uniform(0.0, 6.0, (arm.n, 4))
-        angle = phase[:, None] + shift
-        q, v, a = (
-            np.sum(each * size, axis=2)
-            for each in (np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle))
-        )
+        size, phases = rng.uniform(-0.7, 0.7, (4, arm.n)), rng.uniform(0.0, 6.0, (4, arm.n))
+        q, v, a = sines(0.05 * np.arange(300), rates, phases, size)
         effort = arm.inverse_dynamics(values, q, v, a)
         both.append(Samples(position=q, velocity=v, acceleration=a, effort=effort, block=12))
     inside = []
     for _ in range(30):
-        noises = 0.2 * rng.standard_normal((2, 300, arm.n))
-        noisy = [
-            replace(s, effort=s.effort + lfilter([1.0], [1.0, -0.8], noise, axis=0))
-            for s, noise in zip(both, noises, strict=True)
-        ]
+        noise = lfilter([1.0], [1.0, -0.8], 0.2 * rng.standard_normal((2, 300, arm.n)), axis=1)
+        noisy = [replace(s, effort=s.effort + own) for s, own in zip(both, noise, strict=True)]
         found = identify_payload(arm, *noisy, friction=("viscous",), level=0.8)
         inside.append(holds(found, load())[:4])
     assert 0.7 <= np.mean(inside) <= 0.95
