@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Shown, Table, plain_dict
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.errors import ExportError
@@ -75,25 +75,25 @@ class ExportReport(Shown):
         Links whose inertial was written, those whose inertial was set to zero included.
     joints_changed : tuple of str
         Joints whose damping, friction or armature was written.
-    lumped : tuple of str
-        Moving links that took over the inertia of the links fixed to them, because what was left
-        of the identified body without these, or one of these, could not exist.
-    left_out : tuple of LeftOut
-        Terms for which the file has no place, such as offsets.
-    triangle_violations : tuple of str
-        Moving links whose principal moments violate the triangle inequality. Readers that ask for
-        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
-    friction_fitted : bool
-        Whether friction and damping were fitted to the efforts anew, because some terms have no
-        place; else they are the identified numbers.
     kind : str
         What was written.
-    notes : tuple of str
-        What else there is to say.
     training : Errors or None
         Errors on the rows that the estimate was fitted to; None where they were not kept.
     validation : Errors or None
         Errors on other rows (see `with_validation`).
+    left_out : tuple of LeftOut
+        Terms for which the file has no place, such as offsets.
+    friction_fitted : bool
+        Whether friction and damping were fitted to the efforts anew, because some terms have no
+        place; else they are the identified numbers.
+    lumped : tuple of str
+        Moving links that took over the inertia of the links fixed to them, because what was left
+        of the identified body without these, or one of these, could not exist.
+    triangle_violations : tuple of str
+        Moving links whose principal moments violate the triangle inequality. Readers that ask for
+        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    notes : tuple of str
+        What else there is to say.
 
     Examples
     --------
@@ -107,21 +107,18 @@ class ExportReport(Shown):
     path: Path
     links_changed: tuple[str, ...]
     joints_changed: tuple[str, ...] = ()
-    lumped: tuple[str, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
-    triangle_violations: tuple[str, ...] = ()
-    friction_fitted: bool = False
     kind: str = "a URDF"
-    notes: tuple[str, ...] = ()
+    # In the order in which results list them.
     training: Errors | None = None
     validation: Errors | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    friction_fitted: bool = False
+    lumped: tuple[str, ...] = ()
+    triangle_violations: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     _errors: FileErrors | None = field(default=None, repr=False)
 
     _facts = ("path.name", "kind", "links_changed", "left_out")
-    _told: ClassVar = (
-        *("training", "validation", "left_out", "friction_fitted", "lumped"),
-        *("triangle_violations", "notes"),
-    )
 
     def _tables(self) -> Iterator[Table]:
         yield Table(("report",), tuple((line,) for line in self.describe().splitlines()))
@@ -152,10 +149,9 @@ class ExportReport(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "file": self.path.name,
-            **plain_dict({key: getattr(self, key) for key in self._told}),
-        }
+        others = ("path", "links_changed", "joints_changed", "kind")
+        told = {key: value for key, value in plain(self).items() if key not in others}
+        return {"file": self.path.name, **told}
 
 
 def file_errors(

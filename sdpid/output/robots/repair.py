@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.files import atomic_path
-from sdpid._common.tables import plain_dict
+from sdpid._common.tables import plain
 from sdpid.assurance.descriptions.body_checks import consistent, thin, thin_limit
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
 from sdpid.assurance.descriptions.nearest_body import (
@@ -83,20 +83,20 @@ class RepairReport:
     ----------
     text : str
         The repaired description.
+    path : Path or None
+        The file, where one was written.
     bodies : tuple of RepairedBody
         What changed, in document order.
     left : tuple of str
         Links that are wrong and were left so: their mass is negative, or a number is none.
-    path : Path or None
-        The file, where one was written.
     expanded : bool
         Whether the source is xacro: the text is the URDF that it stands for, without macros.
     """
 
     text: str = field(repr=False)
+    path: Path | None = None
     bodies: tuple[RepairedBody, ...]
     left: tuple[str, ...]
-    path: Path | None = None
     expanded: bool = False
 
     def describe(self) -> str:
@@ -125,8 +125,7 @@ class RepairReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, without the text."""
-        found = {name: getattr(self, name) for name in ("path", "bodies", "left", "expanded")}
-        return plain_dict(found)
+        return {key: value for key, value in plain(self).items() if key != "text"}
 
 
 def repair_urdf(
