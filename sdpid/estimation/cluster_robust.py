@@ -13,7 +13,8 @@ the correlation of filtered residuals stays inside; or whole periods, where they
 **Errors.** A fit follows its data, so residuals are smaller than errors, the more so in blocks with
 leverage. Before their squares are summed, the residuals of a block are multiplied by
 ``(E − P_gg)^(-1/2)``, with P the projection of the fit: this makes the variance unbiased where rows
-are white and equally noisy, and nearly so otherwise (CR2, [bell2002]_, [pustejovsky2018]_). As
+are white and equally noisy, and nearly so otherwise (CR2, [bell2002]_, [pustejovsky2018]_). With m
+periods squares grow by ``m/(m − 1)``, and there are ``m − 1`` degrees of freedom. As
 ``X^T·f(X·X^T) = f(X^T·X)·X^T`` only b×b matrices are needed. They are those of columns ``X·T`` that
 are orthonormal over all rows: then the products lose nothing to rounding. The variance itself is
 uncertain; the degrees of freedom of its Student's t are those of Satterthwaite's approximation, for
@@ -143,11 +144,7 @@ class ScoreBlocks:
 
     @cached_property
     def _factors(self) -> Array:
-        """(E − K_g)^(-1/2) in the coordinates of `root`; of periods what makes them unbiased."""
-        count = self._root.shape[1]
-        if self.groups == "periods":
-            factor = np.sqrt(self.count / (self.count - 1))
-            return np.broadcast_to(factor * np.eye(count), (self.count, count, count))
+        """(E − K_g)^(-1/2) in the coordinates of `root`."""
         values, vectors = np.linalg.eigh(self._shares)
         room = 1.0 - values
         factor = np.where(room > ALONE, 1.0 / np.sqrt(np.maximum(room, ALONE)), 0.0)
@@ -168,8 +165,6 @@ class ScoreBlocks:
 
     def freedom(self, directions: Array) -> Array:
         """Return the degrees of freedom of variances along directions (k, r) of `root`."""
-        if self.groups == "periods":
-            return np.full(len(directions), self.count - 1.0)
         out = np.ones(len(directions))
         for k, direction in enumerate(directions):
             size = float(np.linalg.norm(direction))
