@@ -439,9 +439,9 @@ def right() -> Any:
     return problem().base_of(truth().theta)
 
 
-def solve(**options: Any) -> Any:
+def solve(given: Any = None, **options: Any) -> Any:
     options = {"controller": LAW, "processing": PROCESSING, **options}
-    return sdpid.solve_output_error(problem(), log(), **options)
+    return sdpid.solve_output_error(given or problem(), log(), **options)
 
 
 @cache
@@ -577,41 +577,29 @@ def test_a_fitted_controller_serves_where_the_log_shows_it() -> None:
         assert ("method='didim'" in str(caught.value)) == advised
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"method": "cloe"}, "method is 'cloe': use 'didim' or 'closed_loop'"),
-        ({"controller": "lqr"}, "controller is 'lqr': give one of sdpid.controllers"),
-        ({"controller": sdpid.controllers.PD(np.ones(3), np.ones(3))}, "gains of 3 joints"),
-        ({"reference": np.zeros((7, 2))}, r"reference: has shape \(7, 2\)"),
-        ({"start": np.zeros(5)}, r"start: has shape \(5,\); give an Estimate"),
-        ({"max_iterations": 0}, "at least 1"),
-        ({"processing": sdpid.Processing(cutoff_hz=10.0)}, "give the recordings"),
-    ],
-)
-def test_bad_input_is_told_before_a_solve(options: Any, message: str) -> None:
-    refuses(DataError, message, solve, **options)
+def test_bad_input_and_other_problems_are_refused() -> None:
+    def refused(match: str, given: Any = None, **options: Any) -> None:
+        refuses(DataError, match, solve, given, **options)
 
-
-def test_other_problems_and_divergence_are_told() -> None:
-    with pytest.raises(DataError, match="not that of the measured samples"):
-        sdpid.solve_output_error(solved(), log(), controller=LAW)
-    refuses(DataError, "give a Problem", sdpid.solve_output_error, log(), log())
+    refused("method is 'cloe': use 'didim' or 'closed_loop'", method="cloe")
+    refused("controller is 'lqr': give one of sdpid.controllers", controller="lqr")
+    other = sdpid.controllers.PD(np.ones(3), np.ones(3))
+    refused("gains of 3 joints", controller=other)
+    refused(r"reference: has shape \(7, 2\)", reference=np.zeros((7, 2)))
+    refused(r"start: has shape \(5,\); give an Estimate", start=np.zeros(5))
+    refused("at least 1", max_iterations=0)
+    refused("give the recordings", processing=sdpid.Processing(cutoff_hz=10.0))
+    refused("not that of the measured samples", solved())
+    refused("give a Problem", log())
     wild = sdpid.controllers.PD(np.array([8e5, 8e5]), np.array([0.0, 0.0]))
     refuses(SolverError, "diverges under PD", solve, controller=wild, control_hz=50.0)
-
-
-@pytest.mark.parametrize(
-    ("term", "words"),
-    [(sdpid.friction.LoadFriction(), "friction of the load"), (None, "together without a width")],
-)
-def test_friction_without_derivatives_is_refused(term: Any, words: str) -> None:
-    first = problem()
-    names = first.robot.joint_names
-    chosen = ("viscous", term or sdpid.friction.Coupling(*names[:2]))
-    own = sdpid.build_problem(first.robot, first.samples, friction=chosen)
-    with pytest.raises(DataError, match=words):
-        sdpid.solve_output_error(own, log(), method="closed_loop", controller=LAW)
+    robot, samples = problem().robot, problem().samples
+    for term, words in (
+        (sdpid.friction.LoadFriction(), "friction of the load"),
+        (sdpid.friction.Coupling(*robot.joint_names[:2]), "together without a width"),
+    ):
+        own = sdpid.build_problem(robot, samples, friction=("viscous", term))
+        refused(words, own, method="closed_loop")
 
 
 def test_sensitivities_at_few_instants_are_those_at_all(monkeypatch: pytest.MonkeyPatch) -> None:

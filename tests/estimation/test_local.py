@@ -188,6 +188,10 @@ def test_an_estimate_tells_how_it_came_about(narrow_planar: Problem, solve: Any)
     assert other.iterations <= 2
     assert other.status in ("iteration limit", "infeasible")
     refuses(DataError, r"start: shape \(3,\)", solve, narrow_planar, start=np.ones(3))
+    bad = np.array(other.start)
+    bad[10] = -1.0
+    refuses(DataError, r"link 2 has mass -1\.0 kg", solve, narrow_planar, start=bad)
+    refuses(DataError, "start", solve, narrow_planar, start=np.full(len(bad), np.nan))
     refuses(DataError, "nothing constrains", solve, narrow_planar.constrained(consistency="none"))
 
 
@@ -234,11 +238,6 @@ def test_compare_with_a_prior(kind: PriorKind) -> None:
 
 # Where the scaled cost has long settled on these small arms.
 ENOUGH = 400
-
-
-@pytest.fixture(scope="module", params=BOTH)
-def planar(request: pytest.FixtureRequest) -> Problem:
-    return noisy(planar_arm(), 0, request.param)
 
 
 def conditions(robot: RobotModel) -> tuple[Condition, ...]:
@@ -389,13 +388,6 @@ def test_random_starts_are_feasible(
     )
     start = random_start(problem, np.random.default_rng(seed))
     assert problem.feasible.violation(start) == 0.0
-
-
-def test_bad_starts(planar: Problem) -> None:
-    start = random_start(planar, np.random.default_rng(0))
-    start[10] = -1.0
-    refuses(DataError, r"link 2 has mass -1\.0 kg", solve_slsqp, planar, start=start)
-    refuses(DataError, "start", solve_slsqp, planar, start=np.full(planar.n_theta, np.nan))
 
 
 # ---- The paper's variables: how many, how they map to theta, and back.
