@@ -28,7 +28,7 @@ from sdpid.estimation.duality.bound import evaluate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.friction import Coulomb, Coupling
-from sdpid.robot.inertia import Consistency, matrix_basis
+from sdpid.robot.inertia import Consistency
 from sdpid.verifier import certificate as checker
 from sdpid.verifier import command, exact, reading
 from sdpid.verifier.bodies import has_margin
@@ -107,6 +107,17 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
     assert found.lower_bound == data["claims"]["lower_bound"]
     assert found.margin is not None
     assert found.sha256 == hashlib.sha256((tmp_path / "c.json").read_bytes()).hexdigest()
+    done = alone(tmp_path / "c.json")
+    assert done.returncode == 0, done.stderr
+    claims = data["claims"]
+    for said in (
+        f"No feasible parameters cost less than {claims['lower_bound']!r}.",
+        f"the least margin {min(claims['margins'])!r} kg.m2",
+        f"They cost at most {claims['cost']!r}.",
+        f"a gap of at most {claims['gap']!r}",
+        "\nPROVEN, but for what was not checked.",
+    ):
+        assert said in done.stdout
     # Every new part is in use, or tampering below would mean nothing.
     problem, multipliers = data["problem"], data["multipliers"]
     assert len(problem["rows"]) == len(multipliers["rows"]) == 6
@@ -116,21 +127,6 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
     entropic = kind == "entropic"
     assert (problem["entropic_prior"] is not None) == (multipliers["W"] is not None) == entropic
     assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
-    done = alone(written(stated(kind), tmp_path))
-    assert done.returncode == 0, done.stderr
-    claims = stated(kind)["claims"]
-    for said in (
-        f"No feasible parameters cost less than {claims['lower_bound']!r}.",
-        f"the least margin {min(claims['margins'])!r} kg.m2",
-        f"They cost at most {claims['cost']!r}.",
-        f"a gap of at most {claims['gap']!r}",
-        "\nPROVEN, but for what was not checked.",
-    ):
-        assert said in done.stdout
 
 
 def test_status_of_the_script(tmp_path: Path) -> None:
@@ -341,48 +337,6 @@ def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> 
     assert rejected(sealed(data), tmp_path)
 
 
-def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
-    """What is optimal among bodies about their joint's frame is passed off as optimal.
-
-    Multipliers of the equations that say so are hidden in the upper triangles: were the lower
-    ones alone looked at, those would be positive semidefinite, and all would add up.
-    """
-    problem = arm_problem()
-    names = problem.base.theta_names
-    hidden = [10 * link + k for link in range(2) for k in (1, 2, 3, 5, 7, 8)]
-    fixed = Fixed({names[k]: 0.0 for k in hidden})
-    among = solve_sdp(arm_problem(fixed))
-    assert among.cost > solve_sdp(problem).cost * 1.01
-    proof = certify(among)
-    data = proof.to_dict()
-    multipliers = dict(zip(hidden, data["multipliers"]["rows"], strict=True))
-    data["problem"]["rows"], data["multipliers"]["rows"] = [], []
-    assert not checked(sealed(data), tmp_path).passed
-    basis = matrix_basis("pseudo_inertia")
-    for k, multiplier in multipliers.items():
-        i, j = np.argwhere(np.triu(basis[k % 10], 1))[0]
-        data["multipliers"]["Z"][k // 10][i][j] += multiplier / basis[k % 10, i, j]
-    assert not checked(sealed(data), tmp_path).passed
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_any_multipliers_prove_no_more_than_the_optimum(kind: str, tmp_path: Path) -> None:
-    """Multipliers made up at random never reach the cost, let alone exceed it."""
-    rng = np.random.default_rng(0)
-    best = stated(kind)["claims"]["cost"]
-    for _ in range(10):
-        data = made(kind)
-        multipliers = data["multipliers"]
-        root = rng.standard_normal(np.shape(multipliers["Z"]))
-        size = 10.0 ** rng.uniform(-4, 1)
-        changes = {"Z": root @ np.swapaxes(root, 1, 2)}
-        for name in ("rows", "y"):
-            changes[name] = rng.standard_normal(len(multipliers[name]))
-        for name, by in changes.items():
-            multipliers[name] = (np.array(multipliers[name]) + size * by).tolist()
-        assert checked(sealed(data), tmp_path).lower_bound <= best * (1.0 + GAP)
-
-
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "sdpid-certificate"}', "nonsense"])
 def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
@@ -422,16 +376,6 @@ def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
     data["claims"]["cost"] = math.nextafter(float(found.cost), math.inf)
     data["claims"]["gap"] = 1.0
     assert not checked(sealed(data), tmp_path).passed
-
-
-def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
-    """The same numbers with fewer demands are another statement."""
-    told = checked(stated("pseudo"), tmp_path).statements
-    assert "2 links" in told[1]
-    fewer = made("pseudo")
-    fewer["problem"]["rows"], fewer["multipliers"]["rows"] = [], []
-    assert checked(sealed(fewer), tmp_path).statements[2] != told[2]
-    assert "6 rows and 1 cones" in told[2]
 
 
 # ---- Other estimates ----------------------------------------------------------------------------

@@ -34,7 +34,6 @@ from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Visco
 from sdpid.robot.inertia import (
     Consistency,
     margin,
-    margin_shift,
     matrix_of,
     physical_parameters,
     point_masses,
@@ -716,15 +715,13 @@ def really_realized(answer: realizable.Realization) -> bool:
         had = sum(float(x) * theta[j] for j, x in row.items())
         if abs(had - float(value)) > float(half) + 1e-9 * (1 + abs(had)):
             return False
-    shift = margin_shift(q.consistency)
-    for link in range(q.n_links):
-        body = theta[10 * link : 10 * link + 10]
-        least = max(float(q.margin), float(answer.margins[link]))
-        matrix = matrix_of(body, q.consistency) - least * shift
-        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * (1 + np.abs(matrix).max()):
-            return False
-        if not float(q.mass_min) - 1e-12 <= body[0] <= float(q.mass_max) + 1e-9:
-            return False
+    bodies_ = theta[: 10 * q.n_links].reshape(-1, 10)
+    least = np.maximum(float(q.margin), np.array(answer.margins, dtype=float))
+    if not np.all(margin(bodies_, q.consistency) >= least - 1e-9 * (1 + np.abs(theta).max())):
+        return False
+    masses = bodies_[:, 0]
+    if masses.min() < float(q.mass_min) - 1e-12 or masses.max() > float(q.mass_max) + 1e-9:
+        return False
     low = [0 if j in q.nonnegative else -float(q.theta_max) for j in range(len(theta))]
     return bool(np.all(theta >= low) and np.all(theta <= float(q.theta_max)))
 
