@@ -184,14 +184,6 @@ def test_results_are_read_only() -> None:
             array[0] = 1.0
 
 
-def test_samples_of_another_robot() -> None:
-    samples, _, _ = noisy_samples(18)
-    with pytest.raises(DataError, match="samples have 3 joints, the robot 'arm2' has 2"):
-        build_problem(small_arm(2), samples)
-    renamed = replace(samples, joint_names=("joint_2", "joint_1", "joint_3"))
-    refuses(DataError, "joint_2, joint_1, joint_3", build_problem, ARM, renamed)
-
-
 def test_a_singular_covariance_is_refused() -> None:
     samples, _, _ = noisy_samples(19)
     few = np.zeros((60, 3, 3))
@@ -210,6 +202,10 @@ def test_bad_constraints() -> None:
         refuses(DataError, "Constraints", Constraints, **options)
     refuses(DataError, "Constraints", Constraints, theta_max=1.0, mass_max=2.0)
     refuses(InfeasibleError, "Constraints", Constraints, mass_min=2.0, mass_max=1.0)
+    refuses(DataError, "'mass' among the others is not a Condition", Constraints, others="mass")
+    # A single condition needs no tuple.
+    total = TotalMass(3.0)
+    assert Constraints(others=total).others == Constraints(others=[total]).others == (total,)
 
 
 @pytest.mark.parametrize("noise", [0.01, 1.0])
@@ -223,7 +219,10 @@ def test_residuals_over_their_sigma_have_a_variance_of_one(noise: float) -> None
 
 def test_unknown_options_and_arguments_of_another_kind() -> None:
     samples, _, _ = noisy_samples(17)
+    renamed = replace(samples, joint_names=("joint_2", "joint_1", "joint_3"))
     for arguments, options, says in (
+        ((small_arm(2), samples), {}, "samples have 3 joints, the robot 'arm2' has 2"),
+        ((ARM, renamed), {}, "joint_2, joint_1, joint_3"),
         ((ARM, samples), {"weighting": "ols"}, "weighting is 'ols': use one of gls"),
         ((ARM, samples), {"consistency": "full"}, "consistency is 'full'"),
         (("denso_vp6242", "samples"), {}, "robot is str 'denso_vp6242'; give a RobotModel"),
@@ -249,13 +248,6 @@ def test_a_recording_or_a_file_is_processed(tmp_path: Path) -> None:
     for problem in problems:
         np.testing.assert_array_equal(problem.A, problems[0].A)
         assert problem.cost(zero) == problems[0].cost(zero)
-
-
-def test_a_single_condition_needs_no_tuple() -> None:
-    total = TotalMass(3.0)
-    assert Constraints(others=total).others == (total,)
-    assert Constraints(others=[total]).others == (total,)
-    refuses(DataError, "'mass' among the others is not a Condition", Constraints, others="mass")
 
 
 @pytest.mark.parametrize("taken", [sdpid.solve_robust, sdpid.RecursiveEstimator])
