@@ -311,16 +311,7 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
 # The folder of a plan: every file, or none, and no one else's.
 
 
-FILES = {
-    "trajectory.csv",
-    "trajectory.toml",
-    "joint_trajectory.yaml",
-    "report.html",
-    "limits.toml",
-    "obstacles.toml",
-    "plan.toml",
-    "plan.json",
-}
+FILES = {*write.NAMES} - {"excitation.script"}
 
 
 @pytest.fixture(scope="module")
@@ -340,6 +331,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_files_are_there_and_listed(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == FILES
+    assert len(FILES) == 8
     listed = json.loads((folder / "plan.json").read_text())["files"]
     assert {name: each["sha256"] for name, each in listed.items()} == {
         name: digest(folder / name) for name in FILES - {"plan.json"}

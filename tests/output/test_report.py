@@ -8,9 +8,10 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -49,16 +50,6 @@ SECTIONS = (
     *("effects", "log", "certificate", "made"),
 )
 COMMAND = "sdpid identify 'a <b>.csv' --robot arm.urdf"
-
-
-@dataclass(frozen=True)
-class Given:
-    """Intervals as anybody may make them."""
-
-    names: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    label: tuple[str, ...]
 
 
 @pytest.fixture(scope="module")
@@ -295,10 +286,6 @@ def test_the_mass_matrix_is_looked_at_along_the_motion(result: Identification) -
     assert free["indefinite"] == 1.0
 
 
-def test_the_same_result_gives_the_same_page(result: Identification, page: str) -> None:
-    assert report_html(result, command=COMMAND) == page
-
-
 def test_without_validation_or_command(result: Identification) -> None:
     alone = replace(result, validation=None, validation_samples=None, held_out=None)
     text = report_html(alone)
@@ -310,9 +297,10 @@ def test_without_validation_or_command(result: Identification) -> None:
     assert len(charts(text)) == CHARTS
 
 
-def test_without_matplotlib_the_page_is_the_same(
+def test_the_same_result_gives_the_same_page_without_matplotlib(
     result: Identification, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert report_html(result, command=COMMAND) == page
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert report_html(result, command=COMMAND) == page
 
@@ -376,8 +364,9 @@ def test_samples_without_time_and_with_masked_rows(result: Identification) -> No
 
 def test_intervals_are_shown(result: Identification) -> None:
     base, theta = result.problem.base.names[0], result.problem.base.theta_names[0]
-    names, label = (base, theta), ("from data", "from physics")
-    given = Given(names, np.array([-1.25, 0.0]), np.array([2.5, np.inf]), label)
+    # Intervals as anybody may make them.
+    ends = {"lower": np.array([-1.25, 0.0]), "upper": np.array([2.5, np.inf])}
+    given = SimpleNamespace(names=(base, theta), label=("from data", "from physics"), **ends)
     shown = words(report_html(result, intervals=given))
     assert "−1.250 … 2.500" in shown
     assert "0 … –" in shown
@@ -429,21 +418,17 @@ def test_it_is_written_whole_or_not_at_all(
     assert path.read_text(encoding="utf-8") == before
 
 
-def test_save_writes_it_with_the_digest_of_the_certificate(
+def test_save_writes_it_with_what_the_written_files_predict(
     result: Identification, tmp_path: Path
 ) -> None:
-    files = result.save(tmp_path, figures=False, command=COMMAND)
-    assert tmp_path / "report.html" in files
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    digest = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))["sha256"]
-    assert digest in text
-    assert COMMAND in words(text)
-
-
-def test_what_the_written_files_predict_is_shown(result: Identification, tmp_path: Path) -> None:
-    result.save(tmp_path, figures=False)
+    assert tmp_path / "report.html" in result.save(tmp_path, figures=False, command=COMMAND)
     shown = words((tmp_path / "report.html").read_text(encoding="utf-8"))
-    content = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    certificate, content = (
+        json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+        for name in ("certificate", "result")
+    )
+    assert certificate["sha256"] in shown
+    assert COMMAND in shown
     assert "As the written files predict it" in shown
     for export in content["exports"]:
         both = [f"{100.0 * export[kind]['file']:#.3g} %" for kind in ("validation", "training")]

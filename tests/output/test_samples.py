@@ -100,19 +100,14 @@ def close(found: Array, expected: Array) -> bool:
     return bool(np.abs(found - expected).max() <= FLOAT_ROUNDING * max(1.0, np.abs(expected).max()))
 
 
-@given(bodies(), CHANGES)
-def test_a_change_is_found_again(body: Array, change: Array) -> None:
-    assert close(changes(changed(body, change), body), change)
-
-
-@given(bodies(), bodies())
-def test_a_body_is_found_again(body: Array, reference: Array) -> None:
+@given(bodies(), bodies(), CHANGES)
+def test_a_change_leaves_a_body_and_is_found_again(
+    body: Array, reference: Array, change: Array
+) -> None:
+    after = changed(body, change)
+    assert margin(after, "pseudo_inertia") > 0.0
+    assert close(changes(after, body), change)
     assert close(changed(reference, changes(body, reference)), body)
-
-
-@given(bodies(), CHANGES)
-def test_every_change_leaves_a_body(body: Array, change: Array) -> None:
-    assert margin(changed(body, change), "pseudo_inertia") > 0.0
 
 
 @given(bodies(), reals(-1.0, 1.0), hnp.arrays(float, 3, elements=reals(-0.3, 0.3)))
@@ -374,19 +369,14 @@ def test_every_robot_is_the_draw(
             assert np.array_equal(damping, fitted["damping"][names.index(name)])
 
 
-def test_what_is_fixed_counts_where_it_is_fixed(folder: Path) -> None:
+def test_a_folder_holds_robots_their_mean_and_a_list_of_all(folder: Path) -> None:
+    # What is fixed counts where it is fixed.
     text = (folder / "robot_0001.urdf").read_text()
     bracket = text[text.index('<link name="bracket">') :]
     assert '<mass value="0.0"/>' in bracket[: bracket.index("</link>")]
-
-
-def test_the_mean_of_the_robots_is_the_mean(folder: Path) -> None:
     robots = [sdpid.load_robot(path).prior for path in sorted(folder.glob("robot_*.urdf"))]
     mean = sdpid.load_robot(folder / "mean.urdf").prior
     assert np.allclose(np.mean(robots, axis=0), mean, rtol=1e-12, atol=1e-15)
-
-
-def test_the_manifest_lists_every_file(folder: Path) -> None:
     manifest = json.loads((folder / "samples.json").read_text())
     names = {path.name for path in folder.iterdir()}
     assert set(manifest["files"]) | {"samples.json"} == names
@@ -439,8 +429,8 @@ def test_impossible_draws_are_refused_by_name(
 ) -> None:
     wrong = draws.copy()
     wrong[3, 4] = -1.0
-    with pytest.raises(ExportError, match=r"link 'column' is not consistent"):
-        written(estimate, wrong, tmp_path, "urdf")
+    words = r"link 'column' is not consistent"
+    refuses(ExportError, words, written, estimate, wrong, tmp_path, "urdf")
     wrong = draws.copy()
     wrong[2, -1] = -0.5
     refuses(ExportError, r"Ia\d of joint", written, estimate, wrong, tmp_path, "mjcf")
