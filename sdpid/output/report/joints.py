@@ -52,7 +52,6 @@ def values(of: Subject, charts: Charts, line: TimeLine) -> dict[str, Any]:
             for name in dict.fromkeys(name for sizes in bases.values() for name in sizes)
         ],
         "held_title": title,
-        "has_mask": of.samples.mask is not None,
         "timed": of.samples.time is not None,
         "time_label": line.label,
         "plots": list(_plots(of, charts, line)),
@@ -60,13 +59,11 @@ def values(of: Subject, charts: Charts, line: TimeLine) -> dict[str, Any]:
     }
 
 
-def _errors(fit: Validation, j: int) -> dict[str, float | bool]:
+def _errors(fit: Validation, j: int) -> dict[str, Any]:
     """Return a joint's errors, and whether there was no effort of which they are a share."""
     told = fit.moving if fit.moving.rows[j] else fit
-    found: dict[str, float | bool] = {
-        name: float(getattr(told, name)[j]) for name in ("rmse", "nrmse", "r2")
-    }
-    return {**found, "silent": bool(np.isinf(told.nrmse[j]))}
+    sizes = {name: float(getattr(told, name)[j]) for name in ("rmse", "nrmse", "r2")}
+    return {**sizes, "silent": bool(np.isinf(told.nrmse[j]))}
 
 
 def _plots(of: Subject, charts: Charts, line: TimeLine) -> Iterator[dict[str, Any]]:
