@@ -186,9 +186,7 @@ def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:
         },
     )
     fits = {
-        name: Validation.of_prediction(
-            problem.robot.joint_names, problem.samples, predicted[str(name)]
-        )
+        name: Validation.of_prediction(problem.robot, problem.samples, predicted[str(name)])
         for name in priors
     }
     best = min(STRENGTHS, key=lambda each: fits[each].moving.relative)

@@ -387,22 +387,20 @@ def test_errors_at_rest_do_not_spoil_those_in_motion() -> None:
     samples = stopped((300, 400))
     predicted = np.array(samples.effort)
     predicted[300:400] += 1.0
-    fit = Validation.of_prediction(("joint",), samples, predicted)
-    assert fit.moving.rmse[0] == 0.0
-    assert fit.resting.rmse[0] == 1.0
+    fit = Validation.of_prediction(small_arm(1), samples, predicted)
+    assert (fit.moving.rmse[0], fit.resting.rmse[0]) == (0.0, 1.0)
     assert (fit.moving.rows[0], fit.resting.rows[0], fit.rows[0]) == (900, 100, 1000)
     assert fit.to_dict()["resting"] is not None
     # Rows masked for slowness are not fitted, and their error at rest is told all the same.
     mask = np.ones((1000, 1), dtype=bool)
     mask[300:400] = False
-    masked = Validation.of_prediction(("joint",), replace(samples, mask=mask), predicted)
-    assert masked.resting.rmse[0] == 1.0
-    assert masked.rmse[0] == 0.0
+    masked = Validation.of_prediction(small_arm(1), replace(samples, mask=mask), predicted)
+    assert (masked.resting.rmse[0], masked.rmse[0]) == (1.0, 0.0)
     # A joint whose effort was not measured has none.
     names = ("position", "velocity", "acceleration", "effort")
     twice = {name: np.repeat(getattr(samples, name), 2, axis=1) for name in names}
     wide = replace(samples, **twice, mask=np.tile([True, False], (1000, 1)))
-    both = Validation.of_prediction(("a", "b"), wide, np.repeat(predicted, 2, axis=1))
+    both = Validation.of_prediction(ARM, wide, np.repeat(predicted, 2, axis=1))
     assert both.resting.rows.tolist() == [100, 0]
 
 
@@ -431,7 +429,7 @@ def judged(effort: Array, *free: Array) -> tuple[Any, ...]:
     """Return samples with other efforts, and errors of what is predicted, and of other numbers."""
     samples = replace(slow_motion(), effort=effort)
     every = (slow_motion().effort, *free)
-    return samples, *(Validation.of_prediction(ROBOT.joint_names, samples, x) for x in every)
+    return samples, *(Validation.of_prediction(ROBOT, samples, x) for x in every)
 
 
 def causes_of(effort: Array, *free: Array) -> dict[str, Cause]:
@@ -521,7 +519,7 @@ def test_a_robot_without_gravity_or_motion_has_no_cause() -> None:
     floating = ROBOT.with_gravity([0.0, 0.0, 0.0])
     still = {name: np.zeros_like(slow_motion().velocity) for name in ("velocity", "acceleration")}
     samples = replace(slow_motion(), **still)
-    fit = Validation.of_prediction(ROBOT.joint_names, samples, slow_motion().effort)
+    fit = Validation.of_prediction(ROBOT, samples, slow_motion().effort)
     assert find_causes(floating, BODIES, samples, fit, joint_errors(samples, fit)) == {}
 
 

@@ -34,6 +34,7 @@ from sdpid.plots.figures import BLUE, figure_of
 from sdpid.plots.joints import detail
 from sdpid.plots.lines import POINTS, decimate, spans, stretch
 from tests.helpers.refusals import refuses
+from tests.helpers.robots import small_arm
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")
 
@@ -229,7 +230,7 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
     samples = sdpid.Samples(
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
-    fit = Validation.of_prediction(("a", "b"), samples, q + 0.5)
+    fit = Validation.of_prediction(small_arm(2), samples, q + 0.5)
     axis = fit.plot(count=2000, title="two pieces")[0, 0]
     drawn = axis.get_lines()[0].get_ydata()
     assert np.isnan(drawn).sum() == 1

@@ -175,8 +175,7 @@ def hold_out(
     if DESCRIPTION in predicted:
         predicted[DESCRIPTION] += described_friction(robot, samples)
     every = {
-        name: Validation.of_prediction(robot.joint_names, samples, effort, robot=robot)
-        for name, effort in predicted.items()
+        name: Validation.of_prediction(robot, samples, effort) for name, effort in predicted.items()
     }
     if fresh is not None:
         fit = validate(estimate, fresh) if fit is None else fit

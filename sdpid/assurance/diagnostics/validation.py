@@ -229,40 +229,28 @@ class Validation(Errors):
 
     @classmethod
     def of_prediction(
-        cls,
-        names: tuple[str, ...],
-        samples: Samples,
-        predicted: Array,
-        estimate: Estimate | None = None,
-        *,
-        robot: RobotModel | None = None,
+        cls, robot: RobotModel, samples: Samples, predicted: Array, estimate: Estimate | None = None
     ) -> Validation:
         """Return the errors of predicted efforts (K, n) of samples, by an estimate or not.
 
-        Without the robot its base is fixed and its joints turn. Of a floating base, samples in
-        which it is held do not count.
+        Of a floating base, samples in which it is held do not count.
         """
-        slides, n_base, floating = np.zeros(samples.n, dtype=bool), 0, None
-        effort, used = samples.effort, samples.used
-        if robot is not None:
-            slides, n_base = robot.slides, robot.n_base
-        if robot is not None and n_base:
-            free = used & ~base_held(robot, samples)[:, None]
-            floating = BaseErrors.of(effort, predicted, free)
-        moving, still = moving_and_resting(samples, slides)
+        effort, used, names, first = samples.effort, samples.used, robot.joint_names, robot.n_base
+        moving, still = moving_and_resting(samples, robot.slides)
         # Joints without motors have no effort to compare with, at rest as in motion.
-        rests = bool(np.any(effort[:, n_base:][still[:, n_base:]]))
+        rests = bool(np.any(effort[:, first:][still[:, first:]]))
+        free = used & ~base_held(robot, samples)[:, None]
         return cls.of(
             names,
             effort,
             predicted,
             used,
-            n_base,
+            first,
             effort_predicted=frozen(predicted),
-            moving=Errors.of(names, effort, predicted, moving, n_base),
-            resting=Errors.of(names, effort, predicted, still, n_base) if rests else None,
-            floating=floating,
-            slides=slides,
+            moving=Errors.of(names, effort, predicted, moving, first),
+            resting=Errors.of(names, effort, predicted, still, first) if rests else None,
+            floating=BaseErrors.of(effort, predicted, free) if first else None,
+            slides=robot.slides,
             _estimate=estimate,
             _samples=samples,
         )
@@ -394,13 +382,8 @@ def validate(
     _require_joints(samples, problem.robot)
     if without:
         samples = without_efforts(samples, problem.robot, without)
-    return Validation.of_prediction(
-        problem.robot.joint_names,
-        samples,
-        problem.predict(estimate.base, samples),
-        estimate,
-        robot=problem.robot,
-    )
+    predicted = problem.predict(estimate.base, samples)
+    return Validation.of_prediction(problem.robot, samples, predicted, estimate)
 
 
 def validate_robot(robot: RobotModel, samples: Samples) -> Validation:
@@ -448,7 +431,7 @@ def validate_dynamics(
         predicted = np.concatenate(
             [with_contact_forces(rows, part, sigma, predicted[part]) for part in rows.parts()]
         )
-    return Validation.of_prediction(robot.joint_names, samples, predicted, robot=robot)
+    return Validation.of_prediction(robot, samples, predicted)
 
 
 def _require_joints(samples: Samples, robot: RobotModel) -> None:

@@ -139,7 +139,7 @@ def biased(effort: float, error: float, *, moving: bool = True) -> tuple[sdpid.S
     v = np.sin(t)[:, None] if moving else np.full((400, 1), 0.01)
     efforts = effort + 0.01 * np.cos(3.0 * t)[:, None]
     samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
-    return samples, Validation.of_prediction(("joint",), samples, efforts - error)
+    return samples, Validation.of_prediction(ONE, samples, efforts - error)
 
 
 def test_worse_than_a_constant_is_never_trusted() -> None:
@@ -149,7 +149,7 @@ def test_worse_than_a_constant_is_never_trusted() -> None:
     assert grade(samples, fit) == "caution"
     (only,) = prediction_findings(ONE, samples, fit)
     assert only.level == "caution"
-    assert "joint (worse than a constant, error 2 % of the effort)" in only.text
+    assert f"{ONE.joint_names[0]} (worse than a constant, error 2 % of the effort)" in only.text
     assert "roughly right" not in only.text
     assert "Validate on a motion in which the effort varies" in only.text
     # An error that is large beside the effort as well is worse still.
@@ -162,7 +162,7 @@ def test_a_lift_moves_in_meters_per_second(speed: float, moves: bool) -> None:
     t = np.arange(400) / RATE
     v = np.outer(np.sin(t), [speed, 1.0])
     samples = sdpid.Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
-    fit = Validation.of_prediction(lift.joint_names, samples, 1.0 + v, robot=lift)
+    fit = Validation.of_prediction(lift, samples, 1.0 + v)
     assert fit.moving.rows.tolist() == [len(t) if moves else 0, len(t)]
     assert [each.moved for each in graded(samples, fit)] == [moves, True]
     text = " ".join(found.text for found in prediction_findings(lift, samples, fit))
@@ -731,7 +731,7 @@ def with_error(result: Identification, share: float) -> HeldOut:
     rng = np.random.default_rng(0)
     effort = held_out.samples.effort
     error = share * effort.std(axis=0) * rng.standard_normal(effort.shape)
-    fit = Validation.of_prediction(held_out.fit.joint_names, held_out.samples, effort + error)
+    fit = Validation.of_prediction(result.problem.robot, held_out.samples, effort + error)
     return replace(held_out, fit=fit)
 
 
