@@ -4,7 +4,7 @@ import copy
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from functools import cache
 from itertools import product
@@ -38,12 +38,11 @@ from sdpid.workflow.verify import Verification
 from tests.helpers.arm import ARM, BODIES, BOTH, FIRST, LAST, LIGHT, arm_problem
 from tests.helpers.commands import alone
 from tests.helpers.data import make_samples, random_covariance, random_links, random_theta
-from tests.helpers.forged import with_row, written
+from tests.helpers.forged import at, change, paths, with_row, written
 from tests.helpers.refusals import refuses
 
 Data = dict[str, Any]
 KINDS = ("pseudo", "spatial", "prior", "entropic")
-Path_ = tuple[Any, ...]
 
 
 def problem_of(kind: str, *others: Condition) -> Problem:
@@ -97,7 +96,7 @@ def rejected(data: Data, folder: Path) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
+def test_it_holds_from_the_file_alone_and_by_a_bare_python(kind: str, tmp_path: Path) -> None:
     data = stated(kind)
     found = checked(data, tmp_path)
     assert found.passed, found.problems
@@ -127,6 +126,8 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
     entropic = kind == "entropic"
     assert (problem["entropic_prior"] is not None) == (multipliers["W"] is not None) == entropic
     assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
+    assert "2 links" in found.statements[1]
+    assert "6 rows and 1 cones" in found.statements[2]
 
 
 def test_status_of_the_script(tmp_path: Path) -> None:
@@ -155,27 +156,13 @@ def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
 # ---- Tampering ----------------------------------------------------------------------------------
 
 
-def leaves(value: Any, path: Path_ = ()) -> Iterator[Path_]:
-    """Yield the paths of everything that is neither list nor object, and of what is empty."""
-    if isinstance(value, (dict, list)) and value:
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, item in items:
-            yield from leaves(item, (*path, key))
-    else:
-        yield path
-
-
-def at(data: Data, path: Path_) -> Any:
-    value: Any = data
-    for key in path:
-        value = value[key]
-    return value
-
-
 @cache
-def leaves_of(kind: str) -> list[Path_]:
-    """Return the leaves of a certificate that are no descriptions."""
-    return [path for path in leaves(stated(kind)) if path[0] not in ("metadata", "sha256")]
+def leaves_of(kind: str) -> list[tuple[Any, ...]]:
+    """Return where numbers, words and what is empty stand in a certificate, but descriptions."""
+    data = {k: each for k, each in stated(kind).items() if k not in ("metadata", "sha256")}
+    return [
+        each for each in paths(data) if not (isinstance(v := at(data, each), (dict, list)) and v)
+    ]
 
 
 @given(st.data())
@@ -237,12 +224,6 @@ def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) 
         assert forged["claims"]["lower_bound"] <= claims["cost"]
 
 
-def test_descriptions_may_be_changed(tmp_path: Path) -> None:
-    data = made("pseudo")
-    data["metadata"]["message"] = "something else"
-    assert checked(data, tmp_path).passed
-
-
 @pytest.mark.parametrize(
     "floor",
     ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000, '0.0, "floor": 0.0'],
@@ -250,21 +231,14 @@ def test_descriptions_may_be_changed(tmp_path: Path) -> None:
 def test_literals_are_numbers_and_a_key_occurs_once(floor: str) -> None:
     text = json.dumps(stated("pseudo"))
     assert holds(text)
+    # Descriptions may be others.
+    told = {**stated("pseudo")["metadata"], "message": "something else"}
+    assert holds(json.dumps({**stated("pseudo"), "metadata": told}))
     assert not holds(text[:-1] + ', "theta": null}')
     own = json.dumps(stated("pseudo")["problem"]["floor"])
     forged = text.replace(f'"floor": {own}', f'"floor": {floor}', 1)
     assert forged != text
     assert not holds(forged)
-
-
-def change(path: tuple[Any, ...], how: Callable[[Any], Any]) -> Callable[[Data], None]:
-    """Return what changes one entry."""
-
-    def apply(data: Data) -> None:
-        where = at(data, path[:-1])
-        where[path[-1]] = how(where[path[-1]])
-
-    return apply
 
 
 def scaled(factor: float) -> Callable[[Any], Any]:
@@ -280,50 +254,50 @@ def lopsided(matrices: Any) -> Any:
 
 # Of the total mass, a known friction, and a wall that nothing leans on: each is said otherwise.
 TAMPERED: dict[str, Callable[[Data], None]] = {
-    "another total mass": change(("problem", "rows", 0, "upper"), lambda value: value - 0.01),
-    "no total mass": change(("problem", "rows", 0, "upper"), lambda value: None),
-    "other coefficients": change(("problem", "rows", 0, "coefficients"), scaled(1.01)),
-    "another friction": change(("problem", "rows", -1, "lower"), lambda value: value + 1e-3),
-    "another friction above": change(("problem", "rows", -1, "upper"), lambda value: value - 1e-3),
+    "another total mass": change(lambda value: value - 0.01, "problem", "rows", 0, "upper"),
+    "no total mass": change(lambda value: None, "problem", "rows", 0, "upper"),
+    "other coefficients": change(scaled(1.01), "problem", "rows", 0, "coefficients"),
+    "another friction": change(lambda value: value + 1e-3, "problem", "rows", -1, "lower"),
+    "another friction above": change(lambda value: value - 1e-3, "problem", "rows", -1, "upper"),
     "a row less": lambda data: data["problem"]["rows"].pop(),
     "a multiplier less": lambda data: data["multipliers"]["rows"].pop(),
     "a row and its multiplier less": lambda data: (
         data["problem"]["rows"].pop(0),
         data["multipliers"]["rows"].pop(0),
     ),
-    "larger multipliers of rows": change(("multipliers", "rows"), scaled(1.01)),
-    "no multipliers of rows": change(("multipliers", "rows"), scaled(0.0)),
-    "reversed multipliers of rows": change(("multipliers", "rows"), scaled(-1.0)),
-    "another axis": change(("problem", "cones", 0, "axis"), scaled(0.99)),
-    "other vectors": change(("problem", "cones", 0, "vectors"), scaled(1.01)),
-    "another link": change(("problem", "cones", 0, "link"), lambda link: 1 - link),
-    "no cone": change(("problem", "cones"), lambda cones: []),
+    "larger multipliers of rows": change(scaled(1.01), "multipliers", "rows"),
+    "no multipliers of rows": change(scaled(0.0), "multipliers", "rows"),
+    "reversed multipliers of rows": change(scaled(-1.0), "multipliers", "rows"),
+    "another axis": change(scaled(0.99), "problem", "cones", 0, "axis"),
+    "other vectors": change(scaled(1.01), "problem", "cones", 0, "vectors"),
+    "another link": change(lambda link: 1 - link, "problem", "cones", 0, "link"),
+    "no cone": change(lambda cones: [], "problem", "cones"),
     "no multiplier of the cone": lambda data: data["multipliers"]["Z"].pop(),
-    "a larger multiplier of the cone": change(("multipliers", "Z", -1), scaled(1.1)),
-    "an asymmetric multiplier": change(("multipliers", "Z"), lopsided),
-    "a negative multiplier of the cone": change(("multipliers", "Z", -1), scaled(-1.0)),
-    "a smaller floor": change(("problem", "floor"), lambda floor: 0.9 * floor),
-    "a smaller margin": change(("problem", "margin"), lambda value: value + 1e-2),
-    "version 1": change(("version",), lambda version: 1),
+    "a larger multiplier of the cone": change(scaled(1.1), "multipliers", "Z", -1),
+    "an asymmetric multiplier": change(lopsided, "multipliers", "Z"),
+    "a negative multiplier of the cone": change(scaled(-1.0), "multipliers", "Z", -1),
+    "a smaller floor": change(lambda floor: 0.9 * floor, "problem", "floor"),
+    "a smaller margin": change(lambda value: value + 1e-2, "problem", "margin"),
+    "version 1": change(lambda version: 1, "version"),
     # No claim can be better by a digit.
-    "another cost": change(("claims", "cost"), lambda cost: math.nextafter(cost, -math.inf)),
-    "another bound": change(("claims", "lower_bound"), lambda x: math.nextafter(x, math.inf)),
-    "another gap": change(("claims", "gap"), lambda gap: math.nextafter(gap, -math.inf)),
-    "another margin": change(("claims", "margins", 0), lambda margin: margin + 1e-12),
-    "the other's margin": change(("claims", "margins", 1), lambda margin: margin + 1e-12),
+    "another cost": change(lambda cost: math.nextafter(cost, -math.inf), "claims", "cost"),
+    "another bound": change(lambda x: math.nextafter(x, math.inf), "claims", "lower_bound"),
+    "another gap": change(lambda gap: math.nextafter(gap, -math.inf), "claims", "gap"),
+    "another margin": change(lambda margin: margin + 1e-12, "claims", "margins", 0),
+    "the other's margin": change(lambda margin: margin + 1e-12, "claims", "margins", 1),
 }
 ENTROPIC: dict[str, Callable[[Data], None]] = {
-    "another strength": change(("problem", "entropic_prior", "strength"), scaled(1.01)),
-    "a strength below zero": change(("problem", "entropic_prior", "strength"), scaled(-1.0)),
-    "other beliefs": change(("problem", "entropic_prior", "inverses"), scaled(1.01)),
-    "beliefs that no body has": change(("problem", "entropic_prior", "inverses"), scaled(-1.0)),
-    "another order": change(("problem", "entropic_prior", "links"), lambda links: links[::-1]),
+    "another strength": change(scaled(1.01), "problem", "entropic_prior", "strength"),
+    "a strength below zero": change(scaled(-1.0), "problem", "entropic_prior", "strength"),
+    "other beliefs": change(scaled(1.01), "problem", "entropic_prior", "inverses"),
+    "beliefs that no body has": change(scaled(-1.0), "problem", "entropic_prior", "inverses"),
+    "another order": change(lambda links: links[::-1], "problem", "entropic_prior", "links"),
     "a link less": lambda data: data["problem"]["entropic_prior"]["links"].pop(),
-    "no belief": change(("problem", "entropic_prior"), lambda value: None),
-    "no tangent": change(("multipliers", "W"), lambda value: None),
-    "another tangent": change(("multipliers", "W"), scaled(1.1)),
-    "a tangent that touches nowhere": change(("multipliers", "W"), scaled(-1.0)),
-    "an asymmetric tangent": change(("multipliers", "W"), lopsided),
+    "no belief": change(lambda value: None, "problem", "entropic_prior"),
+    "no tangent": change(lambda value: None, "multipliers", "W"),
+    "another tangent": change(scaled(1.1), "multipliers", "W"),
+    "a tangent that touches nowhere": change(scaled(-1.0), "multipliers", "W"),
+    "an asymmetric tangent": change(lopsided, "multipliers", "W"),
     "one tangent less": lambda data: data["multipliers"]["W"].pop(),
 }
 
@@ -414,11 +388,10 @@ def test_what_is_not_feasible_is_not_certified() -> None:
     problem = arm_problem(LIGHT)
     best = solve_sdp(problem)
     assert best.theta is not None
-    for k, change in ((0, -100.0), (4, -0.1), (20, -100.0)):
+    for k, less in ((0, 100.0), (4, 0.1), (20, 100.0)):
         theta = np.array(best.theta)
-        theta[k] += change
-        moved = Estimate.of_theta(problem, theta, method="made up", status="made up")
-        found = certify(moved, bound=best)
+        theta[k] -= less
+        found = certify(Estimate.of_theta(problem, theta, method="", status=""), bound=best)
         assert not found.feasible
         assert not found.passed
 
@@ -428,7 +401,7 @@ def test_without_a_consistency(tmp_path: Path) -> None:
     found = certify(solve_sdp(problem))
     assert found.margins is None
     again = checked(found.to_dict(), tmp_path)
-    assert again.passed == (not again.problems)
+    assert again.passed
     assert again.margin is None
 
 

@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
@@ -48,7 +48,7 @@ from sdpid.verifier.tables import answer_of, check, inequality, load, require_fo
 from tests.helpers import world
 from tests.helpers.arm import BOTH
 from tests.helpers.commands import alone, ran, refused, run
-from tests.helpers.forged import written
+from tests.helpers.forged import at, change, paths, set_to, written
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, pendulum, small_arm
 from tests.helpers.strategies import SEEDS, bodies, links, random_states
@@ -427,15 +427,12 @@ POSSIBLE = {"zz6": "0.05", "xxr6": "0.01", "mx6": "0.2", "Fs1": "1"}
 @cache
 def stored(kind: str) -> str:
     """Return the text of a proof file."""
-    robot = load_robot("denso_vp6242")
     if kind == "paper":
         table = read_base_table(TABLE_IV, value="cwls")
         options = {"consistency": "spatial_inertia", "margin": "0.005", "table": table.file}
-        found = sdpid.audit_base_parameters(robot, table.values, table.halfwidths, **options)
+        found = audited(table.values, table.halfwidths, **options)
     else:
-        found = sdpid.audit_base_parameters(
-            robot, IMPOSSIBLE if kind == "refutation" else POSSIBLE, "0.005"
-        )
+        found = audited(IMPOSSIBLE if kind == "refutation" else POSSIBLE, "0.005")
     return json.dumps(found.certificate.to_dict())
 
 
@@ -469,6 +466,12 @@ def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> No
     done = alone(written({}, tmp_path))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
+    # With the robot at hand the coefficients are checked too.
+    found = verified(tmp_path, proof(kind))
+    assert found.passed
+    assert "are those of robot 'denso_vp6242', computed anew" in found.statements[-1]
+    assert not any("coefficients" in each for each in found.unchecked)
+    ran("verify", tmp_path / "c.json", "--robot", "denso_vp6242")
 
 
 def given_of(data: dict[str, Any], name: str) -> dict[str, Any]:
@@ -478,17 +481,7 @@ def given_of(data: dict[str, Any], name: str) -> dict[str, Any]:
 
 def weighted(name: str, factor: int) -> Callable[[dict[str, Any]], Any]:
     """Return what multiplies a weight."""
-
-    def apply(data: dict[str, Any]) -> None:
-        weights = data["refutation"]["weights"]
-        weights[name] = str(factor * Fraction(weights[name]))
-
-    return apply
-
-
-def theta(j: int, value: str) -> Callable[[dict[str, Any]], Any]:
-    """Return what changes a standard parameter."""
-    return lambda p: p["realization"]["theta"].__setitem__(j, value)
+    return change(lambda weight: str(factor * Fraction(weight)), "refutation", "weights", name)
 
 
 # The weights are positive: what is said of both parameters must be as low as it is.
@@ -502,62 +495,54 @@ FORGED: list[tuple[str, Callable[[dict[str, Any]], Any], str]] = [
         for name, changed in product(("zz6", "xxr6"), ({"value": "1"}, {"halfwidth": "1"}))
     ),
     ("refutation", lambda p: [weighted(name, -1)(p) for name in ("zz6", "xxr6")], "not follow"),
-    ("refutation", lambda p: p["refutation"].update(weights={}), "does not contradict"),
-    ("paper", lambda p: p["constraints"].update(margin="0"), "does not contradict"),
-    ("paper", lambda p: p["refutation"].update(masses={"0": "-1"}), "not follow"),
-    ("paper", lambda p: p["refutation"].update(slack={"0": "-1"}), "not follow"),
+    ("refutation", set_to({}, "refutation", "weights"), "does not contradict"),
+    ("paper", set_to("0", "constraints", "margin"), "does not contradict"),
+    ("paper", set_to({"0": "-1"}, "refutation", "masses"), "not follow"),
+    ("paper", set_to({"0": "-1"}, "refutation", "slack"), "not follow"),
     *(
-        ("realization", theta(j, value), "")
+        ("realization", change(lambda _, value=value: value, "realization", "theta", j), "")
         for j, value in ((50, "0"), (50, "100.1"), (59, "10000.1"), (59, "-1"), (60, "-1"))
     ),
-    ("realization", lambda p: p["realization"]["margins"].__setitem__(0, "1000"), "claimed"),
-    ("realization", lambda p: p["constraints"].update(margin="1"), "asked for"),
+    ("realization", change(lambda _: "1000", "realization", "margins", 0), "claimed"),
+    ("realization", set_to("1", "constraints", "margin"), "asked for"),
 ]
 
 
-@pytest.mark.parametrize(("kind", "change", "word"), FORGED)
+@pytest.mark.parametrize(("kind", "apply", "word"), FORGED)
 def test_what_does_not_hold_is_named(
-    kind: str, change: Callable[[dict[str, Any]], Any], word: str
+    kind: str, apply: Callable[[dict[str, Any]], Any], word: str
 ) -> None:
     changed = proof(kind)
-    change(changed)
+    apply(changed)
     problems = check(require_form(sealed(changed))).problems
     assert problems
     assert word in problems[0]
 
 
 NO_NUMBERS = ("-1", 0, "1/0", "1e400", "1e999999999", "Infinity", "nan", "9" * 5000, "١")
+NONE: dict[tuple[Any, ...], tuple[Any, ...]] = {
+    ("schema",): ("other", ["sdpid-refutation"]),
+    ("version",): (1, 2.0, True),
+    ("extra",): (1,),
+    ("robot",): ({"name": "arm"},),
+    ("robot", "links"): ([], ["a"] * 6, list("abcdefgh")),
+    ("robot", "name"): (1,),
+    ("table", "file"): (3,),
+    ("constraints", "consistency"): ("none", []),
+    ("constraints", "margin"): NO_NUMBERS,
+    ("constraints", "mass_max"): ("0",),
+    ("constraints", "theta_max"): ("1",),
+    ("constraints", "mass_min"): ("0",),
+    ("constraints", "nonnegative"): ([0], [999], [60.0]),
+    ("parameters",): ([],),
+    ("parameters", 0, "halfwidth"): ("-1", float("inf")),
+    **{("parameters", 0, "coefficients", key): ("1",) for key in ("-1", "007", "9999")},
+}
 HOSTILE: list[Callable[[dict[str, Any]], Any]] = [
-    lambda p: p.update(schema="other"),
-    lambda p: p.update(schema=["sdpid-refutation"]),
-    lambda p: p.update(version=1),
-    lambda p: p.update(version=2.0),
-    lambda p: p.update(version=True),
-    lambda p: p.update(extra=1),
-    lambda p: p.update(robot={"name": "arm"}),
-    lambda p: p["robot"].update(links=[]),
-    lambda p: p["robot"].update(links=["a"] * 6),
-    lambda p: p["robot"].update(links=list("abcdefgh")),
-    lambda p: p["robot"].update(name=1),
-    lambda p: p["table"].update(file=3),
-    lambda p: p["constraints"].update(consistency="none"),
-    lambda p: p["constraints"].update(consistency=[]),
-    *(lambda p, number=number: p["constraints"].update(margin=number) for number in NO_NUMBERS),
-    lambda p: p["constraints"].update(mass_max="0"),
-    lambda p: p["constraints"].update(theta_max="1"),
-    lambda p: p["constraints"].update(mass_min="0"),
-    lambda p: p["constraints"].update(nonnegative=[0]),
-    lambda p: p["constraints"].update(nonnegative=[999]),
-    lambda p: p["constraints"].update(nonnegative=[60.0]),
-    lambda p: p.update(theta_names=p["theta_names"][:59]),
-    lambda p: p.update(theta_names=[*p["theta_names"][:-1], "m_1"]),
-    lambda p: p.update(parameters=[]),
+    *(set_to(value, *path) for path, values in NONE.items() for value in values),
+    change(lambda names: names[:59], "theta_names"),
+    change(lambda names: [*names[:-1], "m_1"], "theta_names"),
     lambda p: p["parameters"][0].pop("value"),
-    lambda p: p["parameters"][0].update(halfwidth="-1"),
-    lambda p: p["parameters"][0].update(halfwidth=float("inf")),
-    lambda p: p["parameters"][0]["coefficients"].update({"-1": "1"}),
-    lambda p: p["parameters"][0]["coefficients"].update({"007": "1"}),
-    lambda p: p["parameters"][0]["coefficients"].update({"9999": "1"}),
     lambda p: p["parameters"].append(p["parameters"][0]),
     lambda p: (
         [one.update(value=f"1/{7**400 + 2 * k}") for k, one in enumerate(p["parameters"])] * 30
@@ -569,24 +554,24 @@ HOSTILE: list[Callable[[dict[str, Any]], Any]] = [
 
 
 @pytest.mark.parametrize(
-    ("kind", "change"),
+    ("kind", "apply"),
     [
         *product(("refutation", "realization"), HOSTILE),
-        ("refutation", lambda p: p["refutation"].update(weights={"zz5": "1"})),
-        ("refutation", lambda p: p["refutation"].update(weights=[])),
-        ("refutation", lambda p: p["refutation"].update(masses={"6": "1"})),
+        ("refutation", set_to({"zz5": "1"}, "refutation", "weights")),
+        ("refutation", set_to([], "refutation", "weights")),
+        ("refutation", set_to({"6": "1"}, "refutation", "masses")),
         ("refutation", lambda p: p["refutation"].pop("slack")),
         ("realization", lambda p: p["realization"]["theta"].pop()),
         ("realization", lambda p: p["realization"]["margins"].append("0")),
-        ("realization", lambda p: p["realization"].update(theta="0")),
-        ("realization", lambda p: p.update(schema="sdpid-refutation")),
+        ("realization", set_to("0", "realization", "theta")),
+        ("realization", set_to("sdpid-refutation", "schema")),
     ],
 )
 def test_what_is_no_proof_or_answer_is_refused(
-    kind: str, change: Callable[[dict[str, Any]], Any]
+    kind: str, apply: Callable[[dict[str, Any]], Any]
 ) -> None:
     changed = proof(kind)
-    change(changed)
+    apply(changed)
     with pytest.raises(MalformedError):
         answer_of(require_form(changed))
 
@@ -632,15 +617,6 @@ def verified(tmp_path: Path, data: dict[str, Any], robot: str = "denso_vp6242") 
     return sdpid.verify(written(sealed(data), tmp_path), robot=robot)
 
 
-@pytest.mark.parametrize("kind", ["refutation", "realization", "paper"])
-def test_coefficients_are_those_of_the_robot(kind: str, tmp_path: Path) -> None:
-    found = verified(tmp_path, proof(kind))
-    assert found.passed
-    assert "are those of robot 'denso_vp6242', computed anew" in found.statements[-1]
-    assert not any("coefficients" in each for each in found.unchecked)
-    ran("verify", tmp_path / "c.json", "--robot", "denso_vp6242")
-
-
 def test_other_coefficients_are_named(tmp_path: Path) -> None:
     data = proof("paper")
     row = data["parameters"][4]["coefficients"]
@@ -672,15 +648,6 @@ def test_signs_that_physics_does_not_give_are_named(tmp_path: Path) -> None:
 # -------------------------------------------------------------------- mutations
 
 
-def paths(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield where every value within a JSON value stands."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, item in inner:
-        yield (*at, key)
-        if isinstance(item, (dict, list)):
-            yield from paths(item, (*at, key))
-
-
 NUMBERS = st.sampled_from(
     ["0", "1", "-1", "0.005", "-0.07", "1000", "1/3", "-2/7", "0.000001", "100", "1e3", "1/0", ""]
 )
@@ -692,19 +659,16 @@ ODD = st.one_of(
 def mutated(data: dict[str, Any], choose: st.DataObject) -> dict[str, Any]:
     """Return a proof with one to three values changed, taken away or doubled."""
     for _ in range(choose.draw(st.integers(1, 3))):
-        at = choose.draw(st.sampled_from(list(paths(data))))
-        where: Any = data
-        for key in at[:-1]:
-            where = where[key]
-        old, how = where[at[-1]], choose.draw(st.sampled_from("rrrnsd"))
+        *path, key = choose.draw(st.sampled_from(list(paths(data))))
+        where, how = at(data, tuple(path)), choose.draw(st.sampled_from("rrrnsd"))
+        old = where[key]
         if how == "d":
-            del where[at[-1]]
+            del where[key]
         elif how == "s" and isinstance(old, str):
-            where[at[-1]] = old[1:] if old.startswith("-") else f"-{old}"
-        elif how == "n" or not isinstance(old, str):
-            where[at[-1]] = choose.draw(ODD)
+            where[key] = old[1:] if old.startswith("-") else f"-{old}"
         else:
-            where[at[-1]] = choose.draw(NUMBERS)
+            plain = how == "n" or not isinstance(old, str)
+            where[key] = choose.draw(ODD if plain else NUMBERS)
     return data
 
 
@@ -756,30 +720,21 @@ def test_mutations_are_refused_or_still_true(kind: str, choose: st.DataObject) -
 # -------------------------------------------------------------------- writing
 
 
-def test_files_appear_whole_or_not_at_all(tmp_path: Path) -> None:
-    robot = load_robot("denso_vp6242")
-    found = sdpid.audit_base_parameters(robot, {"zz6": "0.05"}, "0.005")
-    with pytest.raises(ExportError):
-        found.certificate.to_json(tmp_path / "missing" / "proof.json")
-    found.certificate.to_json(tmp_path / "proof.json")
-    assert [path.name for path in tmp_path.iterdir()] == ["proof.json"]
-
-
 def test_undecided_writes_nothing_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = sdpid.audit_base_parameters(load_robot("denso_vp6242"), {"zz6": "0.05"}, "0.005")
+    found = audited({"zz6": "0.05"}, "0.005")
+    with pytest.raises(ExportError):
+        found.certificate.to_json(tmp_path / "missing" / "proof.json")
     _write_proof(tmp_path / "proof.json", replace(found, verdict="undecided", certificate=None))
     assert "not written: undecided, so there is no proof" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 def test_numbers_too_long_for_the_checker_are_not_written(tmp_path: Path) -> None:
-    robot = load_robot("denso_vp6242")
-    no_friction = FrictionModel.from_terms((), robot.joint_names)
-    names = [name for name in structural_base(robot, no_friction).names if name != "zz6"]
+    names = [name for name in arm("denso")[1].names if name != "zz6"]
     odd = {name: Fraction(1, 10**380 + 2 * k + 1) for k, name in enumerate(names)}
-    found = sdpid.audit_base_parameters(robot, {**odd, "zz6": -1}, "0.005")
+    found = audited({**odd, "zz6": -1}, "0.005")
     proof_ = found.certificate
     assert proof_.holds
     refuses(CertificateError, "fewer digits", proof_.to_json, tmp_path / "proof.json")

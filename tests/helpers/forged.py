@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,35 @@ def with_row(data: Any, lower: float, multiplier: float, **coefficients: float) 
     )
     forged["multipliers"]["rows"].append(multiplier)
     return forged
+
+
+def paths(value: Any, before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield where every value within lists and objects stands."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield (*before, key)
+        if isinstance(item, (dict, list)):
+            yield from paths(item, (*before, key))
+
+
+def at(data: Any, path: tuple[Any, ...]) -> Any:
+    """Return what stands somewhere."""
+    for key in path:
+        data = data[key]
+    return data
+
+
+def change(how: Callable[[Any], Any], *path: Any) -> Callable[[Any], None]:
+    """Return what changes one entry."""
+
+    def apply(data: Any) -> None:
+        at(data, path[:-1])[path[-1]] = how(at(data, path))
+
+    return apply
+
+
+def set_to(value: Any, *path: Any) -> Callable[[Any], None]:
+    """Return what gives one entry a value, which may be new."""
+    return lambda data: at(data, path[:-1]).update({path[-1]: value})
 
 
 def edit(path: Path, change: Callable[[str], str]) -> None:
