@@ -176,23 +176,11 @@ def arm() -> Problem:
     return problem_of(sdpid.load_robot(ARM))
 
 
-def assert_same_efforts(problem: Problem, links: np.ndarray, path: Path) -> RobotModel:
-    robot = problem.robot
-    root = "free_flyer" if robot.free_flyer else None
-    written = sdpid.load_robot(path, root=root, gravity=robot.gravity)  # type: ignore[arg-type]
-    q, v, a = generic_states(robot, 20, 77)
-    expected = robot.inverse_dynamics(links, q, v, a)
-    found = (written.regressor(q, v, a) @ written.prior.ravel()) - expected
-    assert np.abs(found).max() <= CLOSE * np.abs(expected).max()
-    return written
-
-
 def written(problem: Problem, links: np.ndarray, path: Path, **options: Any) -> ExportReport:
     """Write a URDF that differs from the estimate in nothing and has the same efforts."""
     estimate = estimate_of(problem, links)
     report = write_urdf(estimate, target=path, **options)
     assert differences(estimate, path) == []
-    assert_same_efforts(problem, links, path)
     return report
 
 
@@ -432,7 +420,6 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
     urdf = sdpid.write_urdf(estimate, target=tmp_path / "out.urdf")
     assert urdf.lumped == report.lumped
     assert differences(estimate, tmp_path / "out.urdf") == []
-    assert_same_efforts(problem, links, tmp_path / "out.urdf")
     states = generic_states(problem.robot, 20, 79)
     expected = problem.robot.inverse_dynamics(links, *states)
     found = mujoco_efforts(tmp_path / "out.urdf", problem.robot, states)
@@ -495,7 +482,6 @@ def test_a_floating_base(tmp_path: Path, name: str, body: str) -> None:
     report = sdpid.write_urdf(estimate, target=tmp_path / "out.urdf")
     assert (report.links_changed[0], report.joints_changed) == (name, ("j1", "j2", "j3"))
     assert differences(estimate, tmp_path / "out.urdf") == []
-    assert_same_efforts(problem, links, tmp_path / "out.urdf")
 
 
 # The arm as a user may have it: on a table, with other frames, a shape, defaults and comments.
