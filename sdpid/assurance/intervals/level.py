@@ -21,7 +21,6 @@ this rule, and under which conditions, stands in docs/theory, section 12.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,25 +40,6 @@ _ONE = 1.01
 
 # So many degrees of freedom of a variance are a variance that is known.
 _MANY = 1e8
-
-
-@dataclass(frozen=True, eq=False)
-class Move:
-    """What the fit loses at the extreme of a function.
-
-    Attributes
-    ----------
-    residual : ndarray, shape (r,), or None
-        How the residual moves from the estimate; None where that is not known.
-    lost : ndarray, shape (r, r), or None
-        By how much less the fitted rows move with the data; None where a single direction is lost.
-    to_limit : float or None
-        Where constraints alone end the function: the rise at which it gets there.
-    """
-
-    residual: Array | None = None
-    lost: Array | None = None
-    to_limit: float | None = None
 
 
 class Level:
@@ -105,32 +85,39 @@ class Level:
         spent : float
             Degrees of freedom that the estimate spends on the data.
         """
-        one = self.rises([Move(moved) for moved in moves])
+        one = self.rises(moves, [None] * len(moves))
         several, single = (
             float(_quantile(count, np.inf, self.probability)) for count in (max(spent, 1.0), 1.0)
         )
         return [max(self._average * several, rise * several / single) for rise in one]
 
-    def rises(self, moves: Sequence[Move]) -> list[float]:
+    def rises(self, moves: Sequence[Array | None], lost: Sequence[Array | None]) -> list[float]:
         """Return the rise for each extreme.
 
         Where the residual's move is not known or next to nothing, it is the typical one.
+
+        Parameters
+        ----------
+        moves : sequence of ndarray (r,) or None
+            How the residual moves from the estimate; None where that is not known.
+        lost : sequence of ndarray (r, r) or None
+            By how much less the fitted rows move with the data; None where a single direction is
+            lost.
         """
         out = [self.typical] * len(moves)
         known = [
-            (i, move.residual, move.lost)
-            for i, move in enumerate(moves)
-            if move.residual is not None
-            and float(move.residual @ move.residual) > self.least * _STILL
+            (i, moved, gone)
+            for i, (moved, gone) in enumerate(zip(moves, lost, strict=True))
+            if moved is not None and float(moved @ moved) > self.least * _STILL
         ]
         if not known:
             return out
-        d = np.array([residual for _, residual, _ in known])
+        d = np.array([moved for _, moved, _ in known])
         freedom = self._freedom(d[:, : self.count])
         variance = np.einsum("ki,ki->k", d @ self.noise, d) / np.einsum("ki,ki->k", d, d)
         one = variance * _quantile(1.0, freedom, self.probability)
-        for (i, _, lost), own, rise in zip(known, freedom.tolist(), one.tolist(), strict=True):
-            out[i] = max(rise, self._several(lost, own), self.least)
+        for (i, _, gone), own, rise in zip(known, freedom.tolist(), one.tolist(), strict=True):
+            out[i] = max(rise, self._several(gone, own), self.least)
         return out
 
     def _freedom(self, moves: Array) -> Array:

@@ -30,7 +30,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.jobs import parallel
-from sdpid.assurance.intervals.level import Level, Move
+from sdpid.assurance.intervals.level import Level
 from sdpid.assurance.intervals.parameters import (
     FROM_DATA,
     FROM_PHYSICS,
@@ -94,6 +94,12 @@ class End:
         In the solver.
     solves : int
         Programs solved.
+    moved : ndarray, shape (r,), or None
+        While levels are sought: how the residual moves from the estimate.
+    lost : ndarray, shape (r, r), or None
+        By how much less the fitted rows move with the data there (see `Level.rises`).
+    to_limit : float or None
+        Where constraints alone end the function: the rise at which it gets there.
     """
 
     theta: Array
@@ -106,6 +112,9 @@ class End:
     prior_share: float
     seconds: float = 0.0
     solves: int = 0
+    moved: Array | None = None
+    lost: Array | None = None
+    to_limit: float | None = None
 
 
 class ProfileLikelihood:
@@ -209,12 +218,12 @@ class ProfileLikelihood:
         left = list(range(len(functions)))
         for _ in range(_ROUNDS):
             found = [self._at(functions[i], levels[i]) for i in left]
-            rises = self.level.rises([move for _, move in found])
+            rises = self.level.rises([end.moved for end in found], [end.lost for end in found])
             tried, left = left, []
-            for i, (end, move), rise in zip(tried, found, rises, strict=True):
+            for i, end, rise in zip(tried, found, rises, strict=True):
                 spent[i] += end.seconds, end.solves
                 ends[i], levels[i] = replace(end, rise=rise), rise
-                nearer = self._nearer(functions[i], ends[i], move)
+                nearer = self._nearer(functions[i], ends[i])
                 if nearer is None:
                     left.append(i)
                 else:
@@ -222,27 +231,27 @@ class ProfileLikelihood:
             if not left:
                 break
         return [
-            replace(ends[i], seconds=seconds, solves=int(solves))
+            replace(ends[i], seconds=seconds, solves=int(solves), moved=None, lost=None)
             for i, (seconds, solves) in enumerate(spent.tolist())
         ]
 
-    def _nearer(self, c: Array, end: End, move: Move) -> End | None:
+    def _nearer(self, c: Array, end: End) -> End | None:
         """Return the end at its new level where that needs no other solve, else None."""
-        if move.to_limit is not None:
-            return end if move.to_limit <= end.rise else None
+        if end.to_limit is not None:
+            return end if end.to_limit <= end.rise else None
         if abs(end.rise - end.solved) <= _SETTLED * end.solved:
             return end
-        if move.residual is None or end.rise > end.solved:
+        if end.moved is None or end.rise > end.solved:
             return None
         # Inside of all constraints extremes lie on a line through the estimate.
-        square, product = float(move.residual @ move.residual), float(move.residual @ self.residual)
+        square, product = float(end.moved @ end.moved), float(end.moved @ self.residual)
         share = min((np.sqrt(product**2 + square * end.rise) - product) / square, 1.0)
         theta = self.theta + share * (end.theta - self.theta)
         if float(c @ theta) - self.proven(c, end) > _TIGHT * float(c @ (self.theta - theta)):
             return None
         return replace(end, theta=theta, solved=end.rise)
 
-    def _at(self, c: Array, rise: float) -> tuple[End, Move]:
+    def _at(self, c: Array, rise: float) -> End:
         """Return the minimum at a level, and what the fit loses there."""
         slope = self.program.coordinates.directions.T @ c
         size = float(np.linalg.norm(slope)) or 1.0
@@ -271,28 +280,28 @@ class ProfileLikelihood:
                 problem=self.problem,
             )
         end, found = best.value
-        end = replace(end, seconds=best.seconds, solves=best.solves)
         moved = self.problem.squared.residual(end.theta) - self.residual
+        end = replace(end, seconds=best.seconds, solves=best.solves, moved=moved)
         pull, x = float(found.ball[0]), np.asarray(found.x)
         value = float(slope @ x)
         if not np.any(slope):
-            return end, Move(moved)
+            return end
         if pull * radius > _FLAT * abs(value):
             # The multiplier of the radius, per unit of the squares.
             weight = 2.0 * radius / pull
             there = self.response.at(x, found.rows, found.blocks, weight=weight, held=slope)
-            return end, Move(moved, self._free - there)
+            return replace(end, lost=self._free - there)
         # The data have no say at this level: what do they say of parameters at that limit?
         conic, stiff = self.program.conic, self.response.stiff
         squares = np.vstack([conic.M, stiff * slope]), np.append(conic.m, -stiff * value)
         held = self.held.solve(squares=squares)
         end = replace(end, seconds=end.seconds + held.seconds, solves=end.solves + 1)
         if held.x is None:
-            return end, Move(moved)
+            return end
         there = self.response.at(held.x, held.rows, held.blocks, held=slope)
         moved = self.problem.squared.residual(self.program.theta(held)) - self.residual
         to_limit = float(moved @ moved + 2.0 * moved @ self.residual)
-        return end, Move(moved, self._free - there, to_limit)
+        return replace(end, moved=moved, lost=self._free - there, to_limit=to_limit)
 
     def _radius(self, rise: float) -> float:
         return float(np.sqrt(self.cost + rise))
