@@ -23,7 +23,6 @@ from sdpid.estimation.conic.solve import (
     solve_with_retries,
     symmetric_basis,
 )
-from tests.helpers.data import random_covariance
 
 # Solutions of problems of order one: an interior-point method ends at some 1e-9, and where the
 # optimum is flat at its square root.
@@ -132,34 +131,17 @@ def test_multipliers_are_derivatives() -> None:
         assert slope == pytest.approx(rows[k], abs=1e-4)
 
 
-@pytest.mark.parametrize(("size", "weight"), [(1, 0.7), (2, 3.0), (4, 0.2)])
-def test_log_det(size: int, weight: float) -> None:
-    """``⟨C, X⟩ − w·log det X`` is least at ``w·C^(-1)``."""
-    C = random_covariance(np.random.default_rng(size), size)
-    count = len(symmetric_basis(size))
-    cost, log_dets = coordinates(C), (whole(size),)
-    nothing = np.zeros((0, count)), np.zeros(0)
-    found = solve_conic(program(*nothing, cost=cost, log_dets=log_dets, weight=weight))
-    X = matrix_of(found.x, size)
-    np.testing.assert_allclose(X, weight * np.linalg.inv(C), atol=1e-4 * weight)
-    # The point is known to the square root of what the cost is known to.
-    cost = np.sum(C * X) - weight * np.linalg.slogdet(X)[1]
-    best = weight * size - weight * np.linalg.slogdet(weight * np.linalg.inv(C))[1]
-    assert cost == pytest.approx(best, abs=SOLVED * weight)
-
-
-def test_log_dets_beside_squares_and_blocks() -> None:
+@pytest.mark.parametrize(("sizes", "weight"), [((4, 1), 0.2), ((3, 2), 3.0)])
+def test_log_dets_beside_squares_and_blocks(sizes: tuple[int, int], weight: float) -> None:
     """``‖X − A‖² − w·Σ log det`` of two matrices, one with a constant, eigenvalue by eigenvalue."""
     rng = np.random.default_rng(5)
-    A, B = symmetric(rng, 3), symmetric(rng, 2)
-    shift = symmetric(rng, 2)
-    first = Matrix(np.arange(6), symmetric_basis(3), np.zeros((3, 3)))
-    second = Matrix(6 + np.arange(3), symmetric_basis(2), shift)
-    weight = 0.4
+    A, B, shift = (symmetric(rng, size) for size in (*sizes, sizes[1]))
+    first, count = whole(sizes[0]), len(coordinates(A))
+    second = Matrix(count + np.arange(len(coordinates(B))), symmetric_basis(sizes[1]), shift)
     target = np.concatenate([coordinates(A), coordinates(B)])
     # Matrices with a log-determinant are inside; another block changes nothing.
     both = {"blocks": (first,), "log_dets": (first, second)}
-    found = solve_conic(program(np.eye(9), -target, **both, weight=weight))
+    found = solve_conic(program(np.eye(len(target)), -target, **both, weight=weight))
 
     def best(goal: Array) -> Array:
         # 2·(x − a) = w/x.
@@ -167,8 +149,9 @@ def test_log_dets_beside_squares_and_blocks() -> None:
         values = 0.5 * (values + np.sqrt(values**2 + 2.0 * weight))
         return np.asarray((vectors * values) @ vectors.T)
 
-    np.testing.assert_allclose(matrix_of(found.x[:6], 3), best(A), atol=1e-5)
-    np.testing.assert_allclose(matrix_of(found.x[6:], 2), best(B + shift) - shift, atol=1e-5)
+    ends = (found.x[:count], best(A), 0.0), (found.x[count:], best(B + shift), shift)
+    for x, expected, constant in ends:
+        np.testing.assert_allclose(matrix_of(x, len(expected)), expected - constant, atol=1e-5)
     np.testing.assert_allclose(found.blocks[0], 0.0, atol=1e-5)
 
 

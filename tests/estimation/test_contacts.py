@@ -181,16 +181,6 @@ def test_a_constant_error_beside_eliminated_forces_is_no_correlation() -> None:
     assert contact_noise(problem(replace(stand, effort=effort)).rows)[1] < 1.5  # type: ignore[arg-type]
 
 
-def test_forces_that_are_hardly_known_are_eliminated() -> None:
-    made = gait()
-    plain = problem(replace(made.noisy(), covariance=SIGMA))
-    for std in (1e3, 1e6):
-        felt = made.measured(std**2 * np.eye(6))
-        vague = problem(replace(felt, effort=made.noisy().effort, covariance=SIGMA))
-        assert_alike(vague, plain, 1e-6)
-        assert vague.n_rows == 240 * 18 > plain.n_rows
-
-
 def test_what_a_sensor_shows_of_a_foot_in_the_air_changes_nothing() -> None:
     made = gait(60)
     contacts = made.samples.contacts
@@ -254,16 +244,6 @@ def test_the_order_of_feet_and_repeated_feet_change_nothing() -> None:
     assert found.n_rows == other.n_rows
     base = found.base_of(gait(60).theta)
     np.testing.assert_allclose(found.predict(base), other.predict(base), atol=1e-8)
-
-
-def test_a_masked_row_has_an_infinite_variance() -> None:
-    samples = gait(60).noisy()
-    mask = np.ones((60, 18), dtype=bool)
-    mask[:, [4, 9]] = False
-    vague = NOISE**2
-    vague[[4, 9]] *= 1e10
-    masked = problem(replace(samples, mask=mask, covariance=SIGMA))
-    assert_alike(masked, problem(replace(samples, covariance=np.diag(vague))), 1e-6)
 
 
 def test_variances_of_joints_base_forces_and_torques_are_found() -> None:
