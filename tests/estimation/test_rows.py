@@ -19,6 +19,7 @@ from sdpid.estimation.closed_loop.instruments import InstrumentalRows
 from sdpid.estimation.closed_loop.rounds import SensitivityRows
 from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
+from sdpid.estimation.compression import whitening
 from sdpid.estimation.compression.covariance import (
     WEIGHTINGS,
     JointRows,
@@ -43,7 +44,7 @@ from tests.helpers.data import (
     raw_rows,
     row_source,
 )
-from tests.helpers.legged import gait, quadruped
+from tests.helpers.legged import NOISE, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 from tests.helpers.strategies import SEEDS
@@ -164,6 +165,29 @@ def test_compression_takes_every_row_once(
     flat = plainly_whitened(rows, sigma).reshape(-1, rows.base.count + 1)
     near(triangle.R.T @ triangle.R, flat.T @ flat)
     assert used == int(rows.mask(slice(None)).sum())
+
+
+@pytest.mark.parametrize("flying", [False, True])
+def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, flying: bool) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.setattr(kernels, "WORTH", 0)
+    monkeypatch.setattr(rows_module, "CHUNK_BYTES", 1 << 19)
+    samples = gait(240).samples
+    rows = row_source(quadruped(), replace(samples, contacts=None) if flying else samples)
+    found = []
+    for count in (1, 2):
+        monkeypatch.setattr(whitening, "threads", lambda count=count: count)
+        found.append(whitening.compress(rows, np.diag(NOISE**2)))
+    (one, used), (two, again) = found
+    np.testing.assert_array_equal(one.R, two.R)
+    assert used == again
+
+
+def test_an_error_arrives_where_its_result_would() -> None:
+    found = whitening.ahead((np.zeros(0), 1 // (i - 2)) for i in (0, 1, 2))
+    assert [next(found)[1], next(found)[1]] == [-1, -1]
+    with pytest.raises(ZeroDivisionError):
+        next(found)
 
 
 # ---- Rows have the columns that they are said to have, and no others.

@@ -76,17 +76,17 @@ def contact_noise(rows: RowSource) -> tuple[Array, float, float]:
     kept, force = left.rows(thin)
 
     def updated(sizes: Array) -> Array:
-        base, residual, freedom = left.fitted(kept, sizes)
+        base, residual = left.fitted(kept, sizes)
         least[:n_base] = _least_of_base(thin, force @ base)
-        return left.settled(sizes, residual, _groups(n, n_base), freedom, least, _INNER)
+        return left.settled(sizes, residual, _groups(n, n_base), least, _INNER)
 
     sizes = settled(updated, begun, _SETTLED)
-    base, residual, freedom = left.fitted(kept, sizes)
+    base, residual = left.fitted(kept, sizes)
     # One factor for all efforts, which were bounded one by one, beside that of forces.
     alike = _groups(n, 0) // n
     least = np.append(LEAST_NOISE * sizes[:-1], 1.0)
-    sizes = left.settled(sizes, residual, alike, freedom, least)
-    shown = float(left.settled(sizes, residual, alike, freedom, 0.0 * least)[-1])
+    sizes = left.settled(sizes, residual, alike, least, ROUNDS)
+    shown = float(left.settled(sizes, residual, alike, 0.0 * least, ROUNDS)[-1])
     variance, scaled = sizes[:-1], rows.with_force_scale(float(sizes[-1]))
     sums = LaggedSums.merged(scaled.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
@@ -117,7 +117,7 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
     residual = left.of(np.concatenate([thin.effort(part) for part in thin.parts()]))
     sizes, least = _beginning(rows)
     least[:n_base] = _least_of_base(rows, predicted[:, :3])
-    return left.settled(sizes, residual, groups, 1.0, least, ROUNDS * _INNER)[:-1]
+    return left.settled(sizes, residual, groups, least, ROUNDS * _INNER)[:-1]
 
 
 def _beginning(rows: RowSource) -> tuple[Array, Array]:
@@ -188,8 +188,7 @@ class _Left:
 
     def rows(self, rows: RowSource) -> tuple[list[Array], Array]:
         """Return what is left (s, r, b + 1) of rows, and those of the force on the base whole."""
-        columns = rows.base.count + 1
-        found = [np.empty((len(N), N.shape[2], columns)) for _, N, _ in self.pieces]
+        found = [np.empty((*N.shape[::2], rows.base.count + 1)) for _, N, _ in self.pieces]
         force = []
         for part in rows.parts():
             block = rows.rows(part)
@@ -199,8 +198,8 @@ class _Left:
                 out[own] = np.swapaxes(N[own], 1, 2) @ block[some[own] - part.start]
         return found, np.concatenate(force)
 
-    def fitted(self, kept: list[Array], sizes: Array) -> tuple[Array, list[Array], float]:
-        """Return the best fit under sizes, what it leaves, and rows a degree of freedom."""
+    def fitted(self, kept: list[Array], sizes: Array) -> tuple[Array, list[Array]]:
+        """Return the best fit under sizes, and what it leaves, as large as without a fit."""
         rows = sum(X.shape[0] * X.shape[1] for X in kept)
         if rows < 1:
             raise DataError(
@@ -214,17 +213,13 @@ class _Left:
                 triangle.add((G @ own).reshape(-1, X.shape[2]))
         # Along directions that rows without the forces do not show, the shortest in SI units.
         base, _, rank, _ = np.linalg.lstsq(triangle.R[:, :-1], triangle.R[:, -1], rcond=None)
-        residual = [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
-        return np.asarray(base), residual, rows / max(rows - int(rank), 1.0)
+        size = np.sqrt(rows / max(rows - int(rank), 1.0))
+        return np.asarray(base), [
+            size * (X[:, :, -1:] - X[:, :, :-1] @ base[:, None]) for X in kept
+        ]
 
     def settled(
-        self,
-        sizes: Array,
-        residual: list[Array],
-        groups: Indices,
-        freedom: float,
-        least: Array,
-        rounds: int = ROUNDS,
+        self, sizes: Array, residual: list[Array], groups: Indices, least: Array, rounds: int
     ) -> Array:
         """Return the most likely sizes under residuals that stay as they are."""
 
@@ -241,7 +236,7 @@ class _Left:
                 information[-1] += np.sum(of_forces**2)
             said, known = (np.bincount(groups, sizes * s)[groups] for s in (scores, information))
             # What contacts hide altogether keeps its size.
-            ratio = np.where(known > 0.0, freedom * said / np.where(known > 0.0, known, 1.0), 1.0)
+            ratio = np.divide(said, known, out=np.ones_like(sizes), where=known > 0.0)
             return np.maximum(sizes * ratio, least)
 
         return settled(updated, sizes, _SETTLED, rounds)

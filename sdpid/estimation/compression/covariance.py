@@ -33,12 +33,11 @@ SINGULAR = 1e-12
 def masked_covariance(covariance: Array, mask: Mask) -> Array:
     """Return (…, n, n) covariances with masked joints replaced by independent ones."""
     both = mask[..., :, None] & mask[..., None, :]
-    n = mask.shape[-1]
     # Of the size of the others, so that the condition number is that of the others.
     variance = np.where(mask, np.diagonal(covariance, axis1=-2, axis2=-1), 0.0)
     count = mask.sum(axis=-1)
     size = np.where(count > 0, variance.sum(axis=-1) / np.maximum(count, 1), 1.0)
-    filler = size[..., None, None] * (np.eye(n) * ~mask[..., :, None])
+    filler = size[..., None, None] * (np.eye(mask.shape[-1]) * ~mask[..., :, None])
     return np.asarray(np.where(both, covariance, filler))
 
 
@@ -53,11 +52,10 @@ def power(covariance: Array, exponent: float) -> Array:
     values, vectors = np.linalg.eigh(covariance)
     ratio = values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)
     if np.any(ratio < SINGULAR):
-        worst = float(np.min(ratio))
         many = f"{np.count_nonzero(ratio < SINGULAR)} of {ratio.size} " if ratio.ndim else ""
         raise DataError(
-            f"effort covariance: {many}singular: the smallest eigenvalue is {worst:.1e} of the "
-            f"largest (limit {SINGULAR:.0e}); use more periods than joints, or shrink it "
+            f"effort covariance: {many}singular: the smallest eigenvalue is {np.min(ratio):.1e} of "
+            f"the largest (limit {SINGULAR:.0e}); use more periods than joints, or shrink it "
             "(Processing.shrinkage)."
         )
     scaled = vectors * values[..., None, :] ** exponent

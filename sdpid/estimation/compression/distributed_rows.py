@@ -98,8 +98,9 @@ class DistributedSamples:
         if not given:
             raise DataError("samples: there are none to join.")
         there, why = client.submit(_same, robot, pure=False), None
-        if processing is None and not all(isinstance(piece, Samples) for piece in given):
-            choices = [each for each in _asked(client, _choice, given) if each is not None]
+        logs = [piece for piece in given if not isinstance(piece, Samples)]
+        if processing is None and logs:
+            choices = _asked(client, _choice, logs)
             processing, why = agreed(choices, floating=robot.free_flyer)
         futures = tuple(
             client.submit(samples_of, there, piece, processing, pure=False) for piece in given
@@ -143,30 +144,28 @@ class DistributedSamples:
                 "samples: a covariance a sample cannot be used with rows on a cluster; use the "
                 "weighting 'gls' or 'residual'."
             )
-        given = self.robot, (rows.friction, rows.base), function, arguments, sigma
-        return list(chain.from_iterable(_asked(self.client, _mapped, self.pieces, *given)))
+        model = rows.friction, rows.base
+        call = methodcaller("map", function, *arguments, sigma=sigma)
+        found = _asked(self.client, _mapped, self.pieces, self.robot, model, call)
+        return list(chain.from_iterable(found))
 
 
 def _same(robot: RobotModel) -> RobotModel:
     return robot
 
 
-def _choice(piece: Piece) -> Processing | None:
-    if isinstance(piece, Samples):
-        return None
-    return default_processing(piece if isinstance(piece, Recording) else read_recording(piece))
+def _choice(log: Any) -> Processing:
+    return default_processing(log if isinstance(log, Recording) else read_recording(log))
 
 
 def _mapped(
     samples: Samples,
     robot: RobotModel,
     model: tuple[FrictionModel, BaseParameters],
-    function: Callable[..., T],
-    arguments: tuple[object, ...],
-    sigma: Array | None,
+    call: Callable[[RowSource], list[T]],
 ) -> list[T]:
     """Apply a function to the rows of one recording, on its worker."""
-    return RowSource(robot, *model, samples).map(function, *arguments, sigma=sigma)
+    return call(RowSource(robot, *model, samples))
 
 
 def _asked(client: Client, function: Callable[..., T], each: Iterable[Any], *rest: Any) -> list[T]:

@@ -97,10 +97,8 @@ class Triangle:
 
     def split(self) -> tuple[Array, Array, float]:
         """Return A (b, b), rhs (b,) and floor, the last column being the right-hand side."""
-        columns = self.columns
-        R, found = np.zeros((columns, columns)), self.R
-        R[: len(found)] = found[:columns]
-        b = columns - 1
+        R, b = np.zeros((self.columns, self.columns)), self.columns - 1
+        R[: len(self.R)] = self.R
         return R[:b, :b].copy(), R[:b, b].copy(), float(R[b, b] ** 2)
 
     def _factor(self) -> Array:

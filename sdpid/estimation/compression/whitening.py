@@ -8,6 +8,7 @@ whitens rows calls `weights_of`, so that all mean the same.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
+from sdpid.robot.model.regressor_kernel import threads
 
 
 def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, Indices]:
@@ -33,8 +35,6 @@ def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, In
     """
     used, index = mask, np.arange(len(mask))
     if sigma.ndim == 2:
-        if mask.all():
-            return power(sigma, exponent)[None], np.zeros(len(mask), dtype=np.intp)
         patterns, index = np.unique(np.packbits(mask, axis=1), axis=0, return_inverse=True)
         used = np.unpackbits(patterns, axis=1, count=mask.shape[1]).astype(bool)
     powers = power(masked_covariance(sigma, used), exponent)
@@ -178,17 +178,33 @@ def compress(rows: RowSource, sigma: Array, within: slice = slice(None)) -> tupl
         Neighboring samples, by default all.
     """
     triangle, used = Triangle(rows.base.count + 1), 0
+    made = _independent(rows, sigma, within)
+    # Compiled loops and matrix products let other threads run.
+    for block, count in ahead(made) if rows.many and threads() > 1 else made:
+        triangle.add(block)
+        used += count
+    return triangle, used
+
+
+def _independent(rows: RowSource, sigma: Array, within: slice) -> Iterator[tuple[Array, int]]:
+    """Yield the independent whitened rows (r, b + 1) of chunks, and how many they are."""
     for part in rows.parts(within=within):
         touching, powers, index = _roots(rows, part, sigma)
-        block = rows.rows(part)
-        used += int(np.count_nonzero(rows.mask(part)))
+        block, count = rows.rows(part), int(np.count_nonzero(rows.mask(part)))
         if touching is None:
-            block = apply(powers, index, block)
+            yield apply(powers, index, block).reshape(-1, block.shape[2]), count
         else:
-            block, lost = touching.independent(powers, index, block)
-            used -= lost
-        triangle.add(block.reshape(-1, triangle.columns))
-    return triangle, used
+            found, lost = touching.independent(powers, index, block)
+            yield found, count - lost
+
+
+def ahead(made: Iterator[tuple[Array, int]]) -> Iterator[tuple[Array, int]]:
+    """Yield what an iterator makes, the next one made meanwhile in a thread: to the same bits."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, made, None)
+        while (found := coming.result()) is not None:
+            coming = pool.submit(next, made, None)
+            yield found
 
 
 def are_diagonal(powers: Array) -> bool:
