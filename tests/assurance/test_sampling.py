@@ -63,6 +63,13 @@ def test_the_same_seed_gives_the_same_draws_and_fewer_are_the_first() -> None:
     assert np.all(few.effective_sizes <= 8)
 
 
+def test_masses_of_one_value_have_that_value() -> None:
+    problem = arm_problem()
+    limits = problem.constraints.replace(mass_min=1.0, mass_max=1.0)
+    found = draw(sdpid.solve_sdp(problem.constrained(constraints=limits)), 8)
+    np.testing.assert_allclose(found.theta[:, [0, 10]], 1.0, rtol=1e-12)
+
+
 def test_what_nothing_sees_is_told() -> None:
     (note,) = (each for each in drawn().notes if "neither data nor prior" in each)
     assert "xx_1 in " in note
