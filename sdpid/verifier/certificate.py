@@ -47,7 +47,7 @@ _ORIGIN = (
 # Parameters pass when their cost is proven to be within this share of the global optimum.
 GAP = 1e-6
 
-_CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
+CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
 
 # Violations of rows and cones, relative to their size, that are a solver's rounding: some 1e-9 in
 # the unit of a row (N·m, kg·m), whose terms may be hundredths. The bound allows for them.
@@ -94,7 +94,7 @@ def _least(claims: dict[str, Any]) -> float | None:
 
 def prove(data: dict[str, Any], proof: Proof) -> Result:
     """Compare every claim with what was recomputed."""
-    claims = require_keys(data["claims"], _CLAIMS, "claims")
+    claims = require_keys(data["claims"], CLAIMS, "claims")
     require_keys(data["metadata"], _METADATA, "metadata")
     known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
     require_keys(data["origin"], known, "origin")
@@ -106,7 +106,7 @@ def prove(data: dict[str, Any], proof: Proof) -> Result:
     elif not proof.broken:
         said.append(f"No feasible parameters cost less than {bound!r}.")
     if proof.theta is None:
-        if any(claims[key] is not None for key in _CLAIMS[1:]):
+        if any(claims[key] is not None for key in CLAIMS[1:]):
             raise MalformedError("claims on parameters that are not given")
         problems.append("no parameters are given: none are shown to be feasible")
         return Result(described + tuple(said), tuple(problems), unchecked(data))

@@ -138,16 +138,16 @@ class Certificate(Shown):
             },
         }
         proof = Proof(stated)
-        bound = downward(proof.lower_bound)
-        claims: dict[str, Any] = {"lower_bound": bound, "margins": None}
-        cost = violation = gap = None
+        claims: dict[str, Any] = dict.fromkeys(checker.CLAIMS)
+        stated["claims"] = claims
+        claims["lower_bound"] = downward(proof.lower_bound)
         if theta is not None:
-            claims["margins"] = proven_margins(feasible, theta)
-            violation = above(proof.violation)
+            claims.update(margins=proven_margins(feasible, theta), violation=above(proof.violation))
             if not proof.broken:
-                cost = above(proof.cost)
-                gap = _gap(cost, bound, proof)
-        stated["claims"] = {**claims, "violation": violation, "cost": cost, "gap": gap}
+                claims["cost"] = above(proof.cost)
+                cost, bound = Fraction(claims["cost"]), Fraction(claims["lower_bound"])
+                scale = max(cost, proof.scale)
+                claims["gap"] = above((cost - bound) / scale) if scale else 0.0
         return stated, proof
 
     @cached_property
@@ -229,12 +229,6 @@ class Certificate(Shown):
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the certificate to a file, whole or not at all."""
         atomic_write_text(path, _text(self.to_dict()) + "\n")
-
-
-def _gap(cost: float, bound: float, proof: Proof) -> float:
-    """Return (cost − bound) relative to the cost, rounded up."""
-    scale = max(Fraction(cost), proof.scale)
-    return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
 
 
 def _loss(problem: Problem) -> str | None:

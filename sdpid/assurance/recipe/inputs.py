@@ -26,41 +26,33 @@ def input_files(
     What came from no file has neither name nor bytes; its SHA-256 is that of its numbers
     (`recording_digest`, `kinematics_digest`).
     """
+    gains = {}
+    for log in (*logs, *validation):
+        if log.gains is not None:
+            text = json.dumps(log.gains.to_dict(), sort_keys=True)
+            sha256 = hashlib.sha256(text.encode("utf-8")).hexdigest()
+            entry = file_entry("gains", log.gains.source, sha256)
+            # Those of several logs count once.
+            gains[entry["sha256"]] = entry
     return [
         *(log_entry(log, "log") for log in logs),
         *(log_entry(log, "validation") for log in validation),
-        _entry("robot", robot.source, kinematics_digest(robot)),
-        *_gains((*logs, *validation)),
+        file_entry("robot", robot.source, kinematics_digest(robot)),
+        *gains.values(),
     ]
-
-
-def _gains(logs: Sequence[Recording]) -> list[dict[str, Any]]:
-    """Return the entries of the gains that made efforts of currents, each once."""
-    found: dict[str, dict[str, Any]] = {}
-    for log in logs:
-        if log.gains is None:
-            continue
-        text = json.dumps(log.gains.to_dict(), sort_keys=True)
-        entry = _entry("gains", log.gains.source, hashlib.sha256(text.encode("utf-8")).hexdigest())
-        found[entry["sha256"]] = entry
-    return list(found.values())
 
 
 def log_entry(log: Recording, role: str) -> dict[str, Any]:
     """Return role, name, bytes and SHA-256 of a recording."""
-    return _entry(role, log.source, None if log.source else recording_digest(log))
+    return file_entry(role, log.source, None if log.source else recording_digest(log))
 
 
-def file_entry(role: str, source: Source) -> dict[str, Any]:
-    """Return role, name, bytes and SHA-256 of a file."""
-    name = source.name or None
-    return {"role": role, "name": name, "bytes": source.size, "sha256": source.sha256}
-
-
-def _entry(role: str, source: Source | None, of_numbers: str | None) -> dict[str, Any]:
+def file_entry(role: str, source: Source | None, of_numbers: str | None = None) -> dict[str, Any]:
+    """Return role, name, bytes and SHA-256 of a file, or the SHA-256 of numbers from no file."""
     if source is None:
         return {"role": role, "name": None, "bytes": None, "sha256": of_numbers}
-    return file_entry(role, source)
+    name = source.name or None
+    return {"role": role, "name": name, "bytes": source.size, "sha256": source.sha256}
 
 
 def recording_digest(log: Recording) -> str:
