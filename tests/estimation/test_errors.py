@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,18 +139,15 @@ RUNS = 60
 COVERED = (0.89, 0.99)
 
 
-def coverage(size: Array, weighting: Weighting) -> float:
-    """Return how often the truth lies within 1.96 standard errors."""
-    rng = np.random.default_rng(0)
-    inside = []
+def coverage(seed: int, drawn: Any, errors: Any, **options: Any) -> float:
+    """Return how often the truth lies within 1.96 standard errors of fits to drawn samples."""
+    rng, inside = np.random.default_rng(seed), []
     for _ in range(RUNS):
         theta = random_theta(ARM, rng)
-        noise, sigma = size * rng.standard_normal((300, 2)), np.diag([1.0, 4.0])
-        samples = make_samples(ARM, theta, rng, count=300, noise=noise, covariance=sigma)
-        problem = build_problem(ARM, samples, weighting=weighting, base=BASE)
+        problem = build_problem(ARM, drawn(rng, theta), base=BASE, **options)
         estimate = solve_wls(problem)
         error = np.abs(estimate.base - problem.base_of(theta))
-        inside.append(error <= 1.96 * estimate.standard_errors)
+        inside.append(error <= 1.96 * errors(estimate))
     return float(np.mean(inside))
 
 
@@ -164,33 +162,29 @@ def filtered(rng: np.random.Generator, count: int) -> Array:
 @pytest.mark.parametrize("size", [(1.0, 2.0), (5.0, 0.1)], ids=["right", "wrong"])
 def test_white_noise_is_covered(weighting: Weighting, size: tuple[float, float]) -> None:
     """By a wrong weight, too: the sandwich needs no true covariance, only independent blocks."""
-    assert COVERED[0] <= coverage(np.array(size), weighting) <= COVERED[1]
+
+    def drawn(rng: np.random.Generator, theta: Array) -> Samples:
+        noise, sigma = size * rng.standard_normal((300, 2)), np.diag([1.0, 4.0])
+        return make_samples(ARM, theta, rng, count=300, noise=noise, covariance=sigma)
+
+    found = coverage(0, drawn, lambda fit: fit.standard_errors, weighting=weighting)
+    assert COVERED[0] <= found <= COVERED[1]
 
 
 def slow_motion_coverage(block: int) -> float:
     """Return the coverage where motion and noise both last: correlation counts then."""
-    rng = np.random.default_rng(1)
-    inside = []
-    for _ in range(RUNS):
-        theta = random_theta(ARM, rng)
+
+    def drawn(rng: np.random.Generator, theta: Array) -> Samples:
         *states, noise = (size * filtered(rng, 2000) for size in (2.0, 2.0, 2.0, 1.0))
-        samples = make_samples(ARM, theta, rng, states=states, noise=noise, block=block)
-        problem = build_problem(ARM, samples, base=BASE)
-        error = np.abs(solve_wls(problem).base - problem.base_of(theta))
-        inside.append(error <= 1.96 * np.sqrt(np.diag(ScoreBlocks.of(problem).covariance)))
-    return float(np.mean(inside))
+        return make_samples(ARM, theta, rng, states=states, noise=noise, block=block)
+
+    return coverage(1, drawn, lambda fit: np.sqrt(np.diag(ScoreBlocks.of(fit.problem).covariance)))
 
 
 def test_filtered_noise_needs_blocks() -> None:
     assert COVERED[0] <= slow_motion_coverage(25) <= COVERED[1]
     # Counting correlated samples as independent ones promises too much.
     assert slow_motion_coverage(1) < 0.8
-
-
-def test_too_few_blocks() -> None:
-    samples, _ = world.samples(ARM, 4, count=60, noise=1.0, block=30)
-    with pytest.raises(DataError, match="2 blocks of 30 samples, at least 8"):
-        ScoreBlocks.of(build_problem(ARM, samples, base=BASE))
 
 
 def test_what_holds_an_estimate_back_is_not_noise() -> None:
@@ -288,7 +282,7 @@ def short_problem() -> Problem:
 
 def test_records_too_short_for_blocks_have_errors() -> None:
     problem = short_problem()
-    refuses(DataError, "blocks", ScoreBlocks.of, problem)
+    refuses(DataError, "3 blocks of 20 samples, at least 8", ScoreBlocks.of, problem)
     found = NoiseSpectrum.of(problem)
     freedom = found.freedom(found.root)
     assert np.all(freedom > 2.0)
@@ -345,25 +339,28 @@ def gain_slopes(estimate: Estimate, functions: Array, groups: Groups = "frequenc
     return posterior.slopes(posterior.sources[0], functions)
 
 
-@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18"])
-def test_slopes_are_those_of_the_fit(weighting: str) -> None:
-    count = 40
-    covariance = random_covariance(np.random.default_rng(2), 2, count)
-    mask = np.random.default_rng(3).random((count, 2)) < 0.9
-
-    def fitted(off: Array) -> tuple[Problem, Estimate]:
-        samples = replace(samples_of(off, count=count), covariance=covariance, mask=mask)
-        problem = build_problem(ARM, samples, weighting=weighting)  # type: ignore[arg-type]
-        return problem, sdpid.solve_wls(problem)
-
-    problem, estimate = fitted(np.zeros(2))
-    slopes = gain_slopes(estimate, problem.base.matrix, "blocks")
+def check_slopes(fitted: Callable[[Array], Estimate], close: float) -> None:
+    """Hold slopes to the differences of fits by gains that are off."""
+    estimate = fitted(np.zeros(2))
+    slopes = gain_slopes(estimate, estimate.problem.base.matrix, "blocks")
     size = np.abs(estimate.base) + 1e-3
     for j in range(2):
-        moved = fitted(1e-3 * np.eye(2)[j])[1].base - estimate.base
-        np.testing.assert_allclose(slopes[:, j] / size, moved / 1e-3 / size, atol=1e-7)
+        moved = fitted(1e-3 * np.eye(2)[j]).base - estimate.base
+        np.testing.assert_allclose(slopes[:, j] / size, moved / 1e-3 / size, atol=close)
     # A common factor moves all parameters alike.
-    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-7)
+    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=close)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18"])
+def test_slopes_are_those_of_the_fit(weighting: Weighting) -> None:
+    covariance = random_covariance(np.random.default_rng(2), 2, 40)
+    mask = np.random.default_rng(3).random((40, 2)) < 0.9
+
+    def fitted(off: Array) -> Estimate:
+        samples = replace(samples_of(off, count=40), covariance=covariance, mask=mask)
+        return sdpid.solve_wls(build_problem(ARM, samples, weighting=weighting))
+
+    check_slopes(fitted, 1e-7)
 
 
 def test_slopes_of_an_instrumental_estimate() -> None:
@@ -375,12 +372,7 @@ def test_slopes_of_an_instrumental_estimate() -> None:
             build_problem(ARM, samples), instruments=shaken, solver=sdpid.solve_wls
         )
 
-    estimate = fitted(np.zeros(2))
-    slopes = gain_slopes(estimate, estimate.problem.base.matrix, "blocks")
-    size = np.abs(estimate.base) + 1e-3
-    moved = (fitted(np.array([1e-3, 0.0])).base - estimate.base) / 1e-3
-    np.testing.assert_allclose(slopes[:, 0] / size, moved / size, atol=1e-6)
-    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-6)
+    check_slopes(fitted, 1e-6)
 
 
 def test_a_prior_holds_against_gains() -> None:
@@ -446,6 +438,11 @@ def test_a_joint_that_stands_still_is_named() -> None:
     found = refuses(IdentifiabilityError, "do not excite", build_problem, ARM3, samples)
     for words in ("Fs3", "Fv3", "limit 1e-10", "moves"):
         assert words in str(found)
+    # Nor do masked rows excite.
+    mask = np.ones((60, 3), dtype=bool)
+    mask[1:, 2] = False
+    samples = replace(plain_samples(), mask=mask)
+    refuses(IdentifiabilityError, "do not excite", build_problem, ARM3, samples)
 
 
 def test_two_joints_that_move_as_one() -> None:
@@ -467,13 +464,6 @@ def test_a_coulomb_term_without_reversal_is_an_offset() -> None:
     forward = replace(samples, velocity=np.abs(np.asarray(samples.velocity)))
     with pytest.raises(IdentifiabilityError, match=r"Fo1 with Fs1|Fs1 with Fo1"):
         build_problem(ARM3, forward, friction=("coulomb", "offset"))
-
-
-def test_masked_rows_do_not_excite() -> None:
-    samples = plain_samples()
-    mask = np.ones((60, 3), dtype=bool)
-    mask[1:, 2] = False
-    refuses(IdentifiabilityError, "do not excite", build_problem, ARM3, replace(samples, mask=mask))
 
 
 def test_weak_directions_are_listed_but_not_refused() -> None:
