@@ -1053,23 +1053,6 @@ def test_a_flat_body_stays_free_to_be_another_flat_one(consistency):
             assert np.all(np.abs(seen) <= 1e-4 * size)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_strong_prior_is_prior_and_shares_follow_its_strength(kind):
-    shares = []
-    for strength in (1e-3, 1.0, 1e3, 1e12):
-        problem = problem_of(4, Prior(kind=kind, strength=strength))
-        shares.append(of(problem, interior(problem)).prior[:30])
-    assert shares[-1] == pytest.approx(1.0, abs=1e-3)
-    assert np.all(np.diff(shares, axis=0) >= -SHARE)
-
-
-def test_more_data_are_more_data():
-    quiet, loud = (problem_of(5, Prior(), noise=1.0, weighting="gls") for _ in range(2))
-    object.__setattr__(loud, "A", 10.0 * loud.A)
-    theta = interior(quiet)
-    assert np.all(of(loud, theta).data >= of(quiet, theta).data - SHARE)
-
-
 def test_at_the_belief_the_entropic_and_its_quadratic_agree():
     pullback, entropic = (problem_of(6, Prior(kind=kind)) for kind in ("pullback", "entropic"))
     theta = interior(pullback)

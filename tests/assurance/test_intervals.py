@@ -1,6 +1,5 @@
 """Intervals against brute force, closed forms, and what is known to be unknowable."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -262,21 +261,20 @@ def test_counts_of_rows_cannot_be_written_to() -> None:
         rows[0] = 0
 
 
-@pytest.mark.parametrize(
-    ("call", "arguments"),
-    [
-        (sdpid.confidence_intervals, ()),
-        (friction_curve, (0.1,)),
-        (joint_curve, (0,)),
-        (link_properties, ()),
-        (sdpid.cost_of_constraints, ()),
-    ],
-)
-def test_standard_parameters_are_needed(
-    call: Callable[..., Any], arguments: tuple[Any, ...]
-) -> None:
+def test_standard_parameters_and_a_level_are_needed() -> None:
     free = sdpid.solve_wls(pressed().problem)
-    refuses(DataError, "standard parameters|wls", call, free, *arguments)
+    calls: tuple[tuple[Any, ...], ...] = (
+        (sdpid.confidence_intervals,),
+        (friction_curve, 0.1),
+        (joint_curve, 0),
+        (link_properties,),
+        (sdpid.cost_of_constraints,),
+    )
+    for call, *given_ in calls:
+        refuses(DataError, "standard parameters|wls", call, free, *given_)
+    for level in (0.0, 1, 95, float("nan"), None):
+        words = "give a probability between 0 and 1"
+        refuses(DataError, words, joint_curve, pressed(), 0, level=level)
 
 
 def test_cost_of_constraints_adds_up() -> None:
@@ -322,15 +320,6 @@ def test_price_of_one_constraint_is_what_the_problem_without_it_saves() -> None:
 # ---- The bootstrap against closed forms, and its draws against the solver.
 
 
-def test_the_data_themselves_give_the_estimate() -> None:
-    problem = arm_problem(LIGHT)
-    blocks = ScoreBlocks.of(problem)
-    information, target = blocks.information.sum(axis=0), blocks.target.sum(axis=0)
-    for estimate in (sdpid.solve_wls(problem), sdpid.solve_sdp(problem)):
-        found, _ = Refit.of(estimate).solve(information, target)
-        np.testing.assert_allclose(found, estimate.base, atol=1e-5 * np.abs(estimate.base).max())
-
-
 def drawn_sums(blocks: ScoreBlocks, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Draw as many blocks as there are; return which, and the sums of their equations."""
     drawn = rng.integers(0, blocks.count, blocks.count)
@@ -341,12 +330,13 @@ def drawn_sums(blocks: ScoreBlocks, rng: np.random.Generator) -> tuple[Array, Ar
 def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
     problem = arm_problem(LIGHT)
     drawn, H, c = drawn_sums(ScoreBlocks.of(problem), np.random.default_rng(4))
-    found, _ = Refit.of(sdpid.solve_sdp(problem)).solve(H, c)
     names = ("position", "velocity", "acceleration", "effort")
     again = sdpid.Samples(**{name: getattr(problem.samples, name)[drawn] for name in names})
     whole = build_problem(ARM, again, base=problem.base, constraints=problem.constraints)
-    expected = sdpid.solve_sdp(whole).base
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    for solve in (sdpid.solve_wls, sdpid.solve_sdp):
+        found, _ = Refit.of(solve(problem)).solve(H, c)
+        expected = solve(whole).base
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_unconstrained_draws_scatter_as_standard_errors_say() -> None:
@@ -607,12 +597,6 @@ def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
     # One standard error, and a little more since it is uncertain itself.
     error = float(np.sqrt(weights @ own @ weights))
     assert error < found.half_width[0, 0] < 1.05 * error
-
-
-@pytest.mark.parametrize("level", [0.0, 1, 95, float("nan"), None])
-def test_levels_that_are_none_are_refused(level: Any) -> None:
-    words = "give a probability between 0 and 1"
-    refuses(DataError, words, joint_curve, pressed(), 0, level=level)
 
 
 def test_a_bias_of_the_fit_is_in_the_band() -> None:

@@ -168,18 +168,6 @@ def test_optima_are_proven(consistency: Consistency) -> None:
     assert np.mean(np.array(gaps) == GAP) >= 0.9
 
 
-@given(robots, SEEDS, st.sampled_from(BOTH))
-@settings(max_examples=10)
-def test_mass_matrices_are_positive_definite(
-    name: str, seed: int, consistency: Consistency
-) -> None:
-    robot = ROBOTS[name]
-    estimate, _ = solved(noisy(robot, seed, consistency=consistency, margin=1e-4))
-    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, robot.n))
-    masses = robot.mass_matrix(estimate.theta, q)
-    assert np.linalg.eigvalsh(masses).min() > 0.0
-
-
 @given(SEEDS, st.sampled_from(BOTH))
 @settings(max_examples=6)
 def test_lower_bounds_hold_for_any_multipliers(seed: int, consistency: Consistency) -> None:
