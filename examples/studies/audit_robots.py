@@ -24,7 +24,7 @@ import sdpid
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.assurance.descriptions.audit import UrdfAudit
-from sdpid.assurance.descriptions.model_checks import carried, carried_theta
+from sdpid.assurance.descriptions.checks import carried, carried_theta
 from sdpid.output.robots.repair import RepairReport, repair_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.catalog import example_robots

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid import audit_urdf
-from sdpid.assurance.descriptions.model_checks import carried, carried_theta
+from sdpid.assurance.descriptions.checks import carried, carried_theta
 from sdpid.errors import ModelError
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description import mjcf_bodies

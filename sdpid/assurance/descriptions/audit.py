@@ -12,15 +12,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain
-from sdpid.assurance.descriptions.body_checks import (
-    BodyAudit,
-    Shapes,
-    check_numbers,
-    check_shape,
-    numbers_of,
-)
+from sdpid.assurance.descriptions.checks import BodyAudit, Shapes, checked, numbers_of
 from sdpid.assurance.descriptions.findings import Finding, found
-from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import read_urdf_bodies
@@ -179,13 +172,8 @@ def audit_urdf(
         shapes = dict(_shapes(root, what, folders, failed))
         if failed:
             findings.append(found("geometry", "", count=len(failed), first=failed[0]))
-    numbers = []
-    for body in bodies:
-        numbers.append(numbers_of(body, shapes.get(body.name)))
-        findings += check_numbers(body)
-        findings += check_shape(body, numbers[-1], shapes.get(body.name))
-    findings += check_copies(bodies, shapes)
-    findings += check_moving(bodies)
+    numbers = [numbers_of(body, shapes.get(body.name)) for body in bodies]
+    findings += checked(bodies, numbers, shapes)
     findings.sort(key=lambda finding: _ORDER[finding.severity])
     return UrdfAudit(name=what, bodies=tuple(numbers), findings=tuple(findings))
 

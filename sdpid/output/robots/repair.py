@@ -13,8 +13,7 @@ import numpy as np
 
 from sdpid._common.files import atomic_path
 from sdpid._common.tables import plain
-from sdpid.assurance.descriptions.body_checks import consistent, thin, thin_limit
-from sdpid.assurance.descriptions.model_checks import carried, carried_theta
+from sdpid.assurance.descriptions.checks import carried, carried_theta, consistent, thin, thin_limit
 from sdpid.assurance.descriptions.nearest_body import (
     NearestProof,
     aim,

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions.body_checks import consistent
+from sdpid.assurance.descriptions.checks import consistent
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import PLACES as URDF_PLACES

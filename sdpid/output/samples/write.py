@@ -15,7 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import Table
-from sdpid.assurance.descriptions.body_checks import check_numbers
+from sdpid.assurance.descriptions.checks import check_numbers
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
