@@ -39,8 +39,8 @@ from sdpid.constraints import (
     mirror_pairs,
 )
 from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.feasible_set import Constraint
 from sdpid.estimation.constraints.hull import hull_facets
-from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import Consistency, physical_parameters, point_masses, pseudo_inertia

@@ -28,7 +28,7 @@ from sdpid.assurance.diagnostics.provenance import ACTIVE
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.solve import solve_conic
-from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.constraints.feasible_set import Constraint
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling, congruent

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
-from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.constraints.feasible_set import Constraint
 from sdpid.estimation.coordinates import CONTRADICTION, Coordinates, contradiction
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
