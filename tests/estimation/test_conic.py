@@ -110,27 +110,6 @@ def test_signs_of_multipliers_and_infinite_limits() -> None:
     assert found.rows[0] > 0.0 > found.rows[1]
 
 
-def test_multipliers_are_derivatives() -> None:
-    """Of the optimal cost, with respect to each limit of random rows."""
-    rng = np.random.default_rng(2)
-    M, m, C = rng.standard_normal((8, 5)), rng.standard_normal(8), rng.standard_normal((4, 5))
-    lower = np.array([0.3, -np.inf, -0.2, -5.0])
-    upper = np.array([np.inf, -0.4, 0.1, 5.0])
-
-    def optimum(shift: Array) -> tuple[float, Array]:
-        found = solve_conic(program(M, m, C=C, lower=lower + shift, upper=upper + shift))
-        return float(np.sum((M @ found.x + m) ** 2)), found.rows
-
-    rows = optimum(np.zeros(4))[1]
-    assert np.count_nonzero(np.abs(rows) > SOLVED) >= 2
-    step = 1e-3
-    for k in range(4):
-        shift = step * np.eye(4)[k]
-        slope = (optimum(shift)[0] - optimum(-shift)[0]) / (2.0 * step)
-        # A quadratic program is piecewise quadratic: central differences are exact.
-        assert slope == pytest.approx(rows[k], abs=1e-4)
-
-
 @pytest.mark.parametrize(("sizes", "weight"), [((4, 1), 0.2), ((3, 2), 3.0)])
 def test_log_dets_beside_squares_and_blocks(sizes: tuple[int, int], weight: float) -> None:
     """``‖X − A‖² − w·Σ log det`` of two matrices, one with a constant, eigenvalue by eigenvalue."""
