@@ -58,7 +58,7 @@ from tests.helpers.data import flat_links, make_samples, random_links, random_th
 from tests.helpers.identified import FRICTION, RATE, arm_theta, identified, moved
 from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
+from tests.helpers.robots import TREE, TREE_MIMIC, described_arm, small_arm
 from tests.helpers.runs import arm, recorded
 from tests.helpers.small_robots import SMALL
 from tests.helpers.strategies import SEEDS, random_states
@@ -912,15 +912,9 @@ KINDS = ("euclidean", "scaled_euclidean", "pullback", "entropic")
 SHARE = 1e-6
 
 
-def described_arm(rng: np.random.Generator, joints: int = 3):
-    rows = tuple({"alpha": 0.5 * np.pi * (i % 2), "d": 0.3 * i} for i in range(joints))
-    table = sdpid.DhTable.from_mapping({"joint": rows, "name": "arm"})
-    return load_robot(table.to_urdf(random_links(rng, joints)))
-
-
 def problem_of(seed: int, prior: Prior | None, *, noise: float = 0.3, **options) -> Problem:
     rng = np.random.default_rng(seed)
-    robot = described_arm(rng)
+    robot = described_arm(random_links(rng, 3))
     samples = make_samples(robot, random_theta(robot, rng), rng, noise=noise)
     return build_problem(robot, samples, prior=prior, **options)
 
@@ -1018,7 +1012,7 @@ def test_an_active_mass_bound_is_physics():
 
 
 def test_an_equation_is_physics():
-    name = described_arm(np.random.default_rng(2)).parameter_names[20]
+    name = described_arm(random_links(np.random.default_rng(2), 3)).parameter_names[20]
     known = sdpid.Constraints(others=(sdpid.constraints.Fixed({name: 0.7}),))
     problem = problem_of(2, Prior(), constraints=known)
     theta = interior(problem)
@@ -1078,7 +1072,7 @@ def test_a_link_that_nothing_is_believed_of():
 
 def test_of_a_solution_on_the_boundary():
     rng = np.random.default_rng(9)
-    robot = described_arm(rng)
+    robot = described_arm(random_links(rng, 3))
     theta = random_theta(robot, rng)
     # A link that is a point: noise presses its estimate against what can exist.
     theta[20:30] = flat_links(rng, 1)

@@ -38,8 +38,14 @@ from sdpid.robot.inertia import Consistency, point_masses, theta_from_physical, 
 from tests.helpers import world
 from tests.helpers.arm import ARM, BOTH, CONDITIONS, LIGHT, arm_problem
 from tests.helpers.data import full_regressor, make_samples, random_links, random_theta, raw_rows
-from tests.helpers.identified import FRICTION, arm_theta, moved
-from tests.helpers.motions import slow_motion
+from tests.helpers.identified import (
+    FRICTION,
+    SATURATED,
+    SPEEDS,
+    arm_theta,
+    moved,
+    saturating,
+)
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, random_states
 from tests.helpers.world import gauss_markov
@@ -544,32 +550,17 @@ def test_intervals_do_not_depend_on_names_or_on_the_zero_of_a_joint() -> None:
 # ---- Friction curves with intervals, against the friction that was simulated.
 
 
-WIDTHS = (0.3, 0.6)
-TRUE = (sdpid.friction.SigmoidFriction(velocity=WIDTHS), "viscous", "offset")
-THETA = random_theta(ARM, np.random.default_rng(0), TRUE)
-
-
-def simulated(rng: np.random.Generator, sigmoid: float | None = None) -> Problem:
-    """Return a problem whose sigmoid has a given speed, or one that the data choose."""
-    q, v, a = slow_motion(400)
-    effort = full_regressor(ARM, (q, v, a), TRUE) @ THETA
-    effort += 0.05 * rng.standard_normal(effort.shape)
-    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
-    terms = (sdpid.friction.SigmoidFriction(velocity=sigmoid), *TRUE[1:])
-    return build_problem(ARM, samples, friction=terms)
-
-
 def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
     rng = np.random.default_rng(3)
     speeds = np.array([0.1, 0.3, 1.0])
-    saturated = np.tanh(speeds[:, None] / WIDTHS)
-    true = THETA[20:22] * saturated + THETA[22:24] * speeds[:, None]
+    saturated = np.tanh(speeds[:, None] / SPEEDS)
+    true = SATURATED[20:22] * saturated + SATURATED[22:24] * speeds[:, None]
     signed = np.concatenate([-speeds, speeds])
     # With its offset, as a joint's own curve is.
-    second = THETA[21] * np.tanh(signed / WIDTHS[1]) + THETA[23] * signed + THETA[25]
+    second = SATURATED[21] * np.tanh(signed / SPEEDS[1]) + SATURATED[23] * signed + SATURATED[25]
     held, with_offset = [], []
     for _ in range(20):
-        estimate = sdpid.solve_sdp(simulated(rng))
+        estimate = sdpid.solve_sdp(saturating(rng))
         found = friction_curve(estimate, speeds)
         held.append(np.abs(found.friction - true) <= found.half_width)
         curve = joint_curve(estimate, 1, signed)
@@ -587,7 +578,7 @@ def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
 
 
 def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
-    estimate = sdpid.solve_sdp(simulated(np.random.default_rng(4), 0.4))
+    estimate = sdpid.solve_sdp(saturating(np.random.default_rng(4), 0.4))
     problem = estimate.problem
     found = friction_curve(estimate, 0.2, level=0.6826894921370859)
     at = [problem.base.names.index(name) for name in ("Fsg1", "Fv1")]
@@ -600,7 +591,7 @@ def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
 
 
 def test_a_bias_of_the_fit_is_in_the_band() -> None:
-    estimate = sdpid.solve_sdp(simulated(np.random.default_rng(3), 0.3))
+    estimate = sdpid.solve_sdp(saturating(np.random.default_rng(3), 0.3))
     problem = estimate.problem
     viscous = problem.base.names.index("Fv1")
     bias = np.zeros(problem.base.count)

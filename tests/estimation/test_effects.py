@@ -52,7 +52,7 @@ from tests.helpers.data import (
     row_source,
     whitened,
 )
-from tests.helpers.motions import slow_motion
+from tests.helpers.identified import SATURATED, saturating
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
 from tests.helpers.strategies import random_states
@@ -280,22 +280,8 @@ def test_the_choice_is_shown() -> None:
 # ---- Derivatives of friction by the speeds that the data chose, against the shapes themselves.
 
 
-CHOSEN = (sdpid.friction.SigmoidFriction(), "viscous", "offset")
-SPEEDS = np.array([0.3, 0.6])
-
-
-def simulated(rng: np.random.Generator, count: int = 400) -> tuple[Problem, np.ndarray]:
-    """Return a problem whose friction saturates at some speeds, and the truth."""
-    terms = (sdpid.friction.SigmoidFriction(velocity=tuple(SPEEDS)), *CHOSEN[1:])
-    theta = random_theta(ARM, np.random.default_rng(0), terms)
-    moved: dict[str, Any] = {"states": slow_motion(count), "noise": 0.05, "friction": terms}
-    samples = make_samples(ARM, theta, rng, **moved)
-    return build_problem(ARM, samples, friction=CHOSEN), theta
-
-
 def test_derivatives_are_those_of_the_shape() -> None:
-    problem, theta = simulated(np.random.default_rng(1))
-    values = theta[20:]
+    problem, values = saturating(np.random.default_rng(1)), SATURATED[20:]
     found = Bending.of(problem.friction, problem.origin.profiled, values)
     v = np.linspace(-2.0, 2.0, 30)[:, None] * np.ones(2)
     motion = Motion(position=v, velocity=v, acceleration=v, robot=ARM)
@@ -312,8 +298,8 @@ def test_derivatives_are_those_of_the_shape() -> None:
 
 
 def test_without_chosen_speeds_there_are_none() -> None:
-    problem, theta = simulated(np.random.default_rng(1))
-    found = Bending.of(problem.friction, (), theta[20:])
+    problem = saturating(np.random.default_rng(1))
+    found = Bending.of(problem.friction, (), SATURATED[20:])
     assert found.deviations.size == 0
     assert NoiseSpectrum.of(problem).covariance.shape == (problem.base.count,) * 2
 
@@ -323,9 +309,9 @@ def test_errors_count_the_speeds_that_the_data_chose() -> None:
     rng = np.random.default_rng(2)
     alone, beside = [], []
     for _ in range(15):
-        problem, theta = simulated(rng)
+        problem = saturating(rng)
         estimate = sdpid.solve_sdp(problem)
-        error = estimate.base - problem.base_of(theta)
+        error = estimate.base - problem.base_of(SATURATED)
         at = [problem.base.names.index(name) for name in ("Fsg1", "Fsg2", "Fv1", "Fv2")]
         for given, ratios in ((None, alone), (estimate.theta, beside)):
             variance = np.diag(NoiseSpectrum.of(problem, given).covariance)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid import Constraints, DhTable, Prior, Samples, certify, load_robot, solve_sdp, solve_wls
+from sdpid import Constraints, Prior, Samples, certify, solve_sdp, solve_wls
 from sdpid.constraints import Layout, MirrorPair
 from sdpid.errors import DataError, IdentifiabilityError, ModelError
 from sdpid.estimation.compression.rows import RowSource
@@ -28,7 +28,7 @@ from sdpid.workflow.verify import verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
 from tests.helpers.data import make_samples, random_links, row_source
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import LIFT
+from tests.helpers.robots import LIFT, described_arm
 from tests.helpers.strategies import SEEDS, random_states
 
 # Round-off of a few products of numbers of order one.
@@ -39,12 +39,6 @@ def bodies_of(seed: int, links: int = 2) -> np.ndarray:
     rng = np.random.default_rng(seed)
     masses = rng.uniform(0.2, 1.0, (links, 8))
     return point_masses(masses, rng.normal(0.0, 0.1, (links, 8, 3)))
-
-
-def robot_of(bodies: np.ndarray):
-    rows = tuple({"alpha": 0.5 * np.pi * (i % 2), "d": 0.3 * i} for i in range(len(bodies)))
-    table = DhTable.from_mapping({"joint": rows, "name": "arm"})
-    return load_robot(table.to_urdf(bodies))
 
 
 def rows_of(robot, count: int = 40, seed: int = 0, scale: float = 1.0) -> RowSource:
@@ -79,7 +73,7 @@ def divergence(P: np.ndarray, P0: np.ndarray) -> float:
 
 @given(st.integers(0, 2**31), st.floats(0.1, 10.0))
 def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
-    robot, moved = robot_of(bodies_of(seed)), bodies_of(seed + 1)
+    robot, moved = described_arm(bodies_of(seed)), bodies_of(seed + 1)
     believed = repaired(robot.prior)[0]
     raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
     assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
@@ -97,7 +91,7 @@ def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
 @given(st.integers(0, 2**31), st.floats(0.1, 10.0))
 def test_entropic_kind_is_the_divergence(seed: int, strength: float):
     bodies = bodies_of(seed)
-    robot = robot_of(bodies)
+    robot = described_arm(bodies)
     rows = rows_of(robot)
     found = prior_terms(Prior(strength=strength, kind="entropic"), rows)
     quadratic = prior_terms(Prior(strength=strength), rows)
@@ -125,7 +119,7 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
     bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]
     bodies[2] = 0.0
     prior = Prior(kind=kind, bodies=bodies, friction=False)
-    found = prior_terms(prior, rows_of(robot_of(bodies_of(1, 3))))
+    found = prior_terms(prior, rows_of(described_arm(bodies_of(1, 3))))
     assert any("link_2 could not exist as described" in note for note in found.notes)
     assert any("next to no information about link_3" in note for note in found.notes)
     squared, *others = found.terms
@@ -145,7 +139,7 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
 
 
 def test_a_description_without_masses_is_no_prior():
-    rows, nothing = rows_of(robot_of(bodies_of(0))), Prior(bodies=np.zeros((2, 10)))
+    rows, nothing = rows_of(described_arm(bodies_of(0))), Prior(bodies=np.zeros((2, 10)))
     refuses(DataError, "no link a mass", prior_terms, nothing, rows)
     for strength in (0.0, -1.0, np.inf, np.nan, "often", True):
         refuses(DataError, "strength", Prior, strength=strength)
@@ -161,7 +155,7 @@ def test_a_description_without_masses_is_no_prior():
 
 @pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
 def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
-    robot, rest = robot_of(bodies_of(3, 3)), np.zeros((60, 3))
+    robot, rest = described_arm(bodies_of(3, 3)), np.zeros((60, 3))
     samples = Samples(
         position=rest + np.array([0.1, 0.2, 0.3]), velocity=rest, acceleration=rest, effort=rest
     )
@@ -181,14 +175,14 @@ def test_thin_bodies_are_widened_and_named():
     assert margin(bodies[1], "pseudo_inertia") > 0.0
     _, wrong, thin = repaired(bodies)
     assert (wrong, thin) == ((), (1,))
-    notes = prior_terms(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    notes = prior_terms(Prior(bodies=bodies), rows_of(described_arm(bodies_of(1)))).notes
     assert [note for note in notes if "widened" in note and "link_2" in note]
     # What was widened once is not thin.
     assert repaired(repaired(bodies)[0])[1:] == ((), ())
 
 
 def test_a_likelihood_without_a_covariance_says_its_unit():
-    robot = robot_of(bodies_of(0))
+    robot = described_arm(bodies_of(0))
     samples = rows_of(robot, 200).samples
     known = replace(samples, covariance=np.eye(2))
     assert "unit" in " ".join(build_problem(robot, samples, prior=Prior()).prior.notes)
@@ -216,7 +210,7 @@ def test_a_prior_is_a_value():
 def test_least_squares_counts_a_log_det_prior(seed: int, strength: float, known: bool):
     """The unconstrained minimum has a body for every link, no slope, and costs no more."""
     belief, truth = bodies_of(seed), bodies_of(seed + 1)
-    robot = robot_of(belief)
+    robot = described_arm(belief)
     samples = samples_of(robot, truth, seed, count=60, noise=0.1)
     if not known:
         belief[0] = 0.0
@@ -307,7 +301,7 @@ def test_the_strength_that_made_the_parameters_is_recovered(strength):
 @pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])
 def test_a_problem_resolves_it_and_says_so(kind):
     belief = bodies_of(0, 3)
-    robot = robot_of(belief)
+    robot = described_arm(belief)
     samples = samples_of(robot, bodies_of(1, 3))
     prior = Prior(strength="evidence", kind=kind)
     problem = build_problem(robot, samples, prior=prior, weighting="residual")
@@ -325,7 +319,7 @@ def test_a_problem_resolves_it_and_says_so(kind):
 
 def test_good_descriptions_are_believed_more_than_bad_ones():
     belief = bodies_of(0, 3)
-    robot = robot_of(belief)
+    robot = described_arm(belief)
     found = []
     for size in (0.01, 0.7):
         rng = np.random.default_rng(1)
@@ -344,7 +338,7 @@ def test_good_descriptions_are_believed_more_than_bad_ones():
 
 
 def test_costs_that_are_no_likelihood_take_no_prior():
-    robot, prior = robot_of(bodies_of(0)), Prior(strength="evidence")
+    robot, prior = described_arm(bodies_of(0)), Prior(strength="evidence")
     samples = samples_of(robot, bodies_of(1))
     for weighting in ("eq9", "eq18"):
         for given_prior in (Prior(), prior):

@@ -10,13 +10,27 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.workflow.result import Identification
-from tests.helpers.data import full_regressor, random_theta
-from tests.helpers.motions import sines
+from tests.helpers.data import full_regressor, make_samples, random_theta
+from tests.helpers.motions import sines, slow_motion
 from tests.helpers.robots import small_arm
 
 ARM = small_arm(2)
 FRICTION = ("coulomb", "viscous", "offset")
 RATE = 50.0
+
+
+# Friction that saturates, and an arm with it.
+SPEEDS = (0.3, 0.6)
+SATURATING = (sdpid.friction.SigmoidFriction(velocity=SPEEDS), "viscous", "offset")
+SATURATED = random_theta(ARM, np.random.default_rng(0), SATURATING)
+
+
+def saturating(rng: np.random.Generator, speed: float | None = None) -> Problem:
+    """Return the arm's problem with friction of a given speed, or one that the data choose."""
+    moved: dict[str, Any] = {"states": slow_motion(400), "noise": 0.05, "friction": SATURATING}
+    samples = make_samples(ARM, SATURATED, rng, **moved)
+    terms = (sdpid.friction.SigmoidFriction(velocity=speed), *SATURATING[1:])
+    return build_problem(ARM, samples, friction=terms)
 
 
 def arm_theta() -> Array:

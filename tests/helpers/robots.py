@@ -2,6 +2,8 @@
 
 import math
 
+from sdpid import load_robot
+from sdpid._common.arrays import Array
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.model.model import RobotModel
 
@@ -60,6 +62,13 @@ def small_arm(joints: int) -> RobotModel:
         DhJoint(alpha=RIGHT if i % 2 else 0.0, d=0.0 if i % 2 else 0.3) for i in range(1, joints)
     ]
     return RobotModel.from_mdh(DhTable(joints=tuple(rows), name=f"arm{joints}"))
+
+
+def described_arm(bodies: Array) -> RobotModel:
+    """Return an arm whose links are described, axes crossing in turn."""
+    rows = tuple({"alpha": RIGHT * (i % 2), "d": 0.3 * i} for i in range(len(bodies)))
+    table = DhTable.from_mapping({"joint": rows, "name": "arm"})
+    return load_robot(table.to_urdf(bodies))
 
 
 def pendulum() -> RobotModel:
