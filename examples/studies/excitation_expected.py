@@ -196,10 +196,10 @@ def run(
         for each, own in pairs
         if each in half
     ]
-    curve = friction_curve(result.estimate, expected.speeds)
+    friction, half_widths = friction_curve(result.estimate, expected.speeds)
     coulomb, viscous = twin.theta[-2 * robot.n :].reshape(2, robot.n)
     for k, speed in enumerate(expected.speeds.tolist()):
-        wrong = np.abs(curve.friction[k] - coulomb - viscous * speed)
+        wrong = np.abs(friction[k] - coulomb - viscous * speed)
         for j in range(robot.n):
             rows.append(
                 Row(
@@ -208,7 +208,7 @@ def run(
                     seed,
                     f"friction {j + 1} at {speed:g}",
                     float(expected.friction_half_widths[k, j]),
-                    float(curve.half_width[k, j]),
+                    float(half_widths[k, j]),
                     float(wrong[j]),
                 )
             )

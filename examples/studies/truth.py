@@ -127,14 +127,14 @@ def ends_of(intervals: Any) -> dict[str, tuple[float, float]]:
 
 def friction_rows(known: tuple[str, str, int], truth: Truth, estimate: Any) -> list[Row]:
     """Return the friction curve at some speeds: half of what reversing the motion changes."""
-    curve = friction_curve(estimate, SPEEDS)
+    friction, half_widths = friction_curve(estimate, SPEEDS)
     rows = []
     for k, speed in enumerate(SPEEDS):
         true = truth.friction(np.full((1, truth.robot.n), speed))[0]
         for j in range(truth.robot.n):
             if truth.top_speed[j] < speed or truth.coulomb[j] < ABOVE_NOISE * truth.noise[j]:
                 continue
-            value, half = curve.friction[k, j], curve.half_width[k, j]
+            value, half = friction[k, j], half_widths[k, j]
             numbers = (
                 float(x) for x in (true[j], value, half / NORMAL, value - half, value + half)
             )

@@ -121,7 +121,7 @@ class Coordinates:
         return out
 
 
-class Limits:
+class LinearLimits:
     """Bounds on parameters and linear rows, in units of their sizes, as functions of x.
 
     Of some parameters (p,) and then all r rows it holds those that x can change; no equations.

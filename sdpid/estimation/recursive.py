@@ -25,7 +25,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem, check_samples
 from sdpid.estimation.sdp.program import ReusableProgram
-from sdpid.estimation.sdp.solve import Search, solve_sdp
+from sdpid.estimation.sdp.solve import Attempts, solve_sdp
 from sdpid.experiment.processing.samples import Samples
 
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
@@ -221,7 +221,7 @@ class RecursiveEstimator(Shown):
             program = self._program.program
             scaling = replace(program.scaling, cost=cost)
             start = scaling, program.coordinates.origin
-            search = Search(problem, start, self._bounds_included)
+            search = Attempts(problem, start, self._bounds_included)
             search.take(replace(program, problem=problem, scaling=scaling), solution)
             if search.bounds_included is self._bounds_included:
                 if not search.proven:

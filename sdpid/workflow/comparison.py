@@ -26,7 +26,7 @@ from sdpid.workflow.runs.compare import RunComparison, Saved, compare_runs
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class SolverRun:
     """One solver run.
 
     Attributes
@@ -67,7 +67,7 @@ _LOCAL = {"slsqp": solve_slsqp, "log_cholesky": solve_log_cholesky}
 
 _LABELS = {"slsqp": "SLSQP", "log_cholesky": "log-Cholesky"}
 
-_COLUMNS = tuple(Row.__dataclass_fields__)
+_COLUMNS = tuple(SolverRun.__dataclass_fields__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -76,7 +76,7 @@ class Comparison(Shown):
 
     Attributes
     ----------
-    rows : tuple of Row
+    rows : tuple of SolverRun
         One for each solver and start.
     estimates : tuple of Estimate or None
         Result of each run; None where it failed.
@@ -92,7 +92,7 @@ class Comparison(Shown):
     True
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[SolverRun, ...]
     estimates: tuple[Estimate | None, ...]
     certificate: Certificate
 
@@ -311,12 +311,12 @@ def _run(
         return f"{type(error).__name__}: {error}"
 
 
-def _row(solver: str, start: str, result: Estimate | str, certificate: Certificate) -> Row:
+def _row(solver: str, start: str, result: Estimate | str, certificate: Certificate) -> SolverRun:
     """Return the row of a run: of its estimate, or of the message of its error."""
     if isinstance(result, str):
-        return Row(solver=solver, start=start, status="error", message=result)
+        return SolverRun(solver=solver, start=start, status="error", message=result)
     gap = certify(result, bound=certificate.bound).gap
-    return Row(
+    return SolverRun(
         solver=solver,
         start=start,
         status=result.status,

@@ -561,14 +561,14 @@ def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
     held, with_offset = [], []
     for _ in range(20):
         estimate = sdpid.solve_sdp(saturating(rng))
-        found = friction_curve(estimate, speeds)
-        held.append(np.abs(found.friction - true) <= found.half_width)
+        found, half = friction_curve(estimate, speeds)
+        held.append(np.abs(found - true) <= half)
         curve = joint_curve(estimate, 1, signed)
         with_offset.append((curve.lower <= second) & (second <= curve.upper))
         both = 0.5 * (curve.effort[3:] - curve.effort[:3])
-        np.testing.assert_allclose(both, found.friction[:, 1], rtol=1e-9)
-    assert found.friction.shape == (3, 2)
-    assert found.half_width.max() < 0.3 * true.min()
+        np.testing.assert_allclose(both, found[:, 1], rtol=1e-9)
+    assert found.shape == (3, 2)
+    assert half.max() < 0.3 * true.min()
     # Of 120 at 95 %, those of one record correlated.
     assert np.mean(held) > 0.87
     assert np.mean(with_offset) > 0.87
@@ -580,14 +580,14 @@ def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
 def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
     estimate = sdpid.solve_sdp(saturating(np.random.default_rng(4), 0.4))
     problem = estimate.problem
-    found = friction_curve(estimate, 0.2, level=0.6826894921370859)
+    found, half = friction_curve(estimate, 0.2, level=0.6826894921370859)
     at = [problem.base.names.index(name) for name in ("Fsg1", "Fv1")]
     weights = np.array([np.tanh(0.5), 0.2])
     own = estimate.covariance[np.ix_(at, at)]
-    assert found.friction[0, 0] == pytest.approx(weights @ estimate.base[at])
+    assert found[0, 0] == pytest.approx(weights @ estimate.base[at])
     # One standard error, and a little more since it is uncertain itself.
     error = float(np.sqrt(weights @ own @ weights))
-    assert error < found.half_width[0, 0] < 1.05 * error
+    assert error < half[0, 0] < 1.05 * error
 
 
 def test_a_bias_of_the_fit_is_in_the_band() -> None:
@@ -598,7 +598,7 @@ def test_a_bias_of_the_fit_is_in_the_band() -> None:
     bias[viscous] = 0.4
     moved = replace(estimate, problem=replace(problem, errors=(ErrorSource.bias("motion", bias),)))
     speeds, quantile = np.array([0.5, 1.0]), 1.96
-    plain, wider = (friction_curve(each, speeds).half_width[:, 0] for each in (estimate, moved))
+    plain, wider = (friction_curve(each, speeds)[1][:, 0] for each in (estimate, moved))
     np.testing.assert_allclose(wider, np.hypot(plain, quantile * 0.4 * speeds), rtol=0.02)
 
 

@@ -14,7 +14,7 @@ from sdpid import DriveGains, Prior, Recording, RobotModel, Samples, load_robot,
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import identify_payload
 from sdpid.assurance.payload.payload import (
-    Description,
+    DescribedLinks,
     Payload,
     least_second_moment,
     quantities,
@@ -207,7 +207,7 @@ def test_a_known_arm(arm: RobotModel) -> None:
     known = replace(arm, prior=theta[:60].reshape(6, 10))
     found = identify_payload(known, loaded, friction=TERMS)
     assert holds(found, load()).all()
-    assert found.described == Description(
+    assert found.described == DescribedLinks(
         tolerance=pytest.approx(0.1, rel=1e-2), contradicted=False
     )
     assert "95 % intervals if the described links are right to 10 %" in found.describe()
@@ -238,7 +238,7 @@ def test_a_description_that_the_recording_contradicts_is_told(arm: RobotModel) -
     loaded, _, theta = pair(arm, load())
     links = theta[:60].reshape(6, 10) * np.array([[3.0], [0.3], [3.0], [0.3], [1.0], [1.0]])
     found = identify_payload(replace(arm, prior=links), loaded, friction=TERMS)
-    assert found.described == Description(tolerance=0.3, contradicted=True)
+    assert found.described == DescribedLinks(tolerance=0.3, contradicted=True)
     assert "contradicts" in found.notes[0]
 
 

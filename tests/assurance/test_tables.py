@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid import RobotModel, Samples, load_robot
 from sdpid._common.arrays import Array
-from sdpid.assurance.tables.answers import Refutation, exact
+from sdpid.assurance.tables.answers import StoredRefutation, exact
 from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import half_unit, read_base_table
-from sdpid.assurance.tables.search import Search
+from sdpid.assurance.tables.search import ScaledQuestion
 from sdpid.cli.judge.audit import _write_proof
 from sdpid.errors import CertificateError, DataError, ExportError
 from sdpid.output.tables.parameter_tables import base_table
@@ -208,7 +208,7 @@ def test_a_mass_bound_is_used_only_where_it_must_be() -> None:
     assert found.needs_mass_bound
     assert found.refutation.holds
     # The proof does not hold without the multipliers of the masses.
-    bare = Refutation(question=found.question, weights=found.refutation.weights)
+    bare = StoredRefutation(question=found.question, weights=found.refutation.weights)
     assert not bare.holds
     assert audited(values, 0.01, mass_max=1000).verdict == "realisable"
 
@@ -693,7 +693,7 @@ def really_realized(answer: realizable.Realization) -> bool:
 def really_refuted(answer: realizable.Refutation) -> bool:
     """Return whether a cone program finds no bodies that have the table."""
     question = answer.question
-    search = Search(question, characteristic_length(load_robot("denso_vp6242")))
+    search = ScaledQuestion(question, characteristic_length(load_robot("denso_vp6242")))
     found = search.solve()
     return found is None or not question.is_witness(search.made_exact(found.theta))
 

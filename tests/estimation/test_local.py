@@ -125,7 +125,7 @@ def test_derivatives_of_the_coordinates(problem: Problem, seed: int) -> None:
 
 @pytest.mark.parametrize("consistency", BOTH)
 def test_jacobian_of_the_residual(consistency: Consistency) -> None:
-    program = log_cholesky._Run(of_arm(("arm3", consistency)))
+    program = log_cholesky._LogCholeskyRun(of_arm(("arm3", consistency)))
     start = random_start(program.problem, np.random.default_rng(3))
     x = program.coordinates.from_theta(start)[program.free]
     J, rows = program.jacobian(x), len(program.rhs)
@@ -257,7 +257,7 @@ def test_derivatives(robot: RobotModel, consistency: Consistency, more: str) -> 
         problem = under(problem, *conditions(robot))
     if more == "entropic":
         problem = believed(robot, consistency=consistency)
-    program = slsqp._Run(problem)
+    program = slsqp._SlsqpRun(problem)
     variables, constraints = program.variables, program.constraints
     rng = np.random.default_rng(2)
     for _ in range(3):

@@ -167,7 +167,8 @@ def test_every_solve_is_proven_and_quick_ones_are_not_full(
 def test_what_is_not_proven_is_solved_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = RecursiveEstimator(arm_problem(LIGHT))
     stream.solve()
-    monkeypatch.setattr(streaming, "Search", type("Lost", (streaming.Search,), {"proven": False}))
+    lost = type("Lost", (streaming.Attempts,), {"proven": False})
+    monkeypatch.setattr(streaming, "Attempts", lost)
     found = stream.solve()
     assert "any point" not in found.message
     assert sdpid.certify(found).passed

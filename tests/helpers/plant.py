@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.experiment.plant.closed_loop import ClosedLoop
+from sdpid.experiment.plant.closed_loop import MujocoPlant
 from sdpid.experiment.plant.drives import Drives
 from sdpid.experiment.plant.mujoco_model import MujocoModel
 from sdpid.experiment.plant.simulate import plant_parts
@@ -59,7 +59,7 @@ def run_plant(
     `sdpid.simulate`.
     """
     theta, drives = plant_parts(robot, trajectory, theta, drives)
-    plant = ClosedLoop(robot, trajectory, theta, drives, unmodeled)
+    plant = MujocoPlant(robot, trajectory, theta, drives, unmodeled)
     stop = trajectory.n_samples if stop is None else stop
     desired = trajectory.sample(start, stop)[0]
     plant.run(0, start, lambda _: None)

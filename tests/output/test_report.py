@@ -29,7 +29,7 @@ from sdpid.output.report import parameters, report
 from sdpid.output.report.headline import headline
 from sdpid.output.report.recording import units
 from sdpid.output.report.report import report_html, write_report
-from sdpid.output.robots.export_report import Errors
+from sdpid.output.robots.export_report import ExportErrors
 from sdpid.workflow.result import Identification
 from tests.helpers.browser import Tab, look
 from tests.helpers.identified import arm_theta, identified, moved
@@ -438,7 +438,7 @@ def test_save_writes_it_with_what_the_written_files_predict(
     # A file that loses too much says so, one that does not is silent.
     urdf = sdpid.write_urdf(result.estimate, target=tmp_path / "again.urdf")
     for file, warned in ((0.05, True), (0.03, False)):
-        export = replace(urdf, validation=Errors(file=file, estimate=0.02), training=None)
+        export = replace(urdf, validation=ExportErrors(file=file, estimate=0.02), training=None)
         page = words(report_html(result, exports=[export]))
         assert ("predict efforts with estimate.model() instead" in page) == warned
 

@@ -43,7 +43,7 @@ from sdpid.friction import (
     Viscous,
 )
 from sdpid.output.robots.export_report import PLACES as URDF
-from sdpid.output.robots.export_report import Errors, ExportReport, file_errors, urdf_errors
+from sdpid.output.robots.export_report import ExportErrors, ExportReport, file_errors, urdf_errors
 from sdpid.output.robots.friction_files import cpp, friction_data, python, write_friction
 from sdpid.output.robots.joint_friction import Kind, LeftOut, added, joint_attributes
 from sdpid.output.robots.mjcf import PLACES as MJCF
@@ -1384,9 +1384,9 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
     for report in (urdf, mjcf):
         assert warning in report.describe()
         assert warning in report.with_validation(samples).describe().splitlines()[2]
-    assert warning in Errors(file=0.051, estimate=0.025).warning
-    assert not Errors(file=0.049, estimate=0.025).warning
-    assert not Errors(file=0.019, estimate=0.001).warning
+    assert warning in ExportErrors(file=0.051, estimate=0.025).warning
+    assert not ExportErrors(file=0.049, estimate=0.025).warning
+    assert not ExportErrors(file=0.019, estimate=0.001).warning
     # They are known before the file is written.
     assert urdf_errors(estimate) == urdf.training
     assert urdf_errors(estimate, samples) == urdf.training

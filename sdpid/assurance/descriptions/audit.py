@@ -13,7 +13,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.descriptions.checks import BodyAudit, Shapes, checked, numbers_of
-from sdpid.assurance.descriptions.findings import Finding, found
+from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import read_urdf_bodies
@@ -34,7 +34,7 @@ class UrdfAudit(Shown):
         The description.
     bodies : tuple of BodyAudit
         One a link, in document order.
-    findings : tuple of Finding
+    findings : tuple of DescriptionFinding
         Errors first.
 
     Examples
@@ -52,17 +52,17 @@ class UrdfAudit(Shown):
 
     name: str
     bodies: tuple[BodyAudit, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[DescriptionFinding, ...]
 
     _facts = ("name", "bodies", "errors", "warnings")
 
     @property
-    def errors(self) -> tuple[Finding, ...]:
+    def errors(self) -> tuple[DescriptionFinding, ...]:
         """Findings that no body can have."""
         return tuple(f for f in self.findings if f.severity == "error")
 
     @property
-    def warnings(self) -> tuple[Finding, ...]:
+    def warnings(self) -> tuple[DescriptionFinding, ...]:
         """Findings that are implausible."""
         return tuple(f for f in self.findings if f.severity == "warning")
 
@@ -160,7 +160,7 @@ def audit_urdf(
     read = expand_xacro(read_description(source), xacro_args)
     text, path, what = read.text, read.path, read.what
     shapes: dict[str, Shapes] = {}
-    findings: list[Finding] = []
+    findings: list[DescriptionFinding] = []
     if is_mjcf(text, what):
         from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions.findings import Finding, found
+from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia, transform
@@ -163,7 +163,7 @@ def numbers_of(body: DescribedBody, shapes: Shapes | None) -> BodyAudit:
     )
 
 
-def check_numbers(body: DescribedBody) -> Iterator[Finding]:
+def check_numbers(body: DescribedBody) -> Iterator[DescriptionFinding]:
     """Check what needs no geometry: the text, the mass and the tensor."""
     name = body.name
     for problem in body.problems:
@@ -189,7 +189,7 @@ def check_numbers(body: DescribedBody) -> Iterator[Finding]:
         yield found("identity", name, 1.0, mass=mass, gyration=gyration)
 
 
-def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
+def _impossible(body: DescribedBody, tensor: Array, mass: float) -> DescriptionFinding:
     """Return the finding of a tensor that no body has, with what may explain it."""
     moments = np.linalg.eigvalsh(tensor)
     largest = float(np.abs(moments).max())
@@ -225,7 +225,7 @@ def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
 
 def _check_shape(
     body: DescribedBody, numbers: BodyAudit, shapes: Shapes | None
-) -> Iterator[Finding]:
+) -> Iterator[DescriptionFinding]:
     """Check a body with mass against the geometry of its link, as far as there is one."""
     name, mass, com, tensor = body.name, body.mass, body.com, body.tensor
     if mass is None or tensor is None or not mass > 0.0:
@@ -270,7 +270,7 @@ def _check_shape(
 
 def _check_spread(
     name: str, com: Array, covariance: Array, gyration: float, hull: Hull
-) -> Iterator[Finding]:
+) -> Iterator[DescriptionFinding]:
     """Check that the mass is spread neither wider nor far less than the geometry."""
     radius = hull.radius(com)
     slack = OUTSIDE + OUTSIDE_SHARE * radius
@@ -308,7 +308,7 @@ def _triple(values: Iterable[float]) -> str:
 
 def checked(
     bodies: Sequence[DescribedBody], numbers: Sequence[BodyAudit], shapes: Mapping[str, Shapes]
-) -> Iterator[Finding]:
+) -> Iterator[DescriptionFinding]:
     """Check each body with its numbers, and all of them together."""
     for body, of_it in zip(bodies, numbers, strict=True):
         yield from check_numbers(body)
@@ -319,7 +319,7 @@ def checked(
 
 def _check_copies(
     bodies: Sequence[DescribedBody], shapes: Mapping[str, Shapes]
-) -> Iterator[Finding]:
+) -> Iterator[DescriptionFinding]:
     """Find tensors that several links share although their masses or shapes differ."""
     groups: dict[Any, list[DescribedBody]] = {}
     for body in bodies:
@@ -342,7 +342,7 @@ def _check_copies(
             yield found("copied with the mass", first, many, others=others)
 
 
-def _check_moving(bodies: Sequence[DescribedBody]) -> Iterator[Finding]:
+def _check_moving(bodies: Sequence[DescribedBody]) -> Iterator[DescriptionFinding]:
     """Find joints that move nothing, directly or at all."""
     groups = carried(bodies)
     if groups and not any(b.described or b.inferred or b.problems for b in bodies):

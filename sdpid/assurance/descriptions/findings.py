@@ -125,7 +125,7 @@ _KINDS: dict[str, tuple[Severity, str]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class DescriptionFinding:
     """One error, warning or note about a description.
 
     Attributes
@@ -157,10 +157,10 @@ def found(
     limit: float | None = None,
     severity: Severity | None = None,
     **words: object,
-) -> Finding:
+) -> DescriptionFinding:
     """Return a finding of one kind; `value`, `limit` and `words` fill its message."""
     usual, message = _KINDS[kind]
-    return Finding(
+    return DescriptionFinding(
         severity=severity or usual,
         kind=kind.partition(" ")[0],
         link=link,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.drive_gains.fit import Found, GainFit
+from sdpid.assurance.drive_gains.fit import FoundGains, GainFit
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.information import least_squares
@@ -196,7 +196,7 @@ def require_bearable(robot: RobotModel, load: Load, samples: Samples, placed: Ar
         )
 
 
-def require_one_arm(fit: GainFit, found: Found) -> None:
+def require_one_arm(fit: GainFit, found: FoundGains) -> None:
     """Refuse recordings that no one arm explains together.
 
     Raises

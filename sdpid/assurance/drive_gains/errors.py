@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.drive_gains.fit import Found, GainFit
+from sdpid.assurance.drive_gains.fit import FoundGains, GainFit
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import FEWEST_BLOCKS, ScoreBlocks
 from sdpid.estimation.information import information_root, least_squares
 
 
-def gain_errors(fit: GainFit, found: Found) -> tuple[Array, Array, int]:
+def gain_errors(fit: GainFit, found: FoundGains) -> tuple[Array, Array, int]:
     """Return the errors of gains about the optimum of a fit.
 
     Returns
@@ -64,7 +64,7 @@ def gain_errors(fit: GainFit, found: Found) -> tuple[Array, Array, int]:
     return covariance, freedom, blocks.count
 
 
-def score_blocks(fit: GainFit, found: Found) -> tuple[ScoreBlocks, Array]:
+def score_blocks(fit: GainFit, found: FoundGains) -> tuple[ScoreBlocks, Array]:
     """Return the blocks of a fit, linear at its optimum, and T that takes them to all unknowns.
 
     These are the steps of the free gains' logarithms and of the bodies, and friction.

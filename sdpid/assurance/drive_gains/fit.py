@@ -43,7 +43,7 @@ _REGULARIZATIONS = (1e-10, 1e-8)
 _STEPS, _STILL = 20, 1e-5
 
 
-class Found(NamedTuple):
+class FoundGains(NamedTuple):
     """Where a search for gains ended.
 
     Logarithms of the gains (n,), the bodies' unknown parameters, the weighted sum of squared
@@ -147,13 +147,13 @@ class GainFit:
         slopes = self.slopes(logs, self.model.bodies(unknown))
         return unknown, rhs - matrix @ unknown, slopes - basis @ (basis.T @ slopes)
 
-    def mean_squares(self, found: Found) -> Array:
+    def mean_squares(self, found: FoundGains) -> Array:
         """Return the mean squared errors of each joint's current, (n,), A²."""
         matrix, rhs = self.linear(found.logs)
         squares = np.bincount(self._system[0], (rhs - matrix @ found.unknown) ** 2)
         return np.asarray(squares[: len(found.logs)] * self.sigma**2 / self.model.used)
 
-    def search(self, start: Array) -> Found:
+    def search(self, start: Array) -> FoundGains:
         """Return where a search from logarithms of gains (n,) ends; known ones stay."""
         from scipy.optimize import least_squares as minimize
 
@@ -179,7 +179,7 @@ class GainFit:
         logs, unknown, *_ = at(*moved)
         return self._found(logs, unknown, settled)
 
-    def consistent(self, near: Found, *, hold: bool = False) -> Found:
+    def consistent(self, near: FoundGains, *, hold: bool = False) -> FoundGains:
         """Return the best gains near others of links and loads that can exist.
 
         Steps of Gauss and Newton, with the semidefinite program inside each: about the present
@@ -219,10 +219,10 @@ class GainFit:
                 break
         return self._found(logs, unknown, settled)
 
-    def _found(self, logs: Array, unknown: Array, settled: bool) -> Found:
+    def _found(self, logs: Array, unknown: Array, settled: bool) -> FoundGains:
         """Return where a search ended, with the cost there."""
         matrix, rhs = self.linear(logs)
-        return Found(logs, unknown, float(np.sum((rhs - matrix @ unknown) ** 2)), settled)
+        return FoundGains(logs, unknown, float(np.sum((rhs - matrix @ unknown) ** 2)), settled)
 
     @cached_property
     def _existing(self) -> tuple[Array, Array, tuple[Matrix, ...]]:

@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.drive_gains import checks
 from sdpid.assurance.drive_gains.errors import gain_errors
-from sdpid.assurance.drive_gains.fit import Found, GainFit
+from sdpid.assurance.drive_gains.fit import FoundGains, GainFit
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.model import (
     GainModel,
@@ -232,7 +232,7 @@ def identify_drive_gains(
     )
 
 
-def _settled(model: GainModel, start: Array, rounds: int) -> tuple[GainFit, Found]:
+def _settled(model: GainModel, start: Array, rounds: int) -> tuple[GainFit, FoundGains]:
     """Search from rough gains; then weights and friction of the load follow, some rounds."""
     fit = GainFit.of(model, [model.robot.prior] * len(model.samples))
     checks.require_shown(fit, start)
@@ -245,7 +245,7 @@ def _settled(model: GainModel, start: Array, rounds: int) -> tuple[GainFit, Foun
     return fit, found
 
 
-def _best(fit: GainFit, found: Found, near: Array, starts: int) -> tuple[Found, int]:
+def _best(fit: GainFit, found: FoundGains, near: Array, starts: int) -> tuple[FoundGains, int]:
     """Return the least cost that the search comes to from random starts too, and how many do."""
     rng = np.random.default_rng(0)
     every = [found]

@@ -175,7 +175,7 @@ def resample(
         )
         if moves
     ]
-    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), beside)
+    draws = _Resampling(pieces, run, _whole(seed), Refit.of(estimate), beside)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -196,7 +196,7 @@ def _whole(seed: int | np.random.Generator) -> int:
     return int(rng.integers(2**63)) if isinstance(seed, np.random.Generator) else int(seed)
 
 
-class _Draws(NamedTuple):
+class _Resampling(NamedTuple):
     """Compressed pieces of the data and the program to solve; small enough to send to a worker.
 
     Attributes

@@ -149,32 +149,13 @@ def slopes(body: Array) -> Array:
     return np.vstack([units[0], about_com.T, of_axes])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrictionCurve:
-    """Friction of every joint at some speeds.
+def friction_curve(
+    estimate: Estimate, speed: ArrayLike, *, level: float = 0.95
+) -> tuple[Array, Array]:
+    """Return friction at some speeds and half the widths of its intervals, (s, joints), N·m or N.
 
-    Attributes
-    ----------
-    speed : ndarray, shape (s,)
-        Speeds, rad/s or m/s.
-    friction : ndarray, shape (s, joints)
-        Half of what reversing the motion changes, N·m or N: offsets and asymmetry cancel.
-    half_width : ndarray, shape (s, joints)
-        Of its interval.
-    level : float
-        Stated probability.
-    """
-
-    speed: Array
-    friction: Array
-    half_width: Array
-    level: float
-
-
-def friction_curve(estimate: Estimate, speed: ArrayLike, *, level: float = 0.95) -> FrictionCurve:
-    """Return friction (s, joints) at speeds (s,), with intervals.
-
-    Terms that depend on the position or the load are left out.
+    It is half of what reversing the motion changes: offsets and asymmetry cancel. Terms that depend
+    on the position or the load are left out.
 
     Parameters
     ----------
@@ -191,16 +172,11 @@ def friction_curve(estimate: Estimate, speed: ArrayLike, *, level: float = 0.95)
         When the estimate has no standard parameters, or its problem no rows.
     """
     require_probability(level, "friction curve: level")
-    curves, speeds = _Curves(estimate), frozen(np.atleast_1d(np.asarray(speed, dtype=np.float64)))
+    curves, speeds = _Curves(estimate), np.atleast_1d(np.asarray(speed, dtype=np.float64))
     v = np.repeat(speeds[:, None], len(estimate.problem.friction.joint_names), axis=1)
     ahead, back = curves.at(v), curves.at(-v)
     functions, slopes = (0.5 * (a - b) for a, b in zip(ahead, back, strict=True))
-    return FrictionCurve(
-        speed=speeds,
-        friction=frozen(functions @ curves.theta),
-        half_width=frozen(curves.half_widths(functions, slopes, level)),
-        level=level,
-    )
+    return functions @ curves.theta, curves.half_widths(functions, slopes, level)
 
 
 def joint_curve(

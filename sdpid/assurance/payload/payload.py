@@ -37,7 +37,7 @@ def quantities(theta: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Description:
+class DescribedLinks:
     """What is granted to a description that the arm's links are taken from.
 
     Attributes
@@ -107,7 +107,7 @@ class Payload(Shown):
         What was assumed, or is to be known.
     findings : tuple of Finding
         What is wrong with the recordings (see `sdpid.inspect_recording`).
-    described : Description or None
+    described : DescribedLinks or None
         What was granted to the description, where the arm's links are taken from it: the intervals
         then have their probability only if it deserves that. None where the arm is known from a
         recording, or believed in by a prior.
@@ -143,7 +143,7 @@ class Payload(Shown):
     status: str
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
-    described: Description | None = None
+    described: DescribedLinks | None = None
     gains_share: Array | None = None
 
     _facts = ("link", "frame", "mass, kg", "level", "shown")

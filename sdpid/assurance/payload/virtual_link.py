@@ -25,7 +25,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
-from sdpid.assurance.payload.payload import Description, least_second_moment, quantities
+from sdpid.assurance.payload.payload import DescribedLinks, least_second_moment, quantities
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
@@ -93,7 +93,7 @@ def payload_problem(
     *,
     mass_max: float,
     extent: float,
-) -> tuple[Problem, FitErrors, Description | None]:
+) -> tuple[Problem, FitErrors, DescribedLinks | None]:
     """Return the problem of a payload, the errors of its fit, and what a description is granted.
 
     Parameters
@@ -180,7 +180,7 @@ def payload_problem(
     return problem, _joined(errors), granted
 
 
-def _granted(loaded: Problem, columns: Array, links: Array) -> tuple[Description, Array]:
+def _granted(loaded: Problem, columns: Array, links: Array) -> tuple[DescribedLinks, Array]:
     """Return what described links are granted, and how they then scatter, (10·links, k)."""
     (term,) = prior_terms(Prior(), loaded.require_rows("payload")).terms
     assert isinstance(term, SquaredTerm)
@@ -195,7 +195,7 @@ def _granted(loaded: Problem, columns: Array, links: Array) -> tuple[Description
     likely = float(strength**-0.5)
     tolerance = float(np.clip(likely, _LEAST_TOLERANCE, _MOST_TOLERANCE))
     spread = tolerance * np.linalg.inv(term.matrix[each, each])
-    return Description(tolerance, likely > _MOST_TOLERANCE), np.asarray(spread)
+    return DescribedLinks(tolerance, likely > _MOST_TOLERANCE), np.asarray(spread)
 
 
 def _known(moves: Array) -> FitErrors:

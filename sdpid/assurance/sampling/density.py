@@ -22,7 +22,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.constraints.equalities import Fixed
-from sdpid.estimation.coordinates import Coordinates, Limits
+from sdpid.estimation.coordinates import Coordinates, LinearLimits
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Groups, fit_errors, rows_covariance
 from sdpid.estimation.problem import Problem
@@ -297,7 +297,7 @@ def _limits(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> tup
     """Return how far parameters and rows are from their limits, a rounding less (see `Density`)."""
     X = coordinates.directions
     bounded = np.abs(X).max(axis=1) > _FIXED * scaling.theta
-    limits = Limits(problem, scaling, coordinates, bounded)
+    limits = LinearLimits(problem, scaling, coordinates, bounded)
     rows = np.vstack([np.eye(len(X)), problem.feasible.rows])[limits.chosen]
     # A value is the sum of its parts, which rounding is relative to.
     room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(coordinates.origin) / limits.sizes)

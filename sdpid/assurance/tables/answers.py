@@ -97,14 +97,14 @@ class Stored:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Realization(Stored, realizable.Realization):
+class StoredRealization(Stored, realizable.Realization):
     """Bodies that have the numbers of a table (see `sdpid.verifier.realizable.Realization`)."""
 
     schema = tables.REALIZATION
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refutation(Stored, realizable.Refutation):
+class StoredRefutation(Stored, realizable.Refutation):
     """An inequality that all links which can exist obey, and that a table contradicts.
 
     See `sdpid.verifier.realizable.Refutation` for its parts, and when it holds.
@@ -185,14 +185,14 @@ def exact_decimal(value: object, shown: object, where: str = "") -> Decimal:
     return number
 
 
-def realization(question: Question, theta: Sequence[Fraction]) -> Realization | None:
+def realization(question: Question, theta: Sequence[Fraction]) -> StoredRealization | None:
     """Return the answer that theta is, None where theta is none."""
     # Decimals of doubles are short; within the halfwidths they mostly do as well.
     for exactly in ([Fraction(repr(float(x))) for x in theta], theta):
         if question.is_witness(exactly):
             bodies = [exactly[10 * i : 10 * i + 10] for i in range(question.n_links)]
             margins = tuple(_margin(question, body) for body in bodies)
-            return Realization(question=question, theta=tuple(exactly), margins=margins)
+            return StoredRealization(question=question, theta=tuple(exactly), margins=margins)
     return None
 
 

@@ -17,8 +17,8 @@ from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.tables.answers import (
     Number,
-    Realization,
-    Refutation,
+    StoredRealization,
+    StoredRefutation,
     TableFile,
     exact,
     realization,
@@ -29,7 +29,7 @@ from sdpid.assurance.tables.coefficients import (
     regrouping,
     require_posed,
 )
-from sdpid.assurance.tables.search import Found, Search
+from sdpid.assurance.tables.search import FoundBodies, ScaledQuestion
 from sdpid.errors import DataError
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -76,7 +76,7 @@ class BaseAudit(Shown):
     margin_bound : float or None
         No links whatever have a larger margin than this, proven under the bound on masses; None
         where no bound was found.
-    certificate : Realization, Refutation or None
+    certificate : StoredRealization, StoredRefutation or None
         The proof, which `to_json` writes for ``sdpid verify``: links that can exist and have the
         base parameters, or an inequality that says that there are none.
         None when undecided.
@@ -105,7 +105,7 @@ class BaseAudit(Shown):
     verdict: Verdict
     margin: float | None
     margin_bound: float | None
-    certificate: Realization | Refutation | None = None
+    certificate: StoredRealization | StoredRefutation | None = None
     change: float | None = None
     change_bound: float | None = None
     changes: Mapping[str, float]
@@ -121,14 +121,14 @@ class BaseAudit(Shown):
     )
 
     @property
-    def refutation(self) -> Refutation | None:
+    def refutation(self) -> StoredRefutation | None:
         """The proof that no links have the table; None unless *not realisable*."""
-        return self.certificate if isinstance(self.certificate, Refutation) else None
+        return self.certificate if isinstance(self.certificate, StoredRefutation) else None
 
     @property
     def exact_witness(self) -> tuple[Fraction, ...] | None:
         """Standard parameters of links that can exist and have the table; None without."""
-        return self.certificate.theta if isinstance(self.certificate, Realization) else None
+        return self.certificate.theta if isinstance(self.certificate, StoredRealization) else None
 
     @property
     def witness(self) -> Array | None:
@@ -348,7 +348,7 @@ def _halfwidth(given: Number | Decimal | str | None, name: str) -> Fraction:
 
 def _audited(question: Question, length: float) -> BaseAudit:
     """Return the answer to a question about a robot of some length (m)."""
-    search, limit, theta = Search(question, length), None, None
+    search, limit, theta = ScaledQuestion(question, length), None, None
     best: float | None = None
     inner = search.solve()
     if inner is not None:
@@ -375,7 +375,7 @@ def _audited(question: Question, length: float) -> BaseAudit:
     strongest = _holding(search.refutation(least))
     most = None if strongest is None else strongest.change_bound
     # A proof without the bound on masses says more, and people can read one of few digits.
-    heavy = Search(replace(question, mass_max=question.theta_max), length)
+    heavy = ScaledQuestion(replace(question, mass_max=question.theta_max), length)
     free = heavy.solve(heavy.give[:, None])
     proof = (
         _holding(heavy.refutation(free, _FEW_DIGITS, mass_bound=False))
@@ -395,12 +395,12 @@ def _audited(question: Question, length: float) -> BaseAudit:
     )
 
 
-def _holding(proof: Refutation | None) -> Refutation | None:
+def _holding(proof: StoredRefutation | None) -> StoredRefutation | None:
     """Return a proof if it is one."""
     return proof if proof is not None and proof.holds else None
 
 
-def _factor(search: Search, length: float, least: Found) -> float | None:
+def _factor(search: ScaledQuestion, length: float, least: FoundBodies) -> float | None:
     """Return by what factor, less one, halfwidths grow until there is a witness."""
     question = search.question
     smallest = float(np.max(np.abs(search.beyond(least.theta)) / search.give))
@@ -408,7 +408,7 @@ def _factor(search: Search, length: float, least: Found) -> float | None:
         trial = smallest * (1.0 + beyond) + beyond
         more = [exact(trial * x) for x in search.give.tolist()]
         halves = tuple(map(add, question.halfwidths, more))
-        wider = Search(replace(question, halfwidths=halves), length)
+        wider = ScaledQuestion(replace(question, halfwidths=halves), length)
         found = wider.solve()
         if found is not None and wider.question.is_witness(wider.made_exact(found.theta)):
             return trial

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.tables.answers import Refutation
+from sdpid.assurance.tables.answers import StoredRefutation
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
 from sdpid.estimation.scaling import Scaling, congruent
 from sdpid.robot.inertia import from_pseudo_inertia, margin_shift, matrix_basis
@@ -55,7 +55,7 @@ _NOTHING = 1e-10
 _TINY = 1e-14
 
 
-class Found(NamedTuple):
+class FoundBodies(NamedTuple):
     """Parameters theta (p,); multipliers of rows (r,) in their units, and of masses (links,)."""
 
     theta: Array
@@ -63,7 +63,7 @@ class Found(NamedTuple):
     masses: Array
 
 
-class Search:
+class ScaledQuestion:
     """A question as arrays in units in which its numbers are of order one.
 
     Parameters
@@ -118,7 +118,7 @@ class Search:
         off = self.R @ theta - self.value
         return np.asarray(off - np.clip(off, -self.half, self.half))
 
-    def solve(self, changes: Array | None = None) -> Found | None:
+    def solve(self, changes: Array | None = None) -> FoundBodies | None:
         """Return theta in the box with the largest margin, or with the smallest changes.
 
         Parameters
@@ -129,7 +129,7 @@ class Search:
 
         Returns
         -------
-        Found or None
+        FoundBodies or None
             None where there is no such theta.
         """
         from scipy.linalg import null_space
@@ -197,11 +197,11 @@ class Search:
         above, below, bounds, _ = np.split(pulls, np.cumsum([len(rows), len(rows), count]))
         masses = np.maximum(-bounds / scaling.theta, 0.0)[: 10 * links : 10]
         theta = origin + basis @ solution.x[:n]
-        return Found(theta, above + below + of_exact, masses)
+        return FoundBodies(theta, above + below + of_exact, masses)
 
     def refutation(
-        self, found: Found | None, digits: int = _DIGITS, *, mass_bound: bool = True
-    ) -> Refutation | None:
+        self, found: FoundBodies | None, digits: int = _DIGITS, *, mass_bound: bool = True
+    ) -> StoredRefutation | None:
         """Return the inequality that multipliers make, in rationals; None where there are none.
 
         What rounding takes off its matrices is added to their diagonals, at the cost of the bound
@@ -214,7 +214,7 @@ class Search:
         used = order[share[order] > _NOTHING * share.max()]
         weights = -found.rows / self.size
         scale = float(np.abs(weights[used]).max())
-        proof = Refutation(
+        proof = StoredRefutation(
             question=q,
             weights={q.names[k]: Fraction(f"{weights[k] / scale:.{digits}g}") for k in used},
         )

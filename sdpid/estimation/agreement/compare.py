@@ -88,7 +88,7 @@ def compare_estimates(
     given = any(each.method == "given" for each in (first, other))
     together = not given and _share_data(first.problem.samples, other.problem.samples)
     apart = not together if independent is None else independent
-    errors = _Errors(first, other, pairs)
+    errors = _ParameterDifference(first, other, pairs)
     terms = [[str(t) for t in e.problem.friction.described()] for e in (first, other)]
     told = {
         _SHARED_DATA: together and not apart,
@@ -176,7 +176,7 @@ def beliefs_in_common(first: Estimated, other: Estimated) -> tuple[Indices, Indi
     return i[kept], best[kept]
 
 
-class _Errors:
+class _ParameterDifference:
     """The difference (k,) of two estimates, its covariance, and which parameters are tested."""
 
     def __init__(self, first: Estimated, other: Estimated, pairs: Indices) -> None:

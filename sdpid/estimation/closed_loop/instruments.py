@@ -348,7 +348,7 @@ def _lag_words(lag: float) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class MotionSource:
     """Something that makes instruments for a problem.
 
     Attributes
@@ -423,7 +423,7 @@ def source_of(
     reference: Any,
     controller: Controller | Literal["fit"] | None,
     instruments: Instruments | Samples | None,
-) -> Source:
+) -> MotionSource:
     """Return where instruments for a problem come from.
 
     Parameters
@@ -450,7 +450,7 @@ def source_of(
                 f"instruments: {instruments!r} do not stand beside the problem's {samples!r}, row "
                 "by row; process both alike (sdpid.Processing) and keep every sample."
             )
-        return Source(problem, "the motion given", [paired(problem, samples, instruments)])
+        return MotionSource(problem, "the motion given", [paired(problem, samples, instruments)])
     if instruments is not None and instruments not in get_args(Instruments):
         raise DataError(
             f"instruments: is {instruments!r:.80}; use one of 'simulated', 'reference' and "
@@ -479,12 +479,12 @@ def source_of(
             )
         halves = _halves(twin)
         pairs = [paired(problem, *halves), paired(problem, *halves[::-1])]
-        return Source(problem, "the motion in the other half of the periods", pairs)
+        return MotionSource(problem, "the motion in the other half of the periods", pairs)
     purpose = f"{purpose}: instruments={instruments!r}"
     told = references(twin, purpose)
     if instruments == "reference":
         pairs = [paired(problem, samples, twin.samples(told))]
-        return Source(problem, "the commanded motion", pairs)
+        return MotionSource(problem, "the commanded motion", pairs)
     if controller is None:
         raise DataError(
             f"{purpose} needs the controller that followed the reference; give one of "
@@ -492,7 +492,7 @@ def source_of(
         )
     loop = ClosedLoop(twin, controller, purpose=purpose, as_measured=False)
     fitted = ", its controller fitted" * (not isinstance(controller, Controller))
-    return Source(problem, f"the motion of the model in closed loop{fitted}", loop=loop)
+    return MotionSource(problem, f"the motion of the model in closed loop{fitted}", loop=loop)
 
 
 def _halves(twin: Twin) -> list[Samples]:

@@ -13,7 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
-from sdpid.estimation.closed_loop.instruments import FirstStage, MadeRows, Source, of_rows, weighed
+from sdpid.estimation.closed_loop.instruments import (
+    FirstStage,
+    MadeRows,
+    MotionSource,
+    of_rows,
+    weighed,
+)
 from sdpid.estimation.closed_loop.loop import ClosedLoop
 from sdpid.estimation.compression.covariance import JointRows, correlation_time
 from sdpid.estimation.compression.factor import Factor
@@ -138,7 +144,7 @@ class InstrumentRounds:
     first: FirstStage
     found: Estimate
 
-    def __init__(self, source: Source, model: RobotDynamics | None, tolerance: float) -> None:
+    def __init__(self, source: MotionSource, model: RobotDynamics | None, tolerance: float) -> None:
         self.source, self.model, self.tolerance, self.iterations = source, model, tolerance, 0
         self.changes: list[float] = []
         # Without a model there is but one round, and a model of other terms has other parameters.

@@ -94,7 +94,7 @@ class ConicProgram:
         return int(self.M.shape[1])
 
 
-class _Rows:
+class _ConeRows:
     """Rows of A and b, gathered cone by cone."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ def standard_form(program: ConicProgram) -> Standard:
         blocks.append(_with_triangle(matrix, triangle))
         width += len(triangle) + size
         logs += [(width - size + j, triangle[j * (j + 3) // 2]) for j in range(size)]
-    rows, own = _Rows(), np.arange(n)
+    rows, own = _ConeRows(), np.arange(n)
     residual = np.hstack([-program.M[:count], np.eye(count)])
     rows.add("ZeroConeT", residual, np.arange(n + count), program.m[:count])
     ends = np.concatenate([program.lower, program.upper])

@@ -183,7 +183,7 @@ class CenterOfMassInBox(Condition):
 
 
 @dataclass(frozen=True, eq=False)
-class _Ellipsoid(Condition):
+class _InEllipsoid(Condition):
     """An ellipsoid in the joint frame of a link."""
 
     link: str
@@ -218,7 +218,7 @@ class _Ellipsoid(Condition):
 
 
 @dataclass(frozen=True, eq=False)
-class CenterOfMassInEllipsoid(_Ellipsoid):
+class CenterOfMassInEllipsoid(_InEllipsoid):
     """The center of mass of a link lies in an ellipsoid.
 
     Attributes
@@ -253,7 +253,7 @@ class CenterOfMassInEllipsoid(_Ellipsoid):
 
 
 @dataclass(frozen=True, eq=False)
-class MassInEllipsoid(_Ellipsoid):
+class MassInEllipsoid(_InEllipsoid):
     """All mass of a link lies in an ellipsoid [wensing2018]_.
 
     With y the position in which the ellipsoid is the unit ball, mass inside has

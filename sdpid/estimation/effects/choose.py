@@ -218,7 +218,7 @@ def closed_in_the_middle(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _TriedColumns:
     """Open columns at one value of a parameter, with the cost."""
 
     cost: float
@@ -298,7 +298,7 @@ class VariableProjection:
         from scipy.optimize import minimize_scalar
 
         own = self._opened[t].chosen[i]
-        tried: dict[float, _Trial] = {}
+        tried: dict[float, _TriedColumns] = {}
 
         def costs_at(logs: Array) -> Array:
             trials = self._try(t, i, np.clip(np.exp(logs), own.lower, own.upper))
@@ -325,7 +325,7 @@ class VariableProjection:
         low, high = _flat_range({log: one.cost for log, one in tried.items()}, own)
         self._opened[t].chosen[i] = replace(own, value=value, flat_from=low, flat_to=high)
 
-    def _try(self, t: int, i: int, values: Array) -> list[_Trial]:
+    def _try(self, t: int, i: int, values: Array) -> list[_TriedColumns]:
         """Return the cost at other values (g,) of a parameter, and the columns that it moves."""
         moved = self._moved[t][i]
         terms = [self._opened[t].closed(i, float(value)) for value in values]
@@ -349,11 +349,11 @@ class VariableProjection:
         squares[:, places] = np.diagonal(own, axis1=1, axis2=2)
         costs = self._least(products, squares)
         return [
-            _Trial(float(costs[k]), places, joints, columns[:, :, k], *own)
+            _TriedColumns(float(costs[k]), places, joints, columns[:, :, k], *own)
             for k, own in enumerate(zip(inside, products, squares, strict=True))
         ]
 
-    def _keep(self, trial: _Trial) -> None:
+    def _keep(self, trial: _TriedColumns) -> None:
         """Make the columns of a trial the present ones."""
         mixed = np.moveaxis(self._gram[:, :, trial.joints], 1, 0)
         self._loose[:, :, trial.places] = np.einsum("nkw,wkc->nkc", mixed, trial.columns)

@@ -222,7 +222,7 @@ def solve_log_cholesky(
     if reason is not None:
         raise DataError(f"solve_log_cholesky: {reason}")
     problem.feasible.require_feasible()
-    run = _Run(problem, start, seed)
+    run = _LogCholeskyRun(problem, start, seed)
     result = run.minimized(max_iterations, tolerance)
     # SciPy's status 0 is the limit on evaluations.
     stopped: Status = "iteration limit" if int(result.status) == 0 else "stalled"
@@ -251,7 +251,7 @@ def unsupported(problem: Problem) -> str | None:
     return None
 
 
-class _Run(LocalRun):
+class _LogCholeskyRun(LocalRun):
     """The residual of the free coordinates with its derivative, and the stages of the solver."""
 
     def __init__(self, problem: Problem, *start: Any) -> None:

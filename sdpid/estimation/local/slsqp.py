@@ -92,13 +92,13 @@ def solve_slsqp(
     """
     if problem.consistency == "none":
         raise DataError(f"solve_slsqp: {UNCONSTRAINED}")
-    run = _Run(problem, start, seed)
+    run = _SlsqpRun(problem, start, seed)
     theta, result = run.minimized(max_iterations, tolerance)
     stopped = _STOPPED.get(int(result.status), "failed")
     return run.estimate("slsqp", theta, stopped=stopped, message=str(result.message))
 
 
-class _Run(LocalRun):
+class _SlsqpRun(LocalRun):
     """The cost with its derivative in scaled physical variables, and SLSQP's rounds."""
 
     def __init__(self, problem: Problem, *start: Any) -> None:

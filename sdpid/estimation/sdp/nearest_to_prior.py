@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.estimation.conic.solve import ConicProgram, solve_conic
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
-from sdpid.estimation.coordinates import Coordinates, Limits
+from sdpid.estimation.coordinates import Coordinates, LinearLimits
 from sdpid.estimation.duality.bound import PROVEN, cost_scale, relative_gap
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
@@ -161,7 +161,7 @@ def nearer_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array | Non
     distance = np.linalg.solve(basis[:links, :links], there)
     along = Coordinates(theta, null)
     for scaling in (reference, reference.around(theta)):
-        limits = Limits(problem, scaling, along, feasible.bounded)
+        limits = LinearLimits(problem, scaling, along, feasible.bounded)
         blocks = along.inequalities(feasible, scaling, slack=_SLACK)
         program = ConicProgram(
             M=distance[:, :-1],

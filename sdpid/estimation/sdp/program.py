@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.errors import SolverError
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, ConicSolution
-from sdpid.estimation.coordinates import FIXED, Coordinates, Limits
+from sdpid.estimation.coordinates import FIXED, Coordinates, LinearLimits
 from sdpid.estimation.duality.bound import Multipliers, clip_psd
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling, congruent
@@ -33,7 +33,7 @@ class SdpProgram:
         From x to theta.
     bounds_included : ndarray of bool, shape (p,)
         Parameters whose bounds are part of the program, where x can change them.
-    limits : Limits
+    limits : LinearLimits
         Of these and of the rows.
     moving : tuple of int
         The matrix inequalities that x can change.
@@ -45,7 +45,7 @@ class SdpProgram:
     scaling: Scaling
     coordinates: Coordinates
     bounds_included: Mask
-    limits: Limits
+    limits: LinearLimits
     moving: tuple[int, ...]
     conic: ConicProgram
 
@@ -79,7 +79,7 @@ class SdpProgram:
         if proximal_weight > 0.0:
             M = np.vstack([M, np.sqrt(proximal_weight) * np.eye(n)])
             m = np.concatenate([m, np.zeros(n)])
-        limits = Limits(problem, scaling, coordinates, bounds_included)
+        limits = LinearLimits(problem, scaling, coordinates, bounds_included)
         blocks = coordinates.inequalities(problem.feasible, scaling)
         moving = [
             i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > FIXED

@@ -101,7 +101,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         raise
     scaling = Scaling.of(problem)
     start = scaling, _described(problem, scaling)
-    search = Search(problem, start, problem.feasible.bounded, verbose)
+    search = Attempts(problem, start, problem.feasible.bounded, verbose)
     for regularization, warm_started, weight in _ATTEMPTS:
         search.try_once(regularization, warm_started, weight)
         if search.proven:
@@ -111,7 +111,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
 
 
 @dataclass(eq=False)
-class Search:
+class Attempts:
     """What the attempts have found so far, and where the next one begins.
 
     Attributes

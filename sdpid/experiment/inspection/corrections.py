@@ -199,7 +199,7 @@ class Correction:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class CorrectionStep:
     """One change of a log that makes its efforts follow from its motion.
 
     Attributes
@@ -231,7 +231,7 @@ class CorrectedLog:
         Gravity after the changes, m/s².
     scale : float
         How many times too large the efforts are taken to be.
-    steps : tuple of Step
+    steps : tuple of CorrectionStep
         The changes.
     """
 
@@ -239,7 +239,7 @@ class CorrectedLog:
     rows: Rows
     gravity: Array
     scale: float = 1.0
-    steps: tuple[Step, ...] = ()
+    steps: tuple[CorrectionStep, ...] = ()
     # What changes of the efforts alone do not touch.
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid",)
 
@@ -390,7 +390,7 @@ def _children(log: CorrectedLog) -> list[CorrectedLog]:
     for change, shares in tried[:_KEPT]:
         near = misfits[change] + _ALIKE
         alike = tuple(each for each, _ in tried if each is not change and misfits[each] < near)
-        step = Step(change=change, alike=alike, before=log.shares, after=shares)
+        step = CorrectionStep(change=change, alike=alike, before=log.shares, after=shares)
         children.append(replace(log.changed(change), steps=(*log.steps, step)))
     return children
 

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid.experiment.inspection.corrections import (
     CorrectedLog,
     Correction,
-    Step,
+    CorrectionStep,
     described,
     misfit,
     placeholders,
@@ -176,7 +176,7 @@ def unlike_the_description(subject: Subject) -> Iterator[Finding]:
             yield found("effort_unlike_description", name, unexplained=left, limit=_UNLIKE)
 
 
-def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
+def _finding(log: CorrectedLog, step: CorrectionStep, change: Correction) -> Finding:
     """Return the finding of one change that makes the efforts follow from the motion."""
     names, usable = log.joint_names, log.rows.usable
     joint = None if change.joint is None else names[change.joint]

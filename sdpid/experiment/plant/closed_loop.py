@@ -66,7 +66,7 @@ class ExactMotion:
         return np.stack([q, v, torque + self._coulomb * np.sign(v) + self._viscous * v])
 
 
-class ClosedLoop:
+class MujocoPlant:
     """A robot in closed loop along a trajectory, with MuJoCo's state."""
 
     def __init__(

@@ -13,7 +13,7 @@ from sdpid._common.files import read_regular
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion, fastest_pole
+from sdpid.experiment.plant.closed_loop import CHUNK, ExactMotion, MujocoPlant, fastest_pole
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_drives, default_parameters, follows
 from sdpid.experiment.plant.drives import Drives, load_drives, plant_folder
@@ -131,8 +131,8 @@ def simulate(
     if made_up and not exact:
         fastest, limit = fastest_pole(robot, trajectory, theta, drives)
         exact = fastest >= limit or not follows(robot, theta, drives, trajectory)
-    kind = ExactMotion if exact else ClosedLoop
-    plant: ClosedLoop | ExactMotion = kind(robot, trajectory, theta, drives, unmodeled)
+    kind = ExactMotion if exact else MujocoPlant
+    plant: MujocoPlant | ExactMotion = kind(robot, trajectory, theta, drives, unmodeled)
     notes = ("simulated without a controller: the robot follows its motion exactly",)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
     settling = per_period if trajectory.closed else 0

@@ -41,7 +41,7 @@ from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, graded, grades
 from sdpid.output.report.kinds import DESCRIBED, STEPS, listed, percent
-from sdpid.output.robots.export_report import Errors, urdf_errors
+from sdpid.output.robots.export_report import ExportErrors, urdf_errors
 from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.model.model import RobotModel
 
@@ -270,7 +270,7 @@ class Subject(Prediction):
         }
 
     @cached_property
-    def urdf_errors(self) -> Errors | None:
+    def urdf_errors(self) -> ExportErrors | None:
         """What identified.urdf misses, on the validation recording or the training's.
 
         None where none is written, or there are no rows.

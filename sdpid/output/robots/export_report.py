@@ -29,7 +29,7 @@ _LOST, _NEGLIGIBLE = 2.0, 0.02
 
 
 @dataclass(frozen=True)
-class Errors:
+class ExportErrors:
     """Norm of the errors of predicted efforts over the norm of the efforts, in motion.
 
     Attributes
@@ -60,7 +60,7 @@ class Errors:
 
 
 # The errors of a file on samples, or on those of its problem.
-FileErrors = Callable[[Samples | None], Errors | None]
+FileErrors = Callable[[Samples | None], ExportErrors | None]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -77,9 +77,9 @@ class ExportReport(Shown):
         Joints whose damping, friction or armature was written.
     kind : str
         What was written.
-    training : Errors or None
+    training : ExportErrors or None
         Errors on the rows that the estimate was fitted to; None where they were not kept.
-    validation : Errors or None
+    validation : ExportErrors or None
         Errors on other rows (see `with_validation`).
     left_out : tuple of LeftOut
         Terms for which the file has no place, such as offsets.
@@ -109,8 +109,8 @@ class ExportReport(Shown):
     joints_changed: tuple[str, ...] = ()
     kind: str = "a URDF"
     # In the order in which results list them.
-    training: Errors | None = None
-    validation: Errors | None = None
+    training: ExportErrors | None = None
+    validation: ExportErrors | None = None
     left_out: tuple[LeftOut, ...] = ()
     friction_fitted: bool = False
     lumped: tuple[str, ...] = ()
@@ -162,7 +162,7 @@ def file_errors(
     attributes: tuple[Array, Array, Array],
     couplings: Couplings = (),
     offsets: Array | None = None,
-) -> Errors | None:
+) -> ExportErrors | None:
     """Return the errors of a file that was written from an estimate, given the numbers in it.
 
     Parameters
@@ -193,7 +193,7 @@ def file_errors(
         couplings=couplings,
         offsets=offsets,
     )
-    return Errors(
+    return ExportErrors(
         validate_dynamics(model, samples, problem).told.relative,
         validate(estimate, samples).told.relative,
     )
@@ -203,7 +203,7 @@ def file_errors(
 PLACES: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
 
 
-def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> Errors | None:
+def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> ExportErrors | None:
     """Return the errors of an estimate's URDF beside the estimate's own.
 
     Parameters
@@ -215,7 +215,7 @@ def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> Errors | 
 
     Returns
     -------
-    Errors or None
+    ExportErrors or None
         None where no URDF can be written, or there are no rows.
     """
     problem, theta = estimate.problem, estimate.theta
