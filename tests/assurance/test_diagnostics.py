@@ -945,28 +945,6 @@ def test_shares_sum_to_one(seed: int, kind: str | None, strength: float, flat: b
     assert (found.physics[:30].max() > 0.5) == (flat and kind != "entropic")
 
 
-@pytest.mark.parametrize("kind", [None, *KINDS])
-def test_what_the_effort_does_not_show_is_not_data(kind):
-    problem = problem_of(0, None if kind is None else Prior(kind=kind))
-    found = of(problem, interior(problem))
-    invisible = ~problem.base.matrix.any(axis=0)
-    assert invisible.any()
-    assert np.abs(found.data[invisible]).max() < SHARE
-    assert found.prior[invisible] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("kind", [None, *KINDS])
-def test_what_strong_data_determine_alone_is_data(kind):
-    prior = None if kind is None else Prior(kind=kind, strength=1e-6, friction=False)
-    problem = problem_of(0, prior)
-    found = of(problem, interior(problem))
-    # Parameters that the base parameters determine by themselves.
-    B = problem.base.matrix
-    alone = np.linalg.norm(np.eye(len(found.data)) - np.linalg.pinv(B) @ B, axis=0) < 1e-9
-    assert alone.sum() > 6
-    assert found.data[alone] == pytest.approx(1.0, abs=1e-3)
-
-
 @given(SEEDS)
 def test_without_a_prior_the_visible_share_is_data(seed: int):
     problem = problem_of(seed, None)
@@ -1000,13 +978,11 @@ def test_it_divides_variances(seed: int, kind: str, strength: float):
     assert found.data == pytest.approx(1.0 - held - after, abs=SHARE)
 
 
-def test_an_active_mass_bound_is_physics():
+def test_the_unconstrained_fit_does_not_look_at_bounds():
     problem = problem_of(1, Prior())
     theta = interior(problem)
-    assert of(problem, theta).physics[10] == pytest.approx(0.0, abs=SHARE)
     theta[10:20] *= problem.constraints.mass_min / theta[10]
     assert of(problem, theta).physics == pytest.approx(np.eye(len(theta))[10], abs=SHARE)
-    # The unconstrained fit does not look at bounds.
     unconstrained = Estimate.of_theta(problem, theta, method="wls", status="optimal")
     assert provenance(unconstrained).physics.max() < SHARE
 
@@ -1045,17 +1021,6 @@ def test_a_flat_body_stays_free_to_be_another_flat_one(consistency):
             seen = normals @ change
             size = np.linalg.norm(normals, axis=1) * np.linalg.norm(change)
             assert np.all(np.abs(seen) <= 1e-4 * size)
-
-
-def test_at_the_belief_the_entropic_and_its_quadratic_agree():
-    pullback, entropic = (problem_of(6, Prior(kind=kind)) for kind in ("pullback", "entropic"))
-    theta = interior(pullback)
-    theta[:30] = pullback.robot.prior.ravel()
-    # The believed bodies are above the least size, so that nothing was repaired.
-    assert np.allclose(pullback.prior.terms[0].residual(theta)[:30], 0.0, atol=1e-9)
-    first, second = of(pullback, theta), of(entropic, theta)
-    for name in ("data", "physics", "prior"):
-        assert getattr(first, name) == pytest.approx(getattr(second, name), abs=SHARE)
 
 
 def test_a_link_that_nothing_is_believed_of():

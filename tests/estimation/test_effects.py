@@ -152,16 +152,6 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool, pulled: bool)
     assert search.cost == pytest.approx(nnls(left[:, :-1], left[:, -1])[1] ** 2, rel=1e-6)
 
 
-def test_a_negative_peak_does_not_imitate_a_smooth_sign() -> None:
-    """Unsigned, the peak would be the difference between an exact and a smooth sign."""
-    samples = made(Coulomb(width=0.4), "viscous")
-    rows = ("coulomb", "viscous", Stribeck())
-    search, _ = search_of(samples, rows, np.eye(3))
-    search.run()
-    without, _ = search_of(samples, ("coulomb", "viscous", Flat()), np.eye(3))
-    assert search.cost == pytest.approx(without.cost, rel=1e-6)
-
-
 @dataclass(frozen=True)
 class Flat(JointwiseTerm):
     """A term without effect and with an open number."""

@@ -221,16 +221,6 @@ def test_constraints_that_cannot_hold(consistency: Consistency) -> None:
     assert refuses(InfeasibleError, r"margin|8\.0", solve_sdp, tight).problem is tight
 
 
-def test_bounds_on_masses_hold() -> None:
-    problem = noisy(ARM3, 9)
-    bounded = problem.constrained(constraints=Constraints(mass_min=2.0, mass_max=2.5))
-    estimate = solve_sdp(bounded)
-    masses = problem.feasible.bodies(np.asarray(estimate.theta))[:, 0]
-    assert masses.min() >= 2.0
-    assert masses.max() <= 2.5
-    assert certify(estimate).passed
-
-
 @pytest.mark.parametrize("nonnegative", [True, False])
 def test_friction_bounds_can_be_lifted(nonnegative: bool) -> None:
     rng = np.random.default_rng(10)
