@@ -219,22 +219,19 @@ def test_a_parameter_that_is_fixed_is_known_as_well_as_can_be() -> None:
 WALKS, EACH = 50, 40
 
 
-def cone(size: int, scale: Array | None = None, power: float = 0.0) -> Density:
-    """Return a density of positive definite matrices: of trace up to one, or Wishart's."""
-    units, uniform = symmetric_basis(size), scale is None
+def cone(scale: Array, power: float = 0.0) -> Density:
+    """Return Wishart's density of positive definite matrices."""
+    size, units = len(scale), symmetric_basis(len(scale))
     n = len(units)
-    matrices = Matrices(np.zeros((1, size, size)), units[:, None])
-    nothing = Matrices(np.zeros((0, size, size)), np.zeros((n, 0, size, size)))
-    inverse = np.zeros((size, size)) if uniform else np.linalg.inv(scale)
     return replace(
         Density.of(sdpid.solve_sdp(arm_problem(*CONDITIONS["pair"]))),
         mean=np.zeros(n),
-        slope=0.5 * np.einsum("ij,kij->k", inverse, units),
+        slope=0.5 * np.einsum("ij,kij->k", np.linalg.inv(scale), units),
         precision=np.zeros((n, n)),
-        walls=matrices if uniform else nothing,
-        bodies=nothing if uniform else matrices,
+        walls=Matrices(np.zeros((0, size, size)), np.zeros((n, 0, size, size))),
+        bodies=Matrices(np.zeros((1, size, size)), units[:, None]),
         limits=-np.einsum("kii->k", units)[None],
-        room_at_zero=np.ones(1) if uniform else np.full(1, 1e3),
+        room_at_zero=np.full(1, 1e3),
         strength=power,
     )
 
@@ -249,26 +246,12 @@ def matrices_of(density: Density, start: Array, covariance: Array) -> Array:
     return np.einsum("ck,kij->cij", found, symmetric_basis(len(start)))
 
 
-@pytest.mark.parametrize("size", [4, 6])
-def test_uniform_in_a_cone(size: int) -> None:
-    density = cone(size)
-    start = np.eye(size) / (size + 1.0)
-    found = matrices_of(density, start, np.eye(density.n) / density.n**2)
-    trace = np.einsum("cii->c", found)
-    assert kstest(trace**density.n, "uniform").pvalue > FALSE_ALARM
-    # Apart from their size they are those of a Wishart distribution of s + 1 degrees of freedom.
-    nu = size + 1.0
-    expected = (size + nu + 1.0) / (size * nu + 2.0)
-    squares = np.einsum("cij,cij->c", found, found) / trace**2
-    assert squares.mean() == pytest.approx(expected, abs=5.0 * squares.std() / np.sqrt(500))
-
-
 def test_a_chain_that_rounding_would_take_out_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = "sdpid.assurance.sampling.walk.drawn_on_lines"
     monkeypatch.setattr(steps, lambda *_: np.array([1e3, 1e-3]))
     begin = np.tile(np.einsum("kii->k", symmetric_basis(4)) / 5.0, (2, 1))
     rng, covariance = np.random.default_rng(0), np.eye(begin.shape[1])
-    (ends,) = hit_and_run(cone(4), begin, covariance=covariance, rng=rng, count=1)
+    (ends,) = hit_and_run(cone(np.eye(4)), begin, covariance=covariance, rng=rng, count=1)
     assert np.array_equal(ends[0], begin[0])
     assert not np.any(ends[1] == begin[1])
 
@@ -277,7 +260,7 @@ def test_a_chain_that_rounding_would_take_out_stays(monkeypatch: pytest.MonkeyPa
 def test_wishart_with_a_power_of_the_determinant(power: float) -> None:
     scale = np.diag([0.1, 0.2, 0.5, 1.0]) + 0.05
     nu = 5.0 + 2.0 * power
-    density = cone(4, scale, power)
+    density = cone(scale, power)
     root = np.linalg.cholesky(scale)
     units = np.linalg.inv(root) @ symmetric_basis(4) @ np.linalg.inv(root).T
     flat = units.reshape(10, 16)

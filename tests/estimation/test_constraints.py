@@ -368,14 +368,6 @@ def test_fixed_link(body: Array, entry: int) -> None:
     assert not satisfied(FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
 
 
-@given(bodies(), st.integers(0, 9))
-def test_equal_links(body: Array, entry: int) -> None:
-    condition = EqualLinks("finger", "thumb")
-    assert satisfied(condition, theta_with({"finger": body, "thumb": body}))
-    other = body + 1e-6 * np.eye(10)[entry]
-    assert not satisfied(condition, theta_with({"finger": body, "thumb": other}))
-
-
 @given(SEEDS, st.integers(1, 6))
 def test_mirror_symmetry(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

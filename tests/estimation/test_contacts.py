@@ -61,16 +61,6 @@ def changed(samples: Samples, **given: Any) -> Samples:
     return replace(samples, contacts=replace(samples.contacts, **given))
 
 
-def test_truth_leaves_nothing_without_noise() -> None:
-    made = gait()
-    contacts = made.samples.contacts
-    found = problem(replace(made.samples, covariance=SIGMA))
-    base = found.base_of(made.theta)
-    assert np.sqrt(found.cost(base) / found.n_rows) < 1e-8
-    assert found.n_rows == 18 * 240 - 3 * np.count_nonzero(contacts.down)
-    np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
-
-
 def test_the_information_is_that_of_a_dense_projection() -> None:
     made = gait(12)
     rng = np.random.default_rng(1)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid import Constraints, Prior, Samples, certify, solve_sdp, solve_wls
-from sdpid.constraints import Layout, MirrorPair
+from sdpid.constraints import MirrorPair
 from sdpid.errors import DataError, IdentifiabilityError, ModelError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
@@ -20,9 +20,8 @@ from sdpid.estimation.prior.evidence import (
     negative_log_evidence,
     strength_by_evidence,
 )
-from sdpid.estimation.prior.prior import Alike, prior_terms, repaired
+from sdpid.estimation.prior.prior import prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia
 from sdpid.workflow.verify import verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
@@ -553,22 +552,6 @@ def test_what_makes_no_sense_is_refused():
 
 
 PAIR = MirrorPair(FIRST, LAST, reflection=REFLECTION)
-
-
-@given(st.integers(0, 2**31), st.floats(0.01, 1.0))
-def test_nats_of_a_difference(seed: int, within: float) -> None:
-    """By the definition, with matrices that the rows do not see."""
-    rng = np.random.default_rng(seed)
-    believed, bodies = random_links(rng, 2), random_links(rng, 2)
-    layout = Layout(ARM, FrictionModel.from_terms(("viscous",), ARM.joint_names))
-    theta = np.concatenate([bodies.ravel(), rng.normal(size=2)])
-    rows = Alike.of(PAIR, within, believed, layout).rows
-    H = REFLECTION
-    (A0, B0), (A, B) = pseudo_inertia(believed), pseudo_inertia(bodies)
-    L = np.linalg.cholesky((H @ A0 @ H.T + B0) / 2)
-    off = np.linalg.solve(L, np.linalg.solve(L, B - H @ A @ H.T).T)
-    wanted = float(np.sum(off**2)) / within**2
-    assert float(np.sum((rows @ theta) ** 2)) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_what_a_prior_says_and_refuses() -> None:
