@@ -190,24 +190,18 @@ def test_an_error_arrives_where_its_result_would() -> None:
         next(found)
 
 
-# ---- Rows have the columns that they are said to have, and no others.
+# ---- Rows of other motions, and of simulated ones, are compressed joint by joint as together.
 
 
-@pytest.mark.parametrize("terms", [(), ("coulomb", "viscous"), (AsymmetricCoulomb(), "offset")])
 @pytest.mark.parametrize("kind", ["plain", "instrumental", "sensitivities"])
-def test_no_product_of_rows_is_lost(kind: str, terms: tuple[Any, ...]) -> None:
-    """Rows of a branch that are multiplied by a matrix, or simulated, have every column."""
+def test_no_product_of_rows_is_lost(kind: str) -> None:
     rng, samples = np.random.default_rng(2), replace(gait(20).samples, contacts=None)
-    rows = row_source(quadruped(), samples, terms)
+    rows = row_source(quadruped(), samples, (AsymmetricCoulomb(), "offset"))
     b, source = rows.base.count, (rows.robot, rows.friction, rows.base, samples)
-    if kind == "plain":
-        links = np.flatnonzero(rows.base.kept < 10 * rows.robot.n_links)
-        legs = rows.reached[6:, links].reshape(4, 3, -1).any(axis=1)
-        assert legs.sum(axis=0).max() == 1
-    elif kind == "instrumental":
+    if kind == "instrumental":
         link, fit = rng.standard_normal((b, b)), rng.standard_normal(b)
         rows = InstrumentalRows(*source, instruments=samples, link=link, fit=fit, shift=0.0 * fit)
-    else:
+    elif kind == "sensitivities":
         slopes = rng.standard_normal((*samples.effort.shape, b))
         rows = SensitivityRows(*source, slopes=slopes, target=samples.effort)
     variance = rng.uniform(0.5, 2.0, rows.robot.n)

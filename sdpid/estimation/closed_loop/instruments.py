@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.closed_loop.loop import ClosedLoop, commanded, is_commanded, references
 from sdpid.estimation.compression.factor import Factor, compressed
@@ -60,17 +60,7 @@ _EXPLAINED = 0.5
 
 
 @dataclass(frozen=True)
-class MadeRows(RowSource):
-    """Rows whose columns are mixed, so that any may be of any joint."""
-
-    @cached_property
-    def reached(self) -> Mask:
-        """At which columns rows may not be zero: at all."""
-        return np.ones((self.robot.n, self.base.count + 1), dtype=bool)
-
-
-@dataclass(frozen=True)
-class PairedRows(MadeRows):
+class PairedRows(RowSource):
     """Rows ``[Z | W | y]``: the regressors of another and of the measured motion, and the efforts.
 
     Attributes

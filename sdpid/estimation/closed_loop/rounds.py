@@ -13,16 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
-from sdpid.estimation.closed_loop.instruments import (
-    FirstStage,
-    MadeRows,
-    MotionSource,
-    of_rows,
-    weighed,
-)
+from sdpid.estimation.closed_loop.instruments import FirstStage, MotionSource, of_rows, weighed
 from sdpid.estimation.closed_loop.loop import ClosedLoop
 from sdpid.estimation.compression.covariance import JointRows, correlation_time
 from sdpid.estimation.compression.factor import Factor
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate, Status, Step
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
@@ -62,7 +57,7 @@ _ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class SensitivityRows(MadeRows):
+class SensitivityRows(RowSource):
     """Rows ``[S | S·β_0 + q − q_s(β_0)]`` of positions about parameters β_0.
 
     S is the derivative of the simulated positions q_s by the base parameters, and the last column

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -94,28 +94,25 @@ class JointRows:
 
     Attributes
     ----------
-    columns : tuple of ndarray of int
-        Of each joint, the columns where its rows may not be zero, efforts last.
     triangles : tuple of Triangle
-        One a joint, of those columns and a column of ones, not whitened. So their products with
-        themselves are sums over rows: of their number, of efforts, and of squared efforts.
+        One a joint, of its rows, efforts last, and a column of ones, not whitened. So their
+        products with themselves are sums over rows: of their number, of efforts, and of squared
+        efforts.
     """
 
-    columns: tuple[Indices, ...]
     triangles: tuple[Triangle, ...]
 
     @classmethod
     def of(cls, rows: RowSource) -> JointRows:
         """Compress the rows of every joint."""
-        columns = tuple(np.flatnonzero(own) for own in rows.reached)
-        triangles = tuple(Triangle(len(own) + 1) for own in columns)
+        triangles = tuple(Triangle(rows.base.count + 2) for _ in range(rows.robot.n))
         for part in rows.parts():
-            stacked, mask = rows.rows(part), rows.mask(part)
-            for j, (own, triangle) in enumerate(zip(columns, triangles, strict=True)):
-                used = slice(None) if mask[:, j].all() else mask[:, j]
-                found = stacked[used, j][:, own]
-                triangle.add(np.column_stack([found, np.ones(len(found))]))
-        return cls(columns, triangles)
+            mask = rows.mask(part)
+            found = np.ones((*mask.shape, rows.base.count + 2))
+            found[:, :, :-1] = rows.rows(part)
+            for j, triangle in enumerate(triangles):
+                triangle.add(found[:, j] if mask[:, j].all() else found[mask[:, j], j])
+        return cls(triangles)
 
     @classmethod
     def merged(cls, pieces: Sequence[JointRows]) -> JointRows:
@@ -148,11 +145,10 @@ class JointRows:
 
     def joined(self, variance: Array) -> Triangle:
         """Return the triangle of all rows over the standard deviations of their joints."""
-        joined = Triangle(int(self.columns[0][-1]) + 1)
-        # First rows first: together they have all columns.
-        for part in (slice(1), slice(1, None)):
-            for own, triangle, s in zip(self.columns, self.triangles, variance, strict=True):
-                joined.add(triangle.R[part, :-1] / np.sqrt(s), own)
+        joined = Triangle(self.triangles[0].columns - 1)
+        # Their order makes no difference but to the last bits.
+        pairs = zip(self.triangles[::-1], variance[::-1], strict=True)
+        joined.add(np.concatenate([t.R[:, :-1] / np.sqrt(s) for t, s in pairs]))
         return joined
 
     def fit(self, variance: Array) -> tuple[Array, int]:
@@ -166,8 +162,8 @@ class JointRows:
 
     def _residuals(self, base: Array) -> list[Array]:
         """Return every joint's residuals in the rows of its triangle."""
-        error, pairs = np.append(-base, 1.0), zip(self.columns, self.triangles, strict=True)
-        return [t.R[:, :-1] @ error[own] for own, t in pairs]
+        error = np.append(-base, 1.0)
+        return [triangle.R[:, :-1] @ error for triangle in self.triangles]
 
     def residual_variance(self, base: Array, rank: int) -> Array:
         """Return the variance of every joint's residuals at some base parameters, (n,).
@@ -189,7 +185,7 @@ class JointRows:
     def least_variance(self) -> Array:
         """Added to the variance of each joint's residuals, (n,)."""
         used = np.maximum(self.used, 1.0)
-        mean = self.mean_residual(np.zeros(self.columns[0][-1]))
+        mean = self.mean_residual(np.zeros(self.triangles[0].columns - 2))
         return least_variance(self.squares / used - mean**2, self.effort)
 
 

@@ -23,7 +23,7 @@ from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import Entries, Tree
+from sdpid.robot.model.regressor_kernel import Entries
 
 T = TypeVar("T")
 
@@ -165,20 +165,6 @@ class RowSource:
         places[self.base.kept] = np.arange(self.base.count)
         return places
 
-    @cached_property
-    def reached(self) -> Mask:
-        """At which columns of `rows` the row of each joint may not be zero, (n, b + 1)."""
-        tree, friction = self.robot.tree, self.friction
-        terms = np.ones((self.robot.n, len(friction.parameters)), dtype=bool)
-        terms[: friction.first] = False
-        for term, place in friction.placed:
-            if _is_diagonal(term):
-                terms[friction.first :, place] = np.eye(len(friction.joint_names), dtype=bool)
-        standard = np.concatenate([np.repeat(_moved(tree), 10, axis=1), terms], axis=1)
-        reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
-        reached[:, :-1] = standard[:, self.base.kept]
-        return reached
-
     def with_every_column(self) -> RowSource:
         """Return the rows with a column for each friction parameter, dependent ones too.
 
@@ -280,18 +266,6 @@ class RowSource:
     def motion(self, part: slice) -> Motion:
         """Return the motion of some samples, at which friction columns are evaluated."""
         return motion_of(self.robot, self.samples, part, first=self.friction.first)
-
-
-def _moved(tree: Tree) -> Mask:
-    """Return which coordinates move which links, shape (n, links)."""
-    links = len(tree.kind)
-    found = np.zeros((tree.n, links), dtype=bool)
-    ends = [*tree.first_v[1:], len(tree.column)]
-    for i in range(links):
-        if tree.parent[i] >= 0:
-            found[:, i] = found[:, tree.parent[i]]
-        found[tree.column[tree.first_v[i] : ends[i]], i] = True
-    return found
 
 
 def _is_diagonal(term: FrictionTerm) -> TypeGuard[JointwiseTerm]:
