@@ -393,8 +393,8 @@ def test_a_search_that_ended_early_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["report.html", "trajectory.csv", "plan.json", "limits.toml"])
 def test_files_that_no_plan_wrote_are_not_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
-    with pytest.raises(ExportError, match=f"{name}, which no run like this wrote"):
-        write_plan(small_plan(), tmp_path)
+    words = f"{name}, which no run like this wrote"
+    refuses(ExportError, words, write_plan, small_plan(), tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "mine"
 

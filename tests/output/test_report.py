@@ -22,6 +22,7 @@ import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.intervals.delta_method import link_properties
+from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.output.charts.charts import Charts, packed, scripts, style
 from sdpid.output.charts.page import number, policy
@@ -33,6 +34,7 @@ from sdpid.output.robots.export_report import ExportErrors
 from sdpid.workflow.result import Identification
 from tests.helpers.browser import Tab, look
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE
 from tests.helpers.runs import arm as recorded_arm
 from tests.helpers.runs import recorded
@@ -405,15 +407,14 @@ def test_it_is_written_whole_or_not_at_all(
 ) -> None:
     path = write_report(result, tmp_path / "report.html", sha256="0")
     before = path.read_text(encoding="utf-8")
-    with pytest.raises(sdpid.errors.ExportError):
-        write_report(result, tmp_path / "nowhere" / "report.html", sha256="0")
+    nowhere = tmp_path / "nowhere" / "report.html"
+    refuses(ExportError, "nowhere", write_report, result, nowhere, sha256="0")
 
     def fail(*_: object, **__: object) -> None:
-        raise sdpid.errors.ExportError("no")
+        raise ExportError("no")
 
     monkeypatch.setattr(report, "atomic_write_text", fail)
-    with pytest.raises(sdpid.errors.ExportError):
-        result.save(tmp_path, figures=False)
+    refuses(ExportError, "no", result.save, tmp_path, figures=False)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert path.read_text(encoding="utf-8") == before
 

@@ -402,8 +402,8 @@ def test_a_later_run_replaces_and_removes(estimate: Estimate, draws: Array, tmp_
 
 def test_files_of_others_are_not_replaced(estimate: Estimate, draws: Array, tmp_path: Path) -> None:
     (tmp_path / "robot_0002.urdf").write_text("precious")
-    with pytest.raises(ExportError, match=r"robot_0002\.urdf, which no run like this wrote"):
-        written(estimate, draws, tmp_path, "urdf")
+    words = r"robot_0002\.urdf, which no run like this wrote"
+    refuses(ExportError, words, written, estimate, draws, tmp_path, "urdf")
     assert [path.name for path in tmp_path.iterdir()] == ["robot_0002.urdf"]
 
 
@@ -480,5 +480,5 @@ def test_a_floating_base_has_a_body_too(tmp_path: Path) -> None:
 
 def test_draws_that_need_be_no_bodies_are_refused() -> None:
     estimate = estimate_of(small_arm(2), consistency="spatial_inertia")
-    with pytest.raises(ExportError, match="solve with consistency='pseudo_inertia'"):
-        SampleWriter(estimate, draws_about(estimate, 2), kinds=("mjcf",))
+    given, words = (estimate, draws_about(estimate, 2)), "solve with consistency='pseudo_inertia'"
+    refuses(ExportError, words, SampleWriter, *given, kinds=("mjcf",))

@@ -126,8 +126,8 @@ def test_files_that_are_none(tmp_path: Path, text: str, match: str) -> None:
 def test_other_refusals(
     tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(ExportError, match=r"\.json, \.yaml or \.yml"):
-        write_parameters(estimate, tmp_path / "p.toml")
+    words = r"\.json, \.yaml or \.yml"
+    refuses(ExportError, words, write_parameters, estimate, tmp_path / "p.toml")
     refuses(DataError, r"cannot read .*absent", read_parameters, tmp_path / "absent.json")
     (tmp_path / "p.yaml").write_text("a: [1\nb: }")
     refuses(DataError, "not YAML", read_parameters, tmp_path / "p.yaml")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, Indices
 from sdpid._common.extras import require
-from sdpid.output.charts.page import beside
+from sdpid.output.charts.page import beside, page
 
 # Steps between the least and the largest value of a column: 15 µm of a meter. One more number of 16
 # bits stands for what is missing.
@@ -56,6 +56,14 @@ class Charts:
         """Hold an array and return its number."""
         text = json.dumps(packed(values[:, None]), separators=(",", ":"), allow_nan=False)
         return self._columns.setdefault(text, len(self._columns))
+
+    def page(self, package: str, template: str, *, scene: Any, **values: Any) -> str:
+        """Return the page that a template makes of values, of these charts and of a scene.
+
+        Arguments and errors are otherwise those of `sdpid.output.charts.page.page`.
+        """
+        own = {"charts": self, "chart_style": style(), "scene": scene}
+        return page(package, template, scripts=(scene.script, *scripts()), **own, **values)
 
     @property
     def data(self) -> Any:

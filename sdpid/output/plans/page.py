@@ -14,8 +14,8 @@ from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
 from sdpid.experiment.trajectory.played import Played, played
-from sdpid.output.charts.charts import Charts, scripts, style
-from sdpid.output.charts.page import number, page
+from sdpid.output.charts.charts import Charts
+from sdpid.output.charts.page import number
 from sdpid.output.plans.scene import scene_of
 from sdpid.output.scene.contents import FRAME_RATE
 
@@ -138,7 +138,7 @@ def plan_html(plan: Plan, *, command: str | None = None, names: Sequence[str] = 
     clearance, charts = plan.joint_limits.clearance or 0.0, Charts()
     scene = scene_of(plan.robot, played(plan.trajectory, FRAME_RATE), plan.collision, clearance)
     motion = played(plan.trajectory, _RATE_HZ)
-    return page(
+    return charts.page(
         "sdpid.output.plans",
         "plan.html.j2",
         plan=plan,
@@ -156,9 +156,6 @@ def plan_html(plan: Plan, *, command: str | None = None, names: Sequence[str] = 
         files=names,
         command=command,
         scene=scene,
-        scripts=(scene.script, *scripts()),
-        charts=charts,
-        chart_style=style(),
     )
 
 

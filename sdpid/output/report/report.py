@@ -16,8 +16,7 @@ import numpy as np
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
-from sdpid.output.charts.charts import Charts, scripts, style
-from sdpid.output.charts.page import page
+from sdpid.output.charts.charts import Charts
 from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
 from sdpid.output.report.kinds import LEVELS
@@ -94,12 +93,9 @@ def report_html(
     line = TimeLine.of(of.samples.time, of.samples.n_samples, of.samples.starts)
     scene = identified_scene(problem.robot, of.samples, result.estimate.theta, line.instants)
     every = findings(result)
-    return page(
+    return charts.page(
         "sdpid.output.report",
         "report.html.j2",
-        scripts=(scene.script, *scripts()),
-        chart_style=style(),
-        charts=charts,
         scene=scene,
         result=result,
         of=of,

@@ -605,12 +605,8 @@ def test_the_worst_joint_its_cause_and_the_step(full: Identification) -> None:
 def test_a_cause_of_another_joint_than_the_worst_is_told_with_its_share(
     full: Identification,
 ) -> None:
-    both = np.column_stack(
-        [
-            wrong(0, 0.4, lambda fresh: np.sin(fresh.position[:, 0])).effort[:, 0],
-            wrong(1, 0.5, noise).effort[:, 1],
-        ]
-    )
+    parts = wrong(0, 0.4, lambda fresh: np.sin(fresh.position[:, 0])), wrong(1, 0.5, noise)
+    both = np.column_stack([each.effort[:, j] for j, each in enumerate(parts)])
     found = headline(held(full, replace(moved(arm_theta(), 2), effort=both)))
     assert found.worst.startswith(f"{LAST}, error ")
     assert "its shape shows no cause" in found.worst
