@@ -125,12 +125,6 @@ def test_friction_that_changed_between_the_recordings_does_no_harm(arm: RobotMod
     assert common.cost > 2.0 * found.cost
 
 
-def test_exact_data_give_the_exact_payload(arm: RobotModel) -> None:
-    loaded, bare, _ = pair(arm, load(), noise=0.0)
-    found = identify_payload(arm, loaded, bare, friction=TERMS, weighting="gls")
-    assert found.theta == pytest.approx(load(), abs=1e-6)
-
-
 def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
     point = load(points=1)
     loaded, bare, _ = pair(arm, point)

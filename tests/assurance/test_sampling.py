@@ -21,7 +21,7 @@ from sdpid.estimation.conic.solve import symmetric_basis
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.robot.inertia import Consistency, margin
-from tests.assurance.test_intervals import BODY, ON_THE_AXIS, arm
+from tests.assurance.test_intervals import BODY, ON_THE_AXIS
 from tests.assurance.test_intervals import estimate as of_arm
 from tests.helpers.arm import BODIES, BOTH, CONDITIONS, arm_problem
 from tests.helpers.refusals import refuses
@@ -151,18 +151,6 @@ def test_data_as_good_as_exact(noise: float) -> None:
     assert found.r_hat.max() < 1.1
     if noise == 0.0:
         refuses(SolverError, "draw: ", draw, of_arm(ON_THE_AXIS, 1, noise=noise), 16)
-
-
-def test_frames_do_not_matter() -> None:
-    """Turn the last link's frame about its joint: what the turn leaves has the same draws."""
-    names = ("zz2", "zzr1", "Fv2")
-    found = []
-    for turn in (0.0, 0.7):
-        estimate = of_arm(ON_THE_AXIS, 3, robot=arm(turn), turn=turn)
-        draws = draw(estimate, 1000, seed=5)
-        found.append(draws.base[:, [draws.base_names.index(each) for each in names]])
-    for k, name in enumerate(names):
-        assert ks_2samp(found[0][:, k], found[1][:, k]).pvalue > FALSE_ALARM, name
 
 
 # ---- Effective sample size and R-hat of chains whose answers are known.

@@ -65,10 +65,13 @@ def estimated(noise: float, prior: sdpid.Prior | None, *, count: int = 40) -> Es
 
 def test_without_a_prior_it_is_the_fit() -> None:
     estimate = estimated(0.1, None)
-    expected = NoiseSpectrum.of(estimate.problem).covariance
+    same_covariance(estimate.covariance, NoiseSpectrum.of(estimate.problem).covariance)
+
+
+def same_covariance(found: Array, expected: Array) -> None:
+    """Compare covariances by the deviations of one."""
     size = np.sqrt(np.diag(expected))
-    found = estimate.covariance / np.outer(size, size)
-    np.testing.assert_allclose(found, expected / np.outer(size, size), atol=1e-6)
+    np.testing.assert_allclose((found - expected) / np.outer(size, size), 0.0, atol=1e-6)
 
 
 class Known:
@@ -91,10 +94,7 @@ def test_with_right_weights_it_is_bayes(kind: str) -> None:
     right = Posterior(estimate, Known(np.linalg.inv(problem.A)))
     B = problem.base.matrix
     size = np.sqrt(np.diag(B @ expected @ B.T))
-    np.testing.assert_allclose(
-        right.covariance(B) / np.outer(size, size), B @ expected @ B.T / np.outer(size, size),
-        atol=1e-6,
-    )  # fmt: skip
+    same_covariance(right.covariance(B), B @ expected @ B.T)
     variance, share, freedom = right.spread(B)
     np.testing.assert_allclose(np.sqrt(variance), size, rtol=1e-6)
     # The prior's part of the variance is known, so that a function has the more freedom.
@@ -307,9 +307,7 @@ def test_a_believed_spectrum_takes_the_place_of_the_residuals(size: float) -> No
     np.testing.assert_array_equal(believed.information(), found.information())
     np.testing.assert_allclose(believed.density, size)
     np.testing.assert_allclose(believed.densities, size)
-    exact = size * np.linalg.inv(problem.A.T @ problem.A)
-    scale = np.sqrt(np.diag(exact))
-    np.testing.assert_allclose((believed.covariance - exact) / np.outer(scale, scale), 0, atol=1e-6)
+    same_covariance(believed.covariance, size * np.linalg.inv(problem.A.T @ problem.A))
 
 
 # ---- Errors of gains against finite differences, and against estimates by gains that are off.

@@ -1,6 +1,5 @@
 """Problems: their costs as the raw rows have them, and what is refused."""
 
-import json
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -20,7 +19,7 @@ from sdpid.estimation.constraints.mass import TotalMass
 from sdpid.estimation.local.log_cholesky import solve_log_cholesky
 from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
-from sdpid.estimation.problem import Problem, build_problem, describe
+from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import generic_states
 from tests.helpers import world
@@ -114,13 +113,6 @@ def test_other_constraints_keep_the_cost() -> None:
     assert other.cost_of(theta) == problem.cost_of(theta)
     assert (other.consistency, other.constraints.margin) == ("spatial_inertia", 0.01)
     assert problem.consistency == "pseudo_inertia"
-
-
-def test_the_description_of_a_problem_is_plain() -> None:
-    samples, _, _ = noisy_samples(15, masked=True)
-    plain = describe(build_problem(ARM, samples))
-    assert json.loads(json.dumps(plain)) == plain
-    assert plain["rows_used"] == int(samples.mask.sum())
 
 
 def test_results_are_read_only() -> None:
