@@ -85,6 +85,8 @@ def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) 
     assert (found.refutation is not None) == (found.verdict == "not realisable")
     assert (found.certificate is None) == (found.verdict == "undecided")
     if found.certificate is not None:
+        # A proof that needs no bound on masses is about the masses that were asked for, too.
+        assert found.certificate.question is found.question
         checked = check(require_form(json.loads(json.dumps(found.certificate.to_dict()))))
         assert checked.passed, checked.problems
     if found.margin is not None and found.margin_bound is not None:

@@ -372,14 +372,14 @@ def _audited(question: Question, length: float) -> BaseAudit:
                 **common, verdict="realisable", certificate=witness, change=0.0, changes={}
             )
     least = search.solve(search.give[:, None])
-    strongest = _holding(search.refutation(least))
+    strongest = _holding(search.refutation(least), question)
     most = None if strongest is None else strongest.change_bound
     # A proof without the bound on masses says more, and people can read one of few digits.
     heavy = ScaledQuestion(replace(question, mass_max=question.theta_max), length)
     free = heavy.solve(heavy.give[:, None])
     proof = (
-        _holding(heavy.refutation(free, _FEW_DIGITS, mass_bound=False))
-        or _holding(heavy.refutation(free, mass_bound=False))
+        _holding(heavy.refutation(free, _FEW_DIGITS, mass_bound=False), question)
+        or _holding(heavy.refutation(free, mass_bound=False), question)
         or strongest
     )
     changes = search.solve(np.diag(search.give))
@@ -395,9 +395,12 @@ def _audited(question: Question, length: float) -> BaseAudit:
     )
 
 
-def _holding(proof: StoredRefutation | None) -> StoredRefutation | None:
-    """Return a proof if it is one."""
-    return proof if proof is not None and proof.holds else None
+def _holding(proof: StoredRefutation | None, question: Question) -> StoredRefutation | None:
+    """Return a proof of the question that was asked, if it is one."""
+    if proof is None:
+        return None
+    asked = replace(proof, question=question)
+    return asked if asked.holds else None
 
 
 def _factor(search: ScaledQuestion, length: float, least: FoundBodies) -> float | None:
