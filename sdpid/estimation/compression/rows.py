@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, TypeGuard, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -19,11 +19,9 @@ from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion, OfMotion
-from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import Entries
 
 T = TypeVar("T")
 
@@ -31,9 +29,6 @@ T = TypeVar("T")
 # chunks of 1 MiB, 2.8 in chunks of 4: what is done once for a chunk then no longer counts, and the
 # rows are still in a cache, if not the fastest, when they are whitened and folded.
 CHUNK_BYTES = 1 << 22
-
-# Methods of a term whose columns are diagonal in the joints.
-_DIAGONAL = JointwiseTerm.columns, JointwiseTerm.columns_in
 
 # Samples handled at a time by what does not look at the rows.
 CHUNK = 4096
@@ -205,28 +200,15 @@ class RowSource:
         ndarray, shape (k, n, b + 1)
         """
         s, n, links = self.samples, self.robot.n, 10 * self.robot.n_links
-        effort, first = self.effort(part), self.friction.first
+        effort = self.effort(part)
         out = np.empty((len(effort), n, self.base.count + 1))
-        motion, places = self.motion(part), self._places[links:]
-        # Terms that have one entry a row, and the efforts; then columns across joints.
-        entries: list[Entries] = [(effort, np.arange(n), np.full(n, self.base.count))]
-        columns: list[tuple[Indices, Array]] = []
-        for term, place in self.friction.placed:
-            to = places[place]
-            kept = np.flatnonzero(to >= 0)
-            if _is_diagonal(term):
-                entries.append((term.shape_in(motion)[:, kept], first + kept, to[kept]))
-            else:
-                every = term.columns_in(motion, self.friction.joint_names)
-                columns.append((to[kept], every[:, :, kept]))
-        values, *where = (np.concatenate(each, axis=-1) for each in zip(*entries, strict=True))
         self.robot.regressor_columns(
             s.position[part], s.velocity[part], s.acceleration[part],
             places=self._places[:links], out=out, compiled=self.many,
-            entries=(values, where[0], where[1]),
+            entries=(effort, np.arange(n), np.full(n, self.base.count)),
         )  # fmt: skip
-        for to, block in columns:
-            out[:, first:, to] = block
+        to = self._places[links:]
+        out[:, :, to[to >= 0]] = self.friction.columns_in(self.motion(part))[:, :, to >= 0]
         return out
 
     def contacts(self, part: slice) -> ContactRows | None:
@@ -266,12 +248,6 @@ class RowSource:
     def motion(self, part: slice) -> Motion:
         """Return the motion of some samples, at which friction columns are evaluated."""
         return motion_of(self.robot, self.samples, part, first=self.friction.first)
-
-
-def _is_diagonal(term: FrictionTerm) -> TypeGuard[JointwiseTerm]:
-    """Return whether each joint has one column of its own."""
-    own = type(term).columns, type(term).columns_in
-    return isinstance(term, JointwiseTerm) and own == _DIAGONAL
 
 
 def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 0) -> Motion:
