@@ -1,6 +1,5 @@
 """Predictions, bands, what was held out, what errors go with, and where parameters come from."""
 
-import csv
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,6 +29,7 @@ from sdpid.assurance.diagnostics.provenance import (
 )
 from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, moving_and_resting
 from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
+from sdpid.assurance.tables.csv_table import read_base_table
 from sdpid.cli.printing import errors_table
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import FEASIBLE, Estimate
@@ -60,7 +60,7 @@ from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, described_arm, small_arm
 from tests.helpers.runs import arm, recorded
-from tests.helpers.small_robots import SMALL
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS, random_states
 
 
@@ -543,24 +543,22 @@ def test_the_prior_keeps_them_from_being_torn_apart() -> None:
 ROUNDING = 1e-11
 
 
-@cache
-def robot(source: str) -> RobotModel:
-    """Return a robot by its description, or an arm by its number of joints."""
-    if source == "flying":
-        return load_robot(TREE, root="free_flyer")
-    return small_arm(int(source)) if source.isdigit() else load_robot(source)
+ROBOTS = {
+    "tree": load_robot(TREE),
+    "mimic": load_robot(TREE_MIMIC),
+    "arm2": ARM,
+    "arm4": small_arm(4),
+    "denso": load_robot("denso_vp6242"),
+    "flying": load_robot(TREE, root="free_flyer"),
+    **MODELS,
+}
 
 
-URDFS = {name: small.urdf for name, small in SMALL.items()}
-ROBOTS = (TREE, TREE_MIMIC, "2", "4", "denso_vp6242", "flying", *URDFS.values())
-NAMES = ("tree", "mimic", "arm2", "arm4", "denso", "flying", *URDFS)
-
-
-@pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
+@pytest.mark.parametrize("name", ROBOTS)
 @given(seed=SEEDS)
-def test_no_position_goes_below_the_proven_bound(source: str, seed: int) -> None:
+def test_no_position_goes_below_the_proven_bound(name: str, seed: int) -> None:
     """Of a floating base the place does not matter."""
-    arm, rng = robot(source), np.random.default_rng(seed)
+    arm, rng = ROBOTS[name], np.random.default_rng(seed)
     theta, q = random_links(rng, arm.n_links), rng.uniform(-3.2, 3.2, (4, arm.n - arm.n_base))
     J = link_jacobians(arm, q)
     M = np.einsum("klai,lab,klbj->kij", J, spatial_inertia(theta), J)
@@ -675,9 +673,8 @@ def test_links_without_mass_prove_nothing_and_overflow_nowhere(mass: float) -> N
 def test_published_parameters_can_fail(denso: RobotModel, column: str) -> None:
     rng = np.random.default_rng(3)
     problem = build_problem(denso, make_samples(denso, random_theta(denso, rng), rng))
-    with (bundled_folder("denso_vp6242") / "table_iv.csv").open(encoding="utf-8") as file:
-        values = {row["parameter"]: float(row[column]) for row in csv.DictReader(file)}
-    base = np.array([values[name] for name in problem.base.names])
+    values = read_base_table(bundled_folder("denso_vp6242") / "table_iv.csv", value=column).values
+    base = np.array([float(values[name]) for name in problem.base.names])
     published = replace(sdpid.solve_wls(problem), base=base)
     worst = sdpid.smallest_mass_eigenvalue(published)
     # Without constraints far from it, with constraints after rounding to two digits.

@@ -17,14 +17,11 @@ from sdpid.estimation.compression import distributed_rows
 from sdpid.estimation.compression.distributed_rows import DistributedSamples
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.problem import Problem
-from tests.helpers.data import make_samples, random_theta
+from tests.helpers.arm import ARM, BODIES, THETA
+from tests.helpers.data import make_samples
 from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import small_arm
 
-ARM = small_arm(2)
-THETA = random_theta(ARM, np.random.default_rng(9))
-BODIES = THETA[:20].reshape(2, 10)
 PROCESSING = Processing(
     cutoff_hz=10.0, order=4, decimation=1, reversal_time=None, derivative="central4"
 )

@@ -118,9 +118,10 @@ def test_other_constraints_keep_the_cost() -> None:
 def test_results_are_read_only() -> None:
     samples, _, _ = noisy_samples(16)
     problem = build_problem(ARM, samples)
-    for array in (problem.A, problem.rhs, problem.feasible.lower, solve_wls(problem).base):
+    rows = sdpid.validate(solve_wls(problem)).rows
+    for array in (problem.A, problem.rhs, problem.feasible.lower, solve_wls(problem).base, rows):
         with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1.0
+            array[0] = 1
 
 
 def test_a_singular_covariance_is_refused() -> None:
