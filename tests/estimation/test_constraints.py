@@ -17,27 +17,9 @@ from scipy.spatial import ConvexHull
 
 import sdpid
 from sdpid import RobotModel, certify, load_robot, solve_sdp, verify
+from sdpid import constraints as of
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    Condition,
-    Cone,
-    EqualFriction,
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    Layout,
-    MassInEllipsoid,
-    MirrorPair,
-    MirrorSymmetry,
-    Row,
-    TotalMass,
-    equal_friction,
-    mirror_pairs,
-)
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.feasible_set import Constraint
 from sdpid.estimation.constraints.hull import hull_facets
@@ -67,24 +49,24 @@ ROBOT = load_robot(TREE)
 LINK = "left_arm"
 
 
-def layout_of(robot: RobotModel, *terms: Any) -> Layout:
+def layout_of(robot: RobotModel, *terms: Any) -> of.Layout:
     """Return where parameters are."""
-    return Layout(robot, friction_model(robot, terms or FRICTION))
+    return of.Layout(robot, friction_model(robot, terms or FRICTION))
 
 
-def compiled(condition: Condition, robot: RobotModel = ROBOT) -> list[Row | Cone]:
+def compiled(condition: of.Condition, robot: RobotModel = ROBOT) -> list[of.Row | of.Cone]:
     return list(condition.compile(layout_of(robot)))
 
 
-def rows_of(condition: Condition, robot: RobotModel = ROBOT) -> list[Row]:
-    return [row for row in compiled(condition, robot) if isinstance(row, Row)]
+def rows_of(condition: of.Condition, robot: RobotModel = ROBOT) -> list[of.Row]:
+    return [row for row in compiled(condition, robot) if isinstance(row, of.Row)]
 
 
-def excess(condition: Condition, theta: Array, robot: RobotModel = ROBOT) -> float:
+def excess(condition: of.Condition, theta: Array, robot: RobotModel = ROBOT) -> float:
     """Return by how much theta violates the worst row or cone, negative inside."""
     worst = -np.inf
     for part in compiled(condition, robot):
-        if isinstance(part, Row):
+        if isinstance(part, of.Row):
             value = part.coefficients @ theta
             worst = max(worst, part.lower - value, value - part.upper)
         else:
@@ -94,7 +76,7 @@ def excess(condition: Condition, theta: Array, robot: RobotModel = ROBOT) -> flo
 
 
 def satisfied(
-    condition: Condition, theta: Array, *, robot: RobotModel = ROBOT, tol: float = ROUNDING
+    condition: of.Condition, theta: Array, *, robot: RobotModel = ROBOT, tol: float = ROUNDING
 ) -> bool:
     return excess(condition, theta, robot) <= tol
 
@@ -176,7 +158,7 @@ def test_total_mass_is_known_within_its_tolerance(seed: int, tolerance: float, o
     masses = theta[: 10 * ROBOT.n_links : 10]
     total = masses.sum() + off
     assume(total > 0.0)
-    condition = TotalMass(total, tolerance=tolerance)
+    condition = of.TotalMass(total, tolerance=tolerance)
     assert satisfied(condition, theta) == (abs(off) < tolerance)
 
 
@@ -184,9 +166,9 @@ def test_total_mass_of_a_group() -> None:
     theta = theta_with({})
     group = ("thumb", "column")
     masses = [theta[10 * ROBOT.link_names.index(name)] for name in group]
-    condition = TotalMass(sum(masses), links=group)
+    condition = of.TotalMass(sum(masses), links=group)
     assert satisfied(condition, theta)
-    assert not satisfied(TotalMass(sum(masses) + 0.1, links=group), theta)
+    assert not satisfied(of.TotalMass(sum(masses) + 0.1, links=group), theta)
     (row,) = rows_of(condition)
     assert row.name == "total mass of thumb, column"
     assert row.lower == row.upper
@@ -197,37 +179,37 @@ def test_center_of_mass_in_a_box(body: Array, seed: int) -> None:
     rng = np.random.default_rng(seed)
     lower, upper = np.sort(rng.uniform(-0.6, 0.6, (2, 3)), axis=0)
     inside = bool(((lower < center(body)) & (center(body) < upper)).all())
-    condition = CenterOfMassInBox(LINK, lower, upper)
+    condition = of.CenterOfMassInBox(LINK, lower, upper)
     assert len(rows_of(condition)) == 6
     assert satisfied(condition, theta_with({LINK: body})) == inside
-    around = CenterOfMassInBox(LINK, center(body) - 0.01, center(body) + 0.01)
+    around = of.CenterOfMassInBox(LINK, center(body) - 0.01, center(body) + 0.01)
     assert excess(around, theta_with({LINK: body})) < 0.0
 
 
 def test_a_box_open_and_closed() -> None:
     body = point_masses([1.0, 1.0], [[0.2, 0.1, 0.0], [0.2, 0.3, 1.0]])
     theta = theta_with({LINK: body})
-    condition = CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
+    condition = of.CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
     assert [row.name for row in rows_of(condition)] == [
         "center of mass of left_arm, x known",
         "center of mass of left_arm, y at least",
         "center of mass of left_arm, z at most",
     ]
     assert satisfied(condition, theta)
-    assert not satisfied(CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)
+    assert not satisfied(of.CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)
 
 
 @given(bodies(), ellipsoids())
 def test_center_of_mass_in_an_ellipsoid(body: Array, ellipsoid: dict[str, Array]) -> None:
     y = (center(body) - ellipsoid["center"]) @ ellipsoid["rotation"] / ellipsoid["semi_axes"]
     assume(abs(np.linalg.norm(y) - 1.0) > 1e-9)
-    condition = CenterOfMassInEllipsoid(LINK, **ellipsoid)
+    condition = of.CenterOfMassInEllipsoid(LINK, **ellipsoid)
     theta = theta_with({LINK: body})
     assert satisfied(condition, theta) == (np.linalg.norm(y) < 1.0)
-    around = CenterOfMassInEllipsoid(LINK, center(body) + 0.01, (0.02, 0.03, 0.04))
+    around = of.CenterOfMassInEllipsoid(LINK, center(body) + 0.01, (0.02, 0.03, 0.04))
     assert excess(around, theta) < 0.0
     (cone,) = compiled(condition)
-    assert isinstance(cone, Cone)
+    assert isinstance(cone, of.Cone)
     assert cone.axis @ body == body[0]
 
 
@@ -235,7 +217,7 @@ def test_center_of_mass_in_an_ellipsoid(body: Array, ellipsoid: dict[str, Array]
 def test_hull_of_points(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.4, 0.4, (count, 3))
-    condition = CenterOfMassInHull(LINK, corners)
+    condition = of.CenterOfMassInHull(LINK, corners)
     inside = weighed(corners[rng.integers(0, count, 8)], seed)
     assert satisfied(condition, theta_with({LINK: inside}))
     # One corner moved out along a direction in which it is the farthest.
@@ -264,7 +246,7 @@ def test_a_cube_has_six_facets() -> None:
     corners = np.stack(np.meshgrid(*[[1.0, 3.0]] * 3), axis=-1).reshape(-1, 3)
     rng = np.random.default_rng(0)
     points = np.concatenate([corners, corners, rng.uniform(1.0, 3.0, (50, 3))])
-    assert len(rows_of(CenterOfMassInHull(LINK, points))) == 6
+    assert len(rows_of(of.CenterOfMassInHull(LINK, points))) == 6
 
 
 @pytest.mark.parametrize("name", ["ur5_robot", "panda"])
@@ -273,7 +255,7 @@ def test_hull_of_a_real_link(name: str) -> None:
     link = robot.link_names[2]
     points = collision_points(robot, link)
     for tolerance in (0.0, 1e-3):
-        condition = CenterOfMassInHull(link, tolerance=tolerance)
+        condition = of.CenterOfMassInHull(link, tolerance=tolerance)
         inside = theta_with({link: weighed(points, 1)}, robot=robot)
         assert excess(condition, inside, robot) < 0.0
         for axis in np.concatenate([np.eye(3), -np.eye(3)]):
@@ -283,7 +265,7 @@ def test_hull_of_a_real_link(name: str) -> None:
             assert satisfied(condition, corner, robot=robot)
             out = theta_with({link: beyond}, robot=robot)
             assert not satisfied(condition, out, robot=robot)
-    exact = len(rows_of(CenterOfMassInHull(link), robot))
+    exact = len(rows_of(of.CenterOfMassInHull(link), robot))
     assert exact <= len(ConvexHull(points).equations)
     assert len(rows_of(condition, robot)) < exact
 
@@ -295,12 +277,12 @@ def test_what_is_fixed_to_a_link_is_in_its_hull() -> None:
         "</collision>",
     )
     robot = load_robot(text)
-    condition = CenterOfMassInHull("right_arm")
+    condition = of.CenterOfMassInHull("right_arm")
     at = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.1]])}
     assert satisfied(condition, theta_with(at, robot=robot), robot=robot)
     off = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.21]])}
     assert not satisfied(condition, theta_with(off, robot=robot), robot=robot)
-    refuses(ModelError, "no collision geometry", compiled, CenterOfMassInHull("column"), robot)
+    refuses(ModelError, "no collision geometry", compiled, of.CenterOfMassInHull("column"), robot)
     flat = load_robot(text.replace('size="0.2 0.2 0.2"', 'size="1 1 0"'))
     refuses(DataError, "hull has no volume", compiled, condition, flat)
 
@@ -308,7 +290,7 @@ def test_what_is_fixed_to_a_link_is_in_its_hull() -> None:
 @given(ellipsoids(), SEEDS, st.integers(1, 12))
 def test_sign_of_mass_in_an_ellipsoid(ellipsoid: dict[str, Array], seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    condition = MassInEllipsoid(LINK, **ellipsoid)
+    condition = of.MassInEllipsoid(LINK, **ellipsoid)
     inside = weighed(in_frame(ball_points(rng, count, 0.0, 0.999), ellipsoid), seed)
     outside = weighed(in_frame(ball_points(rng, count, 1.001, 3.0), ellipsoid), seed)
     assert excess(condition, theta_with({LINK: inside})) < 0.0
@@ -319,7 +301,7 @@ def test_sign_of_mass_in_an_ellipsoid(ellipsoid: dict[str, Array], seed: int, co
 
 def test_its_unit_is_kilograms() -> None:
     center = np.array([0.1, 0.2, 0.3])
-    (row,) = rows_of(MassInEllipsoid(LINK, center, (0.1, 0.2, 0.3)))
+    (row,) = rows_of(of.MassInEllipsoid(LINK, center, (0.1, 0.2, 0.3)))
     theta = theta_with({LINK: point_masses([2.5], [center])})
     assert row.coefficients @ theta == pytest.approx(2.5)
     theta = theta_with({LINK: point_masses([2.5], [center + 0.2 * np.eye(3)[0]])})
@@ -330,11 +312,11 @@ def test_its_unit_is_kilograms() -> None:
 def test_whatever_passes_is_a_body_inside(body: Array, ellipsoid: dict[str, Array]) -> None:
     """Four point masses with the body's moments, found by turning a square root of J."""
     T = np.eye(4)
-    T[:3] = MassInEllipsoid(LINK, **ellipsoid).to_ball()
+    T[:3] = of.MassInEllipsoid(LINK, **ellipsoid).to_ball()
     # Grown until the condition just holds; some of the body's own masses may be outside.
     y2 = np.trace((T @ pseudo_inertia(body) @ T.T)[:3, :3]) / body[0]
     ellipsoid = {**ellipsoid, "semi_axes": ellipsoid["semi_axes"] * np.sqrt(1.01 * y2)}
-    condition = MassInEllipsoid(LINK, **ellipsoid)
+    condition = of.MassInEllipsoid(LINK, **ellipsoid)
     assert satisfied(condition, theta_with({LINK: body}))
     T[:3] = condition.to_ball()
     masses, points = matter(body, T.T @ np.diag([-1.0, -1.0, -1.0, 1.0]) @ T)
@@ -348,10 +330,10 @@ def test_fixed() -> None:
     theta = theta_with({})
     names = layout_of(ROBOT).names
     values = {name: theta[names.index(name)] for name in ("m_3", "xy_2", "Fv2")}
-    assert satisfied(Fixed(values), theta)
+    assert satisfied(of.Fixed(values), theta)
     for name in values:
-        assert not satisfied(Fixed({**values, name: values[name] + 1e-6}), theta)
-    assert [row.name for row in rows_of(Fixed(values))] == [
+        assert not satisfied(of.Fixed({**values, name: values[name] + 1e-6}), theta)
+    assert [row.name for row in rows_of(of.Fixed(values))] == [
         "m_3 fixed",
         "xy_2 fixed",
         "Fv2 fixed",
@@ -360,12 +342,12 @@ def test_fixed() -> None:
 
 @given(bodies(), st.integers(0, 9))
 def test_fixed_link(body: Array, entry: int) -> None:
-    condition = FixedLink(LINK, body)
+    condition = of.FixedLink(LINK, body)
     assert satisfied(condition, theta_with({LINK: body}))
     assert not satisfied(condition, theta_with({LINK: body + 1e-6 * np.eye(10)[entry]}))
     prior = ROBOT.prior[ROBOT.link_names.index(LINK)]
-    assert satisfied(FixedLink(LINK), theta_with({LINK: prior}))
-    assert not satisfied(FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
+    assert satisfied(of.FixedLink(LINK), theta_with({LINK: prior}))
+    assert not satisfied(of.FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
 
 
 @given(SEEDS, st.integers(1, 6))
@@ -374,7 +356,7 @@ def test_mirror_symmetry(seed: int, count: int) -> None:
     normal, point = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
     half = rng.uniform(-0.4, 0.4, (count, 3))
     whole = weighed(half, seed) + weighed(mirrored(half, normal, point), seed)
-    condition = MirrorSymmetry(LINK, normal, point)
+    condition = of.MirrorSymmetry(LINK, normal, point)
     assert satisfied(condition, theta_with({LINK: whole}))
     n = normal / np.linalg.norm(normal)
     lopsided = whole + point_masses([0.5], [point + 0.1 * n])
@@ -389,7 +371,7 @@ def test_mirror_symmetry_says_all_and_says_it_once(seed: int) -> None:
     M = np.eye(4)
     M[:3, :3] -= 2.0 * np.outer(n, n)
     M[:3, 3] = 2.0 * (n @ point) * n
-    rows = rows_of(MirrorSymmetry(LINK, 3.0 * normal, point))
+    rows = rows_of(of.MirrorSymmetry(LINK, 3.0 * normal, point))
     start = 10 * ROBOT.link_names.index(LINK)
     A = np.stack([row.coefficients for row in rows])[:, start : start + 10]
     assert np.linalg.matrix_rank(A) == len(A) == 3
@@ -406,7 +388,7 @@ def test_mirror_pair_from_frame_to_frame(seed: int, R: Array, count: int) -> Non
     reflection = np.eye(4)
     reflection[:3, :3], reflection[:3, 3] = -R, rng.uniform(-0.3, 0.3, 3)
     image = weighed(points @ reflection[:3, :3].T + reflection[:3, 3], seed)
-    condition = MirrorPair("finger", "thumb", reflection=reflection)
+    condition = of.MirrorPair("finger", "thumb", reflection=reflection)
     body = weighed(points, seed)
     assert satisfied(condition, theta_with({"finger": body, "thumb": image}))
     wrong = image + point_masses([1e-3], [[0.1, 0.2, 0.3]])
@@ -434,7 +416,7 @@ def test_mirror_pair_in_the_base_frame(seed: int, moved: bool, floats: bool) -> 
         return weighed((points - P[:3, 3]) @ P[:3, :3], seed)
 
     other = mirrored(world, normal, point)
-    condition = MirrorPair(first, second, normal, point, position=position)
+    condition = of.MirrorPair(first, second, normal, point, position=position)
     right = {first: body(world, first), second: body(other, second)}
     assert satisfied(condition, theta_with(right, robot=robot), robot=robot)
     wrong = {first: body(world, first), second: body(world, second)}
@@ -444,14 +426,14 @@ def test_mirror_pair_in_the_base_frame(seed: int, moved: bool, floats: bool) -> 
 @pytest.mark.parametrize(
     ("condition", "count"),
     [
-        (Fixed({"m_1": 1.0, "Fs1": 0.1}), 2),
-        (FixedLink(LINK), 10),
-        (EqualLinks("finger", "thumb"), 10),
-        (MirrorSymmetry(LINK, (0, 1, 0)), 3),
-        (MirrorPair("finger", "thumb", (0, 1, 0)), 10),
+        (of.Fixed({"m_1": 1.0, "Fs1": 0.1}), 2),
+        (of.FixedLink(LINK), 10),
+        (of.EqualLinks("finger", "thumb"), 10),
+        (of.MirrorSymmetry(LINK, (0, 1, 0)), 3),
+        (of.MirrorPair("finger", "thumb", (0, 1, 0)), 10),
     ],
 )
-def test_equations_are_independent(condition: Condition, count: int) -> None:
+def test_equations_are_independent(condition: of.Condition, count: int) -> None:
     rows = rows_of(condition)
     matrix = np.stack([row.coefficients for row in rows])
     assert len(rows) == np.linalg.matrix_rank(matrix) == count
@@ -460,27 +442,27 @@ def test_equations_are_independent(condition: Condition, count: int) -> None:
 
 
 BOX = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-ALL: tuple[Condition, ...] = (
-    TotalMass(3.0, tolerance=0.1, links=["finger"]),
-    CenterOfMassInBox(LINK, (-0.1,) * 3, (0.1,) * 3),
-    CenterOfMassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
-    CenterOfMassInHull(LINK, BOX),
-    MassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
-    Fixed({"m_1": 2.0}),
-    FixedLink(LINK),
-    EqualLinks(LINK, "finger"),
-    MirrorSymmetry(LINK, (0, 1, 0)),
-    MirrorPair(LINK, "right_arm", (0, 1, 0)),
+ALL: tuple[of.Condition, ...] = (
+    of.TotalMass(3.0, tolerance=0.1, links=["finger"]),
+    of.CenterOfMassInBox(LINK, (-0.1,) * 3, (0.1,) * 3),
+    of.CenterOfMassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    of.CenterOfMassInHull(LINK, BOX),
+    of.MassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    of.Fixed({"m_1": 2.0}),
+    of.FixedLink(LINK),
+    of.EqualLinks(LINK, "finger"),
+    of.MirrorSymmetry(LINK, (0, 1, 0)),
+    of.MirrorPair(LINK, "right_arm", (0, 1, 0)),
 )
 
 
 @pytest.mark.parametrize("condition", ALL, ids=lambda c: type(c).__name__)
-def test_each_is_named_read_only_and_travels(condition: Condition) -> None:
+def test_each_is_named_read_only_and_travels(condition: of.Condition) -> None:
     parts = compiled(condition)
     assert len({part.name for part in parts}) == len(parts)
     for part in parts:
         assert LINK in part.name or "finger" in part.name or "m_1" in part.name
-        arrays = [part.coefficients] if isinstance(part, Row) else [part.axis, part.vectors]
+        arrays = [part.coefficients] if isinstance(part, of.Row) else [part.axis, part.vectors]
         assert not any(array.flags.writeable for array in arrays)
     # Workers of joblib get their problems by pickle.
     again = compiled(pickle.loads(pickle.dumps(condition)))
@@ -490,7 +472,7 @@ def test_each_is_named_read_only_and_travels(condition: Condition) -> None:
 
 
 @pytest.mark.parametrize("condition", ALL, ids=lambda c: type(c).__name__)
-def test_links_and_parameters_that_the_robot_does_not_have(condition: Condition) -> None:
+def test_links_and_parameters_that_the_robot_does_not_have(condition: of.Condition) -> None:
     unknown = {"links": ("nose",), "values": {"m_99": 1.0}}
     named = [each for each in ("link", "first", "second", *unknown) if hasattr(condition, each)]
     assert named
@@ -502,7 +484,7 @@ def test_links_and_parameters_that_the_robot_does_not_have(condition: Condition)
 
 def test_a_description_without_inertias_fixes_nothing(denso: RobotModel) -> None:
     words, link = r"mass of 0\.0 kg; give the body", denso.link_names[0]
-    refuses(ModelError, words, compiled, FixedLink(link), denso)
+    refuses(ModelError, words, compiled, of.FixedLink(link), denso)
 
 
 ROUND = {"center": (0, 0, 0), "semi_axes": (1, 1, 1)}
@@ -562,7 +544,7 @@ def test_what_makes_no_sense(kind: str, arguments: dict[str, Any], message: str)
 
 def test_every_constraint_is_a_named_object() -> None:
     """Each once, with what it is about: nobody needs to read it out of a name."""
-    problem = arm_problem(TotalMass(2.0, tolerance=0.5), TotalMass(1.0, links=(LAST,)))
+    problem = arm_problem(of.TotalMass(2.0, tolerance=0.5), of.TotalMass(1.0, links=(LAST,)))
     feasible = problem.feasible
     found = feasible.named
     assert len({c.name for c in found}) == len(found)
@@ -631,22 +613,24 @@ def test_what_one_constraint_alone_excludes_is_inside_without_it(
 @cache
 def _every_kind() -> Problem:
     """Return a problem with constraints of each kind, two cones among them."""
-    cone = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03))
-    wide = CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1))
-    return arm_problem(TotalMass(2.0, tolerance=0.5), cone, wide, TotalMass(1.0, links=(LAST,)))
+    cone = of.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03))
+    wide = of.CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1))
+    return arm_problem(
+        of.TotalMass(2.0, tolerance=0.5), cone, wide, of.TotalMass(1.0, links=(LAST,))
+    )
 
 
 # ---- Optima under every kind of condition: they obey it, and are proven.
 
 
 # Much weaker than what the optimum does anyway.
-LOOSE: dict[str, Condition] = {
-    "total": TotalMass(20.0, tolerance=19.9),
-    "group": TotalMass(10.0, tolerance=9.99, links=(LAST,)),
-    "box": CenterOfMassInBox(LAST, (-9.0, -9.0, -np.inf), (9.0, 9.0, 9.0)),
-    "ellipsoid": CenterOfMassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 8.0, 7.0)),
-    "all mass": MassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 9.0, 9.0)),
-    "hull": CenterOfMassInHull(LAST, 300.0 * CUBE),
+LOOSE: dict[str, of.Condition] = {
+    "total": of.TotalMass(20.0, tolerance=19.9),
+    "group": of.TotalMass(10.0, tolerance=9.99, links=(LAST,)),
+    "box": of.CenterOfMassInBox(LAST, (-9.0, -9.0, -np.inf), (9.0, 9.0, 9.0)),
+    "ellipsoid": of.CenterOfMassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 8.0, 7.0)),
+    "all mass": of.MassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 9.0, 9.0)),
+    "hull": of.CenterOfMassInHull(LAST, 300.0 * CUBE),
 }
 
 
@@ -696,7 +680,7 @@ def test_mirrored_motions_meet_the_same_friction(name: str) -> None:
     data = model.createData()
     J = pin.computeJointJacobians(model, data, pin.neutral(model))
     turns = dict(zip(robot.joint_names[robot.n_base :], J[3:, robot.n_base :].T, strict=True))
-    for pair in equal_friction(robot):
+    for pair in of.equal_friction(robot):
         image, other = -mirror @ turns[pair.first], turns[pair.second]
         assert np.allclose(image, -other if pair.opposite else other, atol=1e-6)
 
@@ -705,7 +689,7 @@ def test_terms_of_a_pair() -> None:
     robot = small_arm(3)
     layout = layout_of(robot, *TERMS, sdpid.friction.Coupling("joint_2", "joint_3"))
     for opposite in (False, True):
-        rows = list(EqualFriction("joint_1", "joint_3", opposite=opposite).compile(layout))
+        rows = list(of.EqualFriction("joint_1", "joint_3", opposite=opposite).compile(layout))
         found = {
             frozenset(np.array(layout.names)[np.flatnonzero(row.coefficients)]) for row in rows
         }
@@ -724,17 +708,17 @@ def test_a_share_is_of_the_mean(left: float, right: float, holds: bool) -> None:
     theta = np.zeros(layout.count)
     for values in ((left, right), (right, left)):
         theta[-2:] = values
-        rows = EqualFriction("joint_1", "joint_2", within=0.2).compile(layout)
+        rows = of.EqualFriction("joint_1", "joint_2", within=0.2).compile(layout)
         assert all(row.coefficients @ theta >= row.lower for row in rows) is holds
 
 
 def test_pairs_of_joints_that_are_none_are_refused() -> None:
     for within in (2, True, np.nan):
         words = f"within is {within}; give a share"
-        refuses(DataError, words, EqualFriction, "a", "b", within=within)
-    refuses(DataError, "name two joints", EqualFriction, "a", "a")
+        refuses(DataError, words, of.EqualFriction, "a", "b", within=within)
+    refuses(DataError, "name two joints", of.EqualFriction, "a", "a")
     with pytest.raises(ModelError, match="has no joint 'a'"):
-        list(EqualFriction("a", "joint_1").compile(layout_of(small_arm(2), "viscous")))
+        list(of.EqualFriction("a", "joint_1").compile(layout_of(small_arm(2), "viscous")))
 
 
 # ---- Pairs of left and right links, found by their names, and what they say of described robots.
@@ -743,15 +727,15 @@ def test_pairs_of_joints_that_are_none_are_refused() -> None:
 @pytest.mark.parametrize(("name", "count"), [("a1", 6), ("go2", 6), ("talos_reduced", 14)])
 def test_pairs_are_found_by_name(name: str, count: int) -> None:
     robot = sdpid.load_robot(name, root="free_flyer")
-    pairs = mirror_pairs(robot)
+    pairs = of.mirror_pairs(robot)
     assert len(pairs) == count
     assert len({link for pair in pairs for link in (pair.first, pair.second)}) == 2 * count
 
 
 def test_legs_that_are_described_as_mirror_images_obey() -> None:
     robot = sdpid.load_robot("a1", root="free_flyer")
-    layout, theta = Layout(robot, friction_model(robot, ())), robot.prior.reshape(-1)
-    rows = [row for pair in mirror_pairs(robot) for row in pair.compile(layout)]
+    layout, theta = of.Layout(robot, friction_model(robot, ())), robot.prior.reshape(-1)
+    rows = [row for pair in of.mirror_pairs(robot) for row in pair.compile(layout)]
     assert len(rows) == 60
     assert max(abs(float(row.coefficients @ theta)) for row in rows) < 1e-12
 
@@ -781,16 +765,22 @@ OFF = r"'FL_hip' is 0\.[0-9]+ m away from that of 'RR_hip'"
 @pytest.mark.parametrize(
     ("asked", "name", "given_", "error", "words"),
     [
-        (equal_friction, "a1", {"pairs": [("FL_hip_joint", "RR_hip_joint")]}, ModelError, OFF),
-        (equal_friction, "a1", {"pairs": [("knee", "RR_hip_joint")]}, ModelError, NO_KNEE),
-        (equal_friction, "ur5_robot", {}, DataError, "no two joints of"),
-        (mirror_pairs, "a1", {"pairs": [("FL_hip", "RR_hip")]}, ModelError, OFF),
-        (mirror_pairs, "a1", {"pairs": [("left_foot", "FR_hip")]}, ModelError, "no link left_foot"),
-        (mirror_pairs, "ur5_robot", {}, DataError, "differ in a word for a side"),
-        *((mirror_pairs, "a1", {"pairs": pairs}, DataError, words) for pairs, words in NO_PAIRS),
+        (of.equal_friction, "a1", {"pairs": [("FL_hip_joint", "RR_hip_joint")]}, ModelError, OFF),
+        (of.equal_friction, "a1", {"pairs": [("knee", "RR_hip_joint")]}, ModelError, NO_KNEE),
+        (of.equal_friction, "ur5_robot", {}, DataError, "no two joints of"),
+        (of.mirror_pairs, "a1", {"pairs": [("FL_hip", "RR_hip")]}, ModelError, OFF),
+        (
+            of.mirror_pairs,
+            "a1",
+            {"pairs": [("left_foot", "FR_hip")]},
+            ModelError,
+            "no link left_foot",
+        ),
+        (of.mirror_pairs, "ur5_robot", {}, DataError, "differ in a word for a side"),
+        *((of.mirror_pairs, "a1", {"pairs": pairs}, DataError, words) for pairs, words in NO_PAIRS),
         *(
             (asked, "a1", {"normal": normal}, DataError, f"normal{words}")
-            for asked in (mirror_pairs, equal_friction)
+            for asked in (of.mirror_pairs, of.equal_friction)
             for normal, words in NO_NORMALS
         ),
     ],
@@ -805,5 +795,5 @@ def test_what_are_no_mirror_images_is_refused(
 @pytest.mark.parametrize("size", [1e-300, 3.0, 1e300])
 def test_a_normal_has_any_length(size: float) -> None:
     robot = sdpid.load_robot("a1", root="free_flyer")
-    pairs = mirror_pairs(robot, normal=(0.0, size, 0.0))
+    pairs = of.mirror_pairs(robot, normal=(0.0, size, 0.0))
     assert [list(np.asarray(pair.normal)) for pair in pairs] == [[0.0, 1.0, 0.0]] * 6

@@ -11,15 +11,8 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from sdpid import Constraints, Prior, RobotModel, compare, load_robot, solve_sdp, solve_slsqp
+from sdpid import constraints as of
 from sdpid._common.arrays import Array
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    Condition,
-    Fixed,
-    FixedLink,
-    TotalMass,
-)
 from sdpid.errors import DataError
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import FEASIBLE, Estimate
@@ -58,7 +51,7 @@ def noisy(
     )
 
 
-def under(problem: Problem, *others: Condition) -> Problem:
+def under(problem: Problem, *others: of.Condition) -> Problem:
     """Return the problem under further conditions."""
     return problem.constrained(constraints=problem.constraints.replace(others=others))
 
@@ -201,8 +194,8 @@ def test_compare_runs_both_local_solvers_from_the_same_starts(narrow_planar: Pro
 
 def test_what_the_coordinates_cannot_express_is_refused(narrow_planar: Problem) -> None:
     name = narrow_planar.robot.link_names[1]
-    ellipsoid = CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.3, 0.3, 0.3))
-    problem = under(narrow_planar, TotalMass(2.0), ellipsoid)
+    ellipsoid = of.CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.3, 0.3, 0.3))
+    problem = under(narrow_planar, of.TotalMass(2.0), ellipsoid)
     with pytest.raises(DataError, match=f"total mass, center of mass of {name} in an ellipsoid"):
         solve_log_cholesky(problem)
     comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
@@ -219,7 +212,7 @@ def test_what_the_coordinates_cannot_express_is_refused(narrow_planar: Problem) 
 
 @pytest.mark.parametrize("kind", ["pullback", "entropic"])
 def test_compare_with_a_prior(kind: PriorKind) -> None:
-    others = (TotalMass(3.0, tolerance=1.0),) if kind == "entropic" else ()
+    others = (of.TotalMass(3.0, tolerance=1.0),) if kind == "entropic" else ()
     problem = believed(ARM, kind=kind, constraints=Constraints(others=others))
     comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
     last = "error" if kind == "entropic" else "optimal"
@@ -236,15 +229,15 @@ def test_compare_with_a_prior(kind: PriorKind) -> None:
 ENOUGH = 400
 
 
-def conditions(robot: RobotModel) -> tuple[Condition, ...]:
+def conditions(robot: RobotModel) -> tuple[of.Condition, ...]:
     """Return equations, one of them twice, rows with one and two limits, and cones."""
     first, last = robot.link_names[0], robot.link_names[-1]
     return (
-        TotalMass(2.0),
-        TotalMass(2.0),
-        TotalMass(1.0, tolerance=0.5, links=(last,)),
-        CenterOfMassInBox(first, (-0.2, -0.2, -np.inf), (0.2, 0.2, np.inf)),
-        CenterOfMassInEllipsoid(last, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
+        of.TotalMass(2.0),
+        of.TotalMass(2.0),
+        of.TotalMass(1.0, tolerance=0.5, links=(last,)),
+        of.CenterOfMassInBox(first, (-0.2, -0.2, -np.inf), (0.2, 0.2, np.inf)),
+        of.CenterOfMassInEllipsoid(last, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
     )
 
 
@@ -314,7 +307,7 @@ def test_a_fixed_link() -> None:
     robot = planar_arm()
     problem = noisy(robot, 0, "pseudo_inertia", margin=0.0)
     body = random_links(np.random.default_rng(2), 1)[0]
-    (local,) = converging(under(problem, FixedLink(robot.link_names[0], body)), seeds=1)
+    (local,) = converging(under(problem, of.FixedLink(robot.link_names[0], body)), seeds=1)
     np.testing.assert_allclose(np.asarray(local.theta)[:10], body, atol=1e-7)
 
 
@@ -327,10 +320,10 @@ def test_priors(consistency: Consistency, kind: PriorKind) -> None:
 def test_first_link_variables_are_left_out_unless_a_condition_asks() -> None:
     problem = noisy(small_arm(2), 0, "pseudo_inertia")
     name = problem.robot.link_names[0]
-    asks: list[tuple[Condition, int]] = [
-        (TotalMass(2.0), 6),
-        (CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), 0),
-        (Fixed({"xy_1": 0.0}), 0),
+    asks: list[tuple[of.Condition, int]] = [
+        (of.TotalMass(2.0), 6),
+        (of.CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), 0),
+        (of.Fixed({"xy_1": 0.0}), 0),
     ]
     for other, left_out in asks:
         variables = PhysicalVariables(under(problem, other))
@@ -439,18 +432,18 @@ ROUNDING = 1e-10
 ITERATIONS = 300
 
 
-def conditions_of(problem: Problem, kind: str) -> tuple[Condition, ...]:
+def conditions_of(problem: Problem, kind: str) -> tuple[of.Condition, ...]:
     first, last = problem.robot.link_names[0], problem.robot.link_names[-1]
     return {
         "none": (),
-        "equation": (TotalMass(1.5),),
+        "equation": (of.TotalMass(1.5),),
         "rows": (
-            TotalMass(2.0, tolerance=0.1),
-            CenterOfMassInBox(last, (-0.05, -0.05, -0.05), (0.05, 0.05, np.inf)),
+            of.TotalMass(2.0, tolerance=0.1),
+            of.CenterOfMassInBox(last, (-0.05, -0.05, -0.05), (0.05, 0.05, np.inf)),
         ),
         "cone": (
-            CenterOfMassInEllipsoid(first, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
-            CenterOfMassInEllipsoid(last, (0.0, 0.0, 0.0), (0.03, 0.05, 0.1)),
+            of.CenterOfMassInEllipsoid(first, (0.05, 0.0, 0.0), (0.1, 0.05, 0.1)),
+            of.CenterOfMassInEllipsoid(last, (0.0, 0.0, 0.0), (0.03, 0.05, 0.1)),
         ),
     }[kind]
 

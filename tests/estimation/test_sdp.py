@@ -17,22 +17,10 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid import Constraints, Prior, RobotModel, certify, solve_sdp, solve_wls
+from sdpid import constraints as of
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.constraints import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    Condition,
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    MassInEllipsoid,
-    MirrorPair,
-    MirrorSymmetry,
-    TotalMass,
-)
 from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.conic.solve import ConicSolution
@@ -311,37 +299,22 @@ def shortfall(problem: Problem, names: Iterable[str] | None = None) -> float:
     """
     feasible, limits = problem.feasible, problem.constraints
     theta, t = cp.Variable(problem.n_theta), cp.Variable(nonneg=True)
-    parts: dict[str, list[Any]] = {}
-
-    def say(constraint: Any, *ways: str) -> None:
-        for name in ways:
-            parts.setdefault(name, []).append(constraint)
-
     matrix = getattr(independent, problem.consistency)
-    for i, link in enumerate(ARM.link_names):
-        body = theta[10 * i : 10 * i + 10]
-        inside = matrix(body, limits.margin) + t * np.eye(feasible.size) >> 0
-        say(inside, f"consistency of {link}", "consistency of the links")
-        low, high = f"at least {limits.mass_min:g} kg", f"at most {limits.mass_max:g} kg"
-        say(body[0] >= limits.mass_min - t, f"mass of {link} {low}", f"masses {low}")
-        say(body[0] <= limits.mass_max + t, f"mass of {link} {high}", f"masses {high}")
-    for k in range(20, problem.n_theta):
-        name = problem.base.theta_names[k]
-        say(theta[k] >= -t, f"{name} at least 0", "friction_nonnegative")
-    for name, row, low, high in zip(
-        feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
-    ):
-        both = np.isfinite(low) and np.isfinite(high) and low != high
-        if np.isfinite(low):
-            say(row @ theta >= low - t, f"{name}, at least {low:g}" if both else name)
-        if np.isfinite(high):
-            say(row @ theta <= high + t, f"{name}, at most {high:g}" if both else name)
-    for i, name in enumerate(feasible.block_names[feasible.n_own :], start=feasible.n_own):
-        link = int(feasible.block_links[i])
-        axis = feasible.block_basis[i][:, -1, -1]
-        vectors = feasible.block_basis[i][:, :3, -1].T
-        body = theta[10 * link : 10 * link + 10]
-        say(cp.norm(vectors @ body) <= axis @ body + t, name)
+    parts: dict[str, list[Any]] = {}
+    for c in (each for each in feasible.named if each.kind != "theta_max"):
+        if c.kind in ("consistency", "cone"):
+            link, block = int(feasible.block_links[c.index]), feasible.block_basis[c.index]
+            body = theta[10 * link : 10 * link + 10]
+        if c.kind == "consistency":
+            said = matrix(body, limits.margin) + t * np.eye(feasible.size) >> 0
+        elif c.kind == "cone":
+            said = cp.norm(block[:, :3, -1].T @ body) <= block[:, -1, -1] @ body + t
+        else:
+            value = feasible.rows[c.index] @ theta if c.kind == "row" else theta[c.index]
+            off = c.sign * (value - c.limit)
+            said = off >= -t if c.side else cp.abs(off) <= t
+        for name in (c.name, c.group):
+            parts.setdefault(name, []).append(said)
     given = None if names is None else list(names)
     said = None if given is None else [n for n in given if not n.startswith("theta_max")]
     # As in the search for conflicts, or the program would be unbounded.
@@ -357,27 +330,27 @@ def shortfall(problem: Problem, names: Iterable[str] | None = None) -> float:
     return float(t.value) if program.status == "optimal" else float(np.sqrt(HOLDS * FAILS))
 
 
-def random_conditions(rng: np.random.Generator) -> list[Condition]:
+def random_conditions(rng: np.random.Generator) -> list[of.Condition]:
     """Return a few conditions that may or may not hold together."""
 
-    def one() -> Condition:
+    def one() -> of.Condition:
         link = str(rng.choice(ARM.link_names))
         place = rng.uniform(-0.3, 0.3, 3)
         size = rng.uniform(0.02, 0.2, 3)
         # Numbers of friction are about no link.
         return [
-            lambda: TotalMass(rng.uniform(0.5, 8.0), tolerance=rng.uniform(0.0, 0.3)),
-            lambda: TotalMass(rng.uniform(0.5, 8.0), links=(link,)),
-            lambda: CenterOfMassInBox(link, place - size, place + size),
-            lambda: CenterOfMassInEllipsoid(link, place, size),
-            lambda: MassInEllipsoid(link, place, size),
-            lambda: CenterOfMassInHull(link, place + 4.0 * CUBE),
-            lambda: Fixed({f"m_{1 + (link == LAST)}": rng.uniform(0.1, 5.0)}),
-            lambda: Fixed({"Fs1": rng.uniform(-0.5, 1.0)}),
-            lambda: FixedLink(link, random_links(rng, 1)[0]),
-            lambda: EqualLinks(FIRST, LAST),
-            lambda: MirrorSymmetry(link, rng.normal(size=3), place),
-            lambda: MirrorPair(FIRST, LAST, reflection=REFLECTION),
+            lambda: of.TotalMass(rng.uniform(0.5, 8.0), tolerance=rng.uniform(0.0, 0.3)),
+            lambda: of.TotalMass(rng.uniform(0.5, 8.0), links=(link,)),
+            lambda: of.CenterOfMassInBox(link, place - size, place + size),
+            lambda: of.CenterOfMassInEllipsoid(link, place, size),
+            lambda: of.MassInEllipsoid(link, place, size),
+            lambda: of.CenterOfMassInHull(link, place + 4.0 * CUBE),
+            lambda: of.Fixed({f"m_{1 + (link == LAST)}": rng.uniform(0.1, 5.0)}),
+            lambda: of.Fixed({"Fs1": rng.uniform(-0.5, 1.0)}),
+            lambda: of.FixedLink(link, random_links(rng, 1)[0]),
+            lambda: of.EqualLinks(FIRST, LAST),
+            lambda: of.MirrorSymmetry(link, rng.normal(size=3), place),
+            lambda: of.MirrorPair(FIRST, LAST, reflection=REFLECTION),
         ][rng.integers(12)]()
 
     return [one() for _ in range(rng.integers(2, 5))]
@@ -408,7 +381,7 @@ def test_contradictions_are_found_and_named(seed: int) -> None:
 @pytest.mark.parametrize("off", [5e-9, 3e-8, 1e-6])
 def test_equations_that_hardly_contradict_each_other_are_named_alone(off: float) -> None:
     """Also where a solver, content with 1e-7, sees no contradiction."""
-    others = (TotalMass(2.0), Fixed({"Fv1": 0.1}), TotalMass(2.0 + off))
+    others = (of.TotalMass(2.0), of.Fixed({"Fv1": 0.1}), of.TotalMass(2.0 + off))
     error = refuses(InfeasibleError, "total mass", solve_sdp, arm_problem(*others))
     assert error.conflict == ("total mass (1)", "total mass (2)")
     words = re.search(r"by ([0-9.e-]+) of \w+ size \(limit ([0-9.e-]+)\)", str(error))
@@ -422,7 +395,7 @@ def test_equations_are_named_where_the_solver_has_no_answer(
         return ConicSolution("NumericalError", None)
 
     monkeypatch.setattr("sdpid.estimation.sdp.infeasibility.solve_conic", unanswered)
-    problem = arm_problem(TotalMass(2.0), TotalMass(2.1))
+    problem = arm_problem(of.TotalMass(2.0), of.TotalMass(2.1))
     error = refuses(InfeasibleError, "total mass", solve_sdp, problem)
     assert error.conflict == ("total mass (1)", "total mass (2)")
     assert "nan" not in str(error)
@@ -439,13 +412,13 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
     bodies = theta[:20].reshape(2, 10)
     mass, place, _ = physical_parameters(bodies)
     others = [
-        TotalMass(float(mass.sum()), tolerance=float(rng.choice([0.0, 0.1]))),
-        CenterOfMassInBox(FIRST, place[0] - 0.01, place[0] + 0.01),
-        CenterOfMassInEllipsoid(LAST, place[1] + 0.01, (0.05, 0.05, 0.05)),
-        MassInEllipsoid(LAST, (0, 0, 0), (0.7, 0.7, 0.7)),
-        CenterOfMassInHull(LAST, place[1] + 2.0 * CUBE),
-        Fixed({"m_1": float(mass[0]), "Fv2": float(theta[-1])}),
-        FixedLink(FIRST, bodies[0]),
+        of.TotalMass(float(mass.sum()), tolerance=float(rng.choice([0.0, 0.1]))),
+        of.CenterOfMassInBox(FIRST, place[0] - 0.01, place[0] + 0.01),
+        of.CenterOfMassInEllipsoid(LAST, place[1] + 0.01, (0.05, 0.05, 0.05)),
+        of.MassInEllipsoid(LAST, (0, 0, 0), (0.7, 0.7, 0.7)),
+        of.CenterOfMassInHull(LAST, place[1] + 2.0 * CUBE),
+        of.Fixed({"m_1": float(mass[0]), "Fv2": float(theta[-1])}),
+        of.FixedLink(FIRST, bodies[0]),
     ]
     chosen = [other for other in others if rng.uniform() < 0.5]
     problem = arm_problem(*chosen, margin=0.0)
@@ -457,9 +430,9 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
 
 PLACE = f"center of mass of {LAST}"
 APART = (
-    CenterOfMassInBox(LAST, (0.2, -1, -1), (0.3, 1, 1)),
-    CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1)),
-    TotalMass(3.0),
+    of.CenterOfMassInBox(LAST, (0.2, -1, -1), (0.3, 1, 1)),
+    of.CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1)),
+    of.TotalMass(3.0),
 )
 NO_BODY = {"xx_2": 5.0, "yy_2": 1.0, "zz_2": 1.0}
 
@@ -467,12 +440,12 @@ NO_BODY = {"xx_2": 5.0, "yy_2": 1.0, "zz_2": 1.0}
 @pytest.mark.parametrize(
     ("others", "words"),
     [
-        ((TotalMass(11.0),), {"total mass", "masses at most 5 kg"}),
+        ((of.TotalMass(11.0),), {"total mass", "masses at most 5 kg"}),
         (
-            (Fixed({"m_2": 1.0}), TotalMass(2.0, links=(LAST,))),
+            (of.Fixed({"m_2": 1.0}), of.TotalMass(2.0, links=(LAST,))),
             {"m_2 fixed", f"total mass of {LAST}"},
         ),
-        ((Fixed({"Fs1": -0.1}),), {"Fs1 fixed", "Fs1 at least 0"}),
+        ((of.Fixed({"Fs1": -0.1}),), {"Fs1 fixed", "Fs1 at least 0"}),
         (
             APART,
             {
@@ -481,10 +454,10 @@ NO_BODY = {"xx_2": 5.0, "yy_2": 1.0, "zz_2": 1.0}
                 f"mass of {LAST} at least 0.001 kg",
             },
         ),
-        ((Fixed(NO_BODY),), {*(f"{name} fixed" for name in NO_BODY), f"consistency of {LAST}"}),
+        ((of.Fixed(NO_BODY),), {*(f"{name} fixed" for name in NO_BODY), f"consistency of {LAST}"}),
     ],
 )
-def test_names_of_contradictions(others: tuple[Condition, ...], words: set[str]) -> None:
+def test_names_of_contradictions(others: tuple[of.Condition, ...], words: set[str]) -> None:
     error = refuses(InfeasibleError, "hold together", solve_sdp, arm_problem(*others, mass_max=5.0))
     assert set(error.conflict) == words
 
@@ -493,13 +466,13 @@ def test_names_of_contradictions(others: tuple[Condition, ...], words: set[str])
 @pytest.mark.parametrize(
     "others",
     [
-        (TotalMass(7.5, links=(FIRST,)),),
-        (TotalMass(5.6, links=(LAST,)), Fixed({"m_1": 2.8, "Fs1": 0.7})),
-        (Fixed({"m_2": 3.8}), EqualLinks(FIRST, LAST)),
+        (of.TotalMass(7.5, links=(FIRST,)),),
+        (of.TotalMass(5.6, links=(LAST,)), of.Fixed({"m_1": 2.8, "Fs1": 0.7})),
+        (of.Fixed({"m_2": 3.8}), of.EqualLinks(FIRST, LAST)),
     ],
 )
 def test_contradictions_beside_a_log_det_prior(
-    others: tuple[Condition, ...], consistency: Consistency
+    others: tuple[of.Condition, ...], consistency: Consistency
 ) -> None:
     """Solvers then may end anywhere, also where the divergence is not defined."""
     prior = Prior(kind="entropic", bodies=BODIES)
@@ -514,7 +487,7 @@ def test_a_link_that_cannot_exist() -> None:
     body = BODIES[0].copy()
     body[[4, 6, 9]] = 5.0, 1.0, 1.0
     # Which only the pseudo-inertia knows.
-    known, unknown = (arm_problem(FixedLink(LAST, body), consistency=kind) for kind in BOTH)
+    known, unknown = (arm_problem(of.FixedLink(LAST, body), consistency=kind) for kind in BOTH)
     assert solve_sdp(unknown).feasible
     error = refuses(InfeasibleError, "hold together", solve_sdp, known)
     assert f"consistency of {LAST}" in error.conflict
@@ -550,7 +523,7 @@ def test_small_arms(name: str, consistency: Consistency, kind: PriorKind | None)
 
 @pytest.mark.parametrize("kind", ["pullback", "entropic"])
 def test_links_that_are_nearly_mirror_images(kind: PriorKind) -> None:
-    pair = MirrorPair(FIRST, LAST, reflection=REFLECTION)
+    pair = of.MirrorPair(FIRST, LAST, reflection=REFLECTION)
     costs = {}
     for within in (0.05, 1e4):
         # Second takes bodies as they are: these need no repair.
@@ -571,9 +544,9 @@ def test_a_real_recording(data_folder: Path, kind: PriorKind | None) -> None:
     robot = sdpid.load_robot(folder / "ur10.urdf")
     prior = None if kind is None else Prior(kind=kind)
     conditions = (
-        TotalMass(20.0, tolerance=0.5),
-        CenterOfMassInEllipsoid("forearm_link", (0, 0, 0.2), (0.1, 0.1, 0.2)),
-        MassInEllipsoid("upper_arm_link", (0, 0, 0.3), (0.1, 0.1, 0.4)),
+        of.TotalMass(20.0, tolerance=0.5),
+        of.CenterOfMassInEllipsoid("forearm_link", (0, 0, 0.2), (0.1, 0.1, 0.2)),
+        of.MassInEllipsoid("upper_arm_link", (0, 0, 0.3), (0.1, 0.1, 0.4)),
     )
     limits = Constraints(mass_max=30.0, theta_max=100.0, friction_max=100.0, others=conditions)
     recording = sdpid.read_recording(folder / "ur10_exciting.npz")
@@ -611,7 +584,7 @@ def with_total_mass(problem: Problem) -> Problem:
     """Return the problem with a total mass that the optimum wants to exceed."""
     bodies = problem.feasible.bodies(np.array(solve_sdp(problem).theta))
     mass = float(bodies[:, 0].sum())
-    total = TotalMass(0.5 * mass, tolerance=0.1 * mass)
+    total = of.TotalMass(0.5 * mass, tolerance=0.1 * mass)
     return problem.constrained(constraints=Constraints(others=(total,)))
 
 
