@@ -158,7 +158,6 @@ USED_TWICE = {
     "Finding",
     "Fit",
     "Gains",
-    "Kind",
     "Law",
     "Loop",
     "Measure",

@@ -29,7 +29,7 @@ from sdpid._common.tables import Table
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.terms import smooth_sign
+from sdpid.robot.friction.term import smooth_sign
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 
 ROBOTS = ("ur10", "panda", "lwr4", "denso")

@@ -87,7 +87,7 @@ def _beginning(words: Iterable[str]) -> Callable[[str], list[str]]:
 
 def _complete_friction(incomplete: str) -> list[str]:
     """Complete the name of a friction term."""
-    from sdpid.robot.friction.model import BY_NAME
+    from sdpid.robot.friction.terms import BY_NAME
 
     return _beginning([plus + name for plus in ("", "+") for name in BY_NAME])(incomplete)
 

@@ -198,9 +198,10 @@ def test_options_offer_what_the_library_knows() -> None:
     from sdpid.assurance.intervals.intervals import Method
     from sdpid.cli import options
     from sdpid.estimation.compression import covariance
+    from sdpid.estimation.effects.kinds import EFFECTS
     from sdpid.experiment.processing.filters import DERIVATIVES, FILTERS
     from sdpid.robot import inertia
-    from sdpid.robot.friction.model import BY_NAME
+    from sdpid.robot.friction.terms import BY_NAME
 
     choices: tuple[tuple[type[Enum], Any], ...] = (
         (options.Weighting, covariance.Weighting),
@@ -210,7 +211,7 @@ def test_options_offer_what_the_library_knows() -> None:
     for offered, known in choices:
         assert {each.value for each in offered} == set(get_args(known))
     shown = " ".join(run("identify", "--help").stdout.split())
-    for name in (*FILTERS, *DERIVATIVES, *BY_NAME):
+    for name in (*FILTERS, *DERIVATIVES, *BY_NAME, *(effect.name for effect in EFFECTS)):
         assert name in shown
 
 

@@ -17,7 +17,8 @@ import typer
 import sdpid
 from sdpid import cli
 from sdpid.experiment.inspection.kinds import KINDS
-from sdpid.robot.friction.model import BY_NAME, FrictionModel
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import BY_NAME
 from tests.helpers.arm import arm_problem
 
 BLOCK = r"^```python\n(.*?)^```"

@@ -20,6 +20,7 @@ from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter
 from sdpid.robot.friction.terms import (
+    BY_NAME,
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
@@ -401,6 +402,12 @@ def test_jointwise_terms(term: Any, symbol: str, shape: Array, nonnegative: bool
     assert [p.joint for p in model.parameters] == [0, 1, 2]
     assert all(p.nonnegative is nonnegative for p in model.parameters)
     np.testing.assert_array_equal(model.columns(V, A), diagonal(shape))
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME.keys() - {"tilt"}))
+def test_terms_with_a_name_can_be_written_as_code(name: str) -> None:
+    symbols = {p.name.rstrip("123") for p in of(name).parameters}
+    assert symbols == BY_NAME[name].efforts.keys()
 
 
 def test_names_and_objects_are_the_same_terms() -> None:

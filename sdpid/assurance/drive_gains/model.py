@@ -32,10 +32,10 @@ from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.friction.model import BY_NAME, FrictionModel
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
-from sdpid.robot.friction.terms import Coulomb
+from sdpid.robot.friction.terms import BY_NAME, Coulomb
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 

@@ -41,8 +41,8 @@ from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import BY_NAME
 from sdpid.robot.inertia import margin, physical_parameters, transform
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.load import load_robot

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.robot.friction.model import BY_NAME, FrictionModel
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.friction.terms import BY_NAME, Coupling
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.decimals import decimal_text, parameter, rounded

@@ -20,8 +20,8 @@ from sdpid.output.report.grades import Grade
 from sdpid.output.report.kinds import GOES, LEVELS, percent
 from sdpid.output.report.subject import NEGLIGIBLE, Judged, Subject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings
-from sdpid.output.robots.friction_files import KINDS
 from sdpid.robot.description.level import LINK
+from sdpid.robot.friction.stored import CLASSES
 
 # What readers and processing made of the recordings, beside what is wrong with them.
 _CHANGED = ("time_unit", "units", "joints")
@@ -298,7 +298,7 @@ def _tilt(of: Subject) -> str | None:
 def _whole(of: Subject) -> str:
     """Return in words what has all terms: no code has terms of one's own, a URDF has the tilt."""
     both = "estimate.model() or parameters.json"
-    if of.terms <= KINDS.keys() | {"Tilt"}:
+    if of.terms <= CLASSES.keys():
         both += (
             ", or the links of identified.urdf with identified_friction.py (.hpp) for its friction"
         )

@@ -42,7 +42,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, graded, grades
 from sdpid.output.report.kinds import DESCRIBED, STEPS, listed, percent
 from sdpid.output.robots.export_report import ExportErrors, urdf_errors
-from sdpid.robot.friction.model import BY_NAME
+from sdpid.robot.friction.terms import BY_NAME
 from sdpid.robot.model.model import RobotModel
 
 # Below this share of its effort an error does not matter, whatever its shape: torque sensors and

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,42 +24,17 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.stored import term_to_dict
+from sdpid.robot.friction.stored import CLASSES, term_to_dict
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.dynamics import RobotDynamics
 
 SCHEMA, VERSION = "sdpid-friction", 1
 
 
-class Kind(NamedTuple):
-    """The efforts of a term's parameters of one, by their symbols, and settings of each joint.
-
-    Efforts are formulas of the joint's velocity `v`, acceleration `a` and load `load`, of the sign
-    of its velocity `sign`, and of settings; the functions in them stand in the written files.
-    """
-
-    efforts: Mapping[str, str]
-    settings: tuple[str, ...] = ()
-
-
-COUPLING = "Coupling"
-KINDS = {
-    "Coulomb": Kind({"Fs": "{sign}"}, ("width", "dead_zone")),
-    "AsymmetricCoulomb": Kind(
-        {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}, ("width", "dead_zone")
-    ),
-    "Viscous": Kind({"Fv": "{v}"}),
-    "Offset": Kind({"Fo": ""}),
-    "RotorInertia": Kind({"Ia": "{a}"}),
-    "SquareRootFriction": Kind({"Fq": "root({v})"}),
-    "Stribeck": Kind(
-        {"Fst": "peak({v} / {velocity!r}, {exponent!r}) * {sign}"},
-        ("velocity", "exponent", "width"),
-    ),
-    "SigmoidFriction": Kind({"Fsg": "tanh({v} / {velocity!r})"}, ("velocity",)),
-    "LoadFriction": Kind({"Fl": "size({load}) * {sign}"}, ("width", "share", "velocity")),
-    COUPLING: Kind({"Ia": "{a}", "Fv": "{v}", "Fs": "{sign}"}, ("width",)),
-}
+# Formulas (`FrictionTerm.efforts`) are of a joint's velocity `v`, acceleration `a` and load `load`,
+# of the sign of its velocity `sign`, and of settings; the functions in them stand in the written
+# files. Of settings, links and the names of joints stand in no formula.
+_NOT_IN_FORMULAS = {"bodies", "first", "second"}
 
 # Far out a power may overflow; the Stribeck peak is zero long before.
 _STEEPEST = 50.0
@@ -110,17 +85,18 @@ def _sums(data: Mapping[str, Any], name: str, place: str) -> _Sums:
     n = len(data["joints"])
     sums: _Sums = {function: [[] for _ in range(n)] for function in _FUNCTIONS}
     for term in data["terms"]:
-        kind = KINDS[term["term"]]
+        efforts = CLASSES[term["term"]].efforts
+        of_all = {key: term[key] for key in term.keys() - {"term", "joints", "values"}}
         # Where friction acts: its parameters' ending, the joints that feel and make it, its speed.
         places: list[Any] = [(f"{k + 1}", ((k, k),), f"v[{k}]") for k in range(n)]
-        if term["term"] == COUPLING:
+        if "joints" in term:
             i, j = term["joints"]
             places = [(f"{i + 1}_{j + 1}", ((i, j), (j, i)), f"(v[{i}] + v[{j}])")]
-        every = product(kind.efforts.items(), enumerate(places))
+        every = product(efforts.items(), enumerate(places))
         for ((symbol, formula), (at, (ending, joints, v))), value in zip(
             every, term["values"], strict=True
         ):
-            settings = {key: term[key][at] for key in kind.settings}
+            settings = {key: each[at] for key, each in of_all.items()}
             # Parameters that are zero add nothing.
             for own, other in joints if value != 0.0 else ():
                 effort = _PLACE.sub(place, _NAME.sub(name, _effort(formula, other, v, settings)))
@@ -389,8 +365,9 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
             found["joints"], count = [names.index(term.first), names.index(term.second)], 1
         if isinstance(term, LoadFriction) and not term.share:
             settings |= {"share": 0.0, "velocity": 1.0}
-        for key in KINDS[kind].settings:
-            found[key] = np.broadcast_to(np.asarray(settings[key], float), (count,)).tolist()
+        for key, value in settings.items():
+            if key not in {"term", *_NOT_IN_FORMULAS}:
+                found[key] = np.broadcast_to(np.asarray(value, float), (count,)).tolist()
         terms.append({**found, "values": values[own]})
     left_out = [Tilt.__name__ for term in model.terms if type(term) is Tilt]
     return {"joints": list(names), "terms": terms, "left_out": left_out}

@@ -15,32 +15,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, TermParameter
-from sdpid.robot.friction.terms import (
-    AsymmetricCoulomb,
-    Coulomb,
-    Offset,
-    RotorInertia,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-    Viscous,
-)
-
-# All terms that need nothing but a name.
-BY_NAME: dict[str, type[FrictionTerm]] = {
-    "coulomb": Coulomb,
-    "viscous": Viscous,
-    "offset": Offset,
-    "asymmetric_coulomb": AsymmetricCoulomb,
-    "rotor_inertia": RotorInertia,
-    "stribeck": Stribeck,
-    "sigmoid": SigmoidFriction,
-    "square_root": SquareRootFriction,
-    "load": LoadFriction,
-    "tilt": Tilt,
-}
+from sdpid.robot.friction.terms import BY_NAME
 
 
 @dataclass(frozen=True)

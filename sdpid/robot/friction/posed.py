@@ -7,7 +7,7 @@ The columns take the links from given bodies, so that the effort is linear in th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,8 +16,13 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm, TermParameter, check_speeds, joint_speeds
-from sdpid.robot.friction.terms import smooth_sign
+from sdpid.robot.friction.term import (
+    FrictionTerm,
+    TermParameter,
+    check_speeds,
+    joint_speeds,
+    smooth_sign,
+)
 
 # Inertial parameters of every link, ten each about its joint's frame.
 Bodies = tuple[tuple[float, ...], ...]
@@ -172,6 +177,7 @@ class LoadFriction(PosedTerm):
     share: tuple[float, ...] = ()
     velocity: tuple[float, ...] = ()
     symbol: ClassVar[str] = "Fl"
+    efforts: ClassVar[Mapping[str, str]] = {"Fl": "size({load}) * {sign}"}
 
     def __post_init__(self) -> None:
         super().__post_init__()

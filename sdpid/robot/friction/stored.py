@@ -9,13 +9,12 @@ from typing import Any
 
 from sdpid._common.tables import plain
 from sdpid.errors import ModelError
-from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.friction.terms import BY_NAME, Coupling
 
 # The classes whose settings say everything about a term; a class of someone else's may hold code.
 _OURS: list[type[FrictionTerm]] = [*BY_NAME.values(), Coupling]
-_CLASSES = {each.__name__: each for each in _OURS}
+CLASSES = {each.__name__: each for each in _OURS}
 
 
 def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
@@ -27,7 +26,7 @@ def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
         When the term is of a class that this package does not have.
     """
     name = type(term).__name__
-    if _CLASSES.get(name) is not type(term):
+    if CLASSES.get(name) is not type(term):
         raise ModelError(
             f"friction: {name} is a class of your own, which no file can hold; its settings alone "
             "do not say what it computes."
@@ -43,11 +42,11 @@ def term_from_dict(given: Mapping[str, Any]) -> FrictionTerm:
     ModelError
         When class, settings or values are none of a term.
     """
-    found = _CLASSES.get(str(given.get("term")))
+    found = CLASSES.get(str(given.get("term")))
     if found is None:
         raise ModelError(
             f"friction: no term is of the class {given.get('term')!r:.80}; there are "
-            f"{', '.join(_CLASSES)}."
+            f"{', '.join(CLASSES)}."
         )
     settings = {name: value for name, value in given.items() if name != "term"}
     if wrong := settings.keys() ^ set(_settings(found)):

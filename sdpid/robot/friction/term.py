@@ -9,11 +9,12 @@ open: `sdpid.estimation.effects.choose` fits them to the data.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
@@ -105,6 +106,28 @@ class OpenParameter:
             )
 
 
+def smooth_sign(velocity: Array, width: ArrayLike, dead_zone: float) -> Array:
+    """Return sign(v), or tanh(v / width) where width > 0; zero within the dead zone.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (..., n)
+        Velocities, rad/s.
+    width : array_like, scalar or shape (n,)
+        Widths of the smooth sign, rad/s; 0 for the exact one.
+    dead_zone : float
+        Speed below which the result is zero, rad/s.
+    """
+    widths = np.asarray(width, dtype=np.float64)
+    shape = np.sign(velocity)
+    if np.any(widths > 0.0):
+        smooth = np.tanh(velocity / np.where(widths > 0.0, widths, 1.0))
+        shape = np.where(widths > 0.0, smooth, shape)
+    if dead_zone > 0.0:
+        shape = np.where(np.abs(velocity) < dead_zone, 0.0, shape)
+    return np.asarray(shape)
+
+
 class FrictionTerm(ABC):
     """Base of every term: its parameters, and their columns.
 
@@ -115,6 +138,9 @@ class FrictionTerm(ABC):
         motion are the filtered columns.
     posed : bool
         Whether the columns depend on the position, so that only `columns_in` can give them.
+    efforts : mapping of str to str
+        Formulas of the efforts of a joint's parameters of one, by their symbols, for friction
+        written as code (see `sdpid.output.robots.friction_files`).
 
     Examples
     --------
@@ -125,6 +151,7 @@ class FrictionTerm(ABC):
 
     linear: ClassVar[bool] = False
     posed: ClassVar[bool] = False
+    efforts: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:

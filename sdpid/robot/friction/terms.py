@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import (
     SLOWEST,
     FrictionTerm,
@@ -22,32 +22,11 @@ from sdpid.robot.friction.term import (
     close_speeds,
     diagonal,
     open_speeds,
+    smooth_sign,
 )
 
 # A speed of a term: one for all joints, one per joint, or None to fit it to the data.
 Speed = float | tuple[float, ...] | None
-
-
-def smooth_sign(velocity: Array, width: ArrayLike, dead_zone: float) -> Array:
-    """Return sign(v), or tanh(v / width) where width > 0; zero within the dead zone.
-
-    Parameters
-    ----------
-    velocity : ndarray, shape (..., n)
-        Velocities, rad/s.
-    width : array_like, scalar or shape (n,)
-        Widths of the smooth sign, rad/s; 0 for the exact one.
-    dead_zone : float
-        Speed below which the result is zero, rad/s.
-    """
-    widths = np.asarray(width, dtype=np.float64)
-    shape = np.sign(velocity)
-    if np.any(widths > 0.0):
-        smooth = np.tanh(velocity / np.where(widths > 0.0, widths, 1.0))
-        shape = np.where(widths > 0.0, smooth, shape)
-    if dead_zone > 0.0:
-        shape = np.where(np.abs(velocity) < dead_zone, 0.0, shape)
-    return np.asarray(shape)
 
 
 @dataclass(frozen=True)
@@ -91,6 +70,7 @@ class Coulomb(_SignTerm):
     """
 
     symbol: ClassVar[str] = "Fs"
+    efforts: ClassVar[Mapping[str, str]] = {"Fs": "{sign}"}
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sign of the velocity, or its smooth or dead-zone variant."""
@@ -111,6 +91,7 @@ class Viscous(JointwiseTerm):
     """
 
     symbol: ClassVar[str] = "Fv"
+    efforts: ClassVar[Mapping[str, str]] = {"Fv": "{v}"}
     unit: ClassVar[str] = "N.m.s/rad"
     nonnegative: ClassVar[bool] = True
     linear: ClassVar[bool] = True
@@ -134,6 +115,7 @@ class Offset(JointwiseTerm):
     """
 
     symbol: ClassVar[str] = "Fo"
+    efforts: ClassVar[Mapping[str, str]] = {"Fo": ""}
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = False
     linear: ClassVar[bool] = True
@@ -160,6 +142,7 @@ class RotorInertia(JointwiseTerm):
     """
 
     symbol: ClassVar[str] = "Ia"
+    efforts: ClassVar[Mapping[str, str]] = {"Ia": "{a}"}
     unit: ClassVar[str] = "kg.m2"
     nonnegative: ClassVar[bool] = True
     linear: ClassVar[bool] = True
@@ -184,6 +167,7 @@ class SquareRootFriction(JointwiseTerm):
     """
 
     symbol: ClassVar[str] = "Fq"
+    efforts: ClassVar[Mapping[str, str]] = {"Fq": "root({v})"}
     unit: ClassVar[str] = "N.m.s^0.5/rad^0.5"
     nonnegative: ClassVar[bool] = True
 
@@ -223,6 +207,9 @@ class Stribeck(JointwiseTerm):
     exponent: float = 2.0
     width: Speed = 0.0
     symbol: ClassVar[str] = "Fst"
+    efforts: ClassVar[Mapping[str, str]] = {
+        "Fst": "peak({v} / {velocity!r}, {exponent!r}) * {sign}"
+    }
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity", "width")
@@ -286,6 +273,7 @@ class SigmoidFriction(JointwiseTerm):
 
     velocity: Speed = None
     symbol: ClassVar[str] = "Fsg"
+    efforts: ClassVar[Mapping[str, str]] = {"Fsg": "tanh({v} / {velocity!r})"}
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
@@ -346,6 +334,7 @@ class AsymmetricCoulomb(FrictionTerm):
 
     width: Speed = 0.0
     dead_zone: float = 0.0
+    efforts: ClassVar[Mapping[str, str]] = {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}
 
     def __post_init__(self) -> None:
         check_speeds(self, ("width", "dead_zone"))
@@ -416,6 +405,7 @@ class Coupling(FrictionTerm):
     first: str
     second: str
     width: float | None = 0.0
+    efforts: ClassVar[Mapping[str, str]] = {"Ia": "{a}", "Fv": "{v}", "Fs": "{sign}"}
 
     def __post_init__(self) -> None:
         if isinstance(self.width, tuple):
@@ -494,3 +484,18 @@ class Coupling(FrictionTerm):
     def characteristic_speeds(self, n: int) -> Array:
         """Return the width."""
         return np.full((1, n), self.width) if self.width else np.zeros((0, n))
+
+
+# All terms that need nothing but a name.
+BY_NAME: dict[str, type[FrictionTerm]] = {
+    "coulomb": Coulomb,
+    "viscous": Viscous,
+    "offset": Offset,
+    "asymmetric_coulomb": AsymmetricCoulomb,
+    "rotor_inertia": RotorInertia,
+    "stribeck": Stribeck,
+    "sigmoid": SigmoidFriction,
+    "square_root": SquareRootFriction,
+    "load": LoadFriction,
+    "tilt": Tilt,
+}
