@@ -29,6 +29,7 @@ from tests.helpers.data import FRICTION, make_samples, random_theta
 from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, planar_arm
+from tests.helpers.small_robots import LOAD, MASS, SMALL
 
 NOISE = 0.05  # N·m
 TERMS = (*FRICTION, "offset")
@@ -194,6 +195,28 @@ def test_an_estimate_is_as_good_as_its_recording(arm: RobotModel) -> None:
     estimate = Estimate.of_theta(believed, np.zeros(believed.n_theta), method="any", status="")
     near = identify_payload(arm, loaded, estimate)
     assert near.theta == pytest.approx(direct.theta, abs=0.02)
+
+
+def test_several_recordings_count_together_and_silent_joints_not_at_all() -> None:
+    small = SMALL["without_effort"]
+    loaded, bare = small.log(3, load=LOAD), small.log()
+    halves = [
+        Recording(
+            time=bare.time[part],
+            position=bare.position[part],
+            effort=bare.effort[part],
+            joint_names=bare.joint_names,
+        )
+        for part in (slice(0, 500), slice(500, None))
+    ]
+    found = identify_payload(small.model, [loaded], halves)
+    assert [each.kind for each in found.findings].count("effort_silent") == 3
+    named = identify_payload(small.model, loaded, halves, without_effort=small.without_effort)
+    assert found.theta == pytest.approx(named.theta, abs=1e-9)
+    assert found.lower[0] <= MASS <= found.upper[0]
+    # Half of what is known of the arm is less.
+    half = identify_payload(small.model, loaded, halves[0])
+    assert found.upper[0] - found.lower[0] < half.upper[0] - half.lower[0]
 
 
 def test_a_known_arm(arm: RobotModel) -> None:

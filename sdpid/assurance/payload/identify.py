@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,8 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
-Log = Recording | Samples | str | os.PathLike[str]
+_Recorded = Recording | str | os.PathLike[str]
+Log = Samples | _Recorded | Sequence[_Recorded]
 
 # Friction changes from run to run. To let it differ hardly widens intervals where
 # it does not change; to take it as common puts the center of mass off by centimeters where it
@@ -100,9 +101,9 @@ def identify_payload(
     ----------
     robot : RobotModel, name or path
         The arm without payload; beside an estimate, the estimate's own robot.
-    with_load : Recording, Samples or path
+    with_load : Samples, Recording or path, or a sequence of the latter two
         What was measured with the payload.
-    without_load : Recording, Samples, path or Estimate, optional
+    without_load : Samples, Recording or path, a sequence of the latter two, or Estimate, optional
         What was measured without it.
     link : str, optional
         Which link carries it; by default the last one.
