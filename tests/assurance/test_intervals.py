@@ -38,14 +38,7 @@ from sdpid.robot.inertia import Consistency, point_masses, theta_from_physical, 
 from tests.helpers import world
 from tests.helpers.arm import ARM, BOTH, CONDITIONS, LIGHT, arm_problem
 from tests.helpers.data import full_regressor, make_samples, random_links, random_theta, raw_rows
-from tests.helpers.identified import (
-    FRICTION,
-    SATURATED,
-    SPEEDS,
-    arm_theta,
-    moved,
-    saturating,
-)
+from tests.helpers.identified import FRICTION, SATURATED, SPEEDS, arm_theta, moved, saturating
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import SEEDS, random_states
 from tests.helpers.world import gauss_markov

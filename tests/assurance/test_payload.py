@@ -13,12 +13,7 @@ from scipy.stats import norm
 from sdpid import DriveGains, Prior, Recording, RobotModel, Samples, load_robot, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import identify_payload
-from sdpid.assurance.payload.payload import (
-    DescribedLinks,
-    Payload,
-    least_second_moment,
-    quantities,
-)
+from sdpid.assurance.payload.payload import DescribedLinks, Payload, least_second_moment, quantities
 from sdpid.assurance.payload.virtual_link import payload_intervals, payload_problem
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.estimate import Estimate

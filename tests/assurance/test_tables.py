@@ -31,13 +31,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
-from sdpid.robot.inertia import (
-    Consistency,
-    margin,
-    matrix_of,
-    physical_parameters,
-    point_masses,
-)
+from sdpid.robot.inertia import Consistency, margin, matrix_of, physical_parameters, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length, structural_base
 from sdpid.verifier import realizable
 from sdpid.verifier.decimals import decimal_text, rounded

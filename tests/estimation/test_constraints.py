@@ -27,16 +27,7 @@ from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import Consistency, physical_parameters, point_masses, pseudo_inertia
 from sdpid.robot.model.geometry import collision_points, link_placements
-from tests.helpers.arm import (
-    ARM,
-    BOTH,
-    CONDITIONS,
-    CUBE,
-    LAST,
-    REFLECTION,
-    arm_problem,
-    limited,
-)
+from tests.helpers.arm import ARM, BOTH, CONDITIONS, CUBE, LAST, REFLECTION, arm_problem, limited
 from tests.helpers.data import FRICTION, friction_model, random_links
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm

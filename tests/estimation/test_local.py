@@ -22,11 +22,7 @@ from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariabl
 from sdpid.estimation.local.run import FEASIBLE_LOCAL, STATIONARY, random_start, stationarity_gap
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.robot.inertia import (
-    Consistency,
-    margin,
-    physical_parameters,
-)
+from sdpid.robot.inertia import Consistency, margin, physical_parameters
 from tests.helpers import world
 from tests.helpers.arm import ARM, BOTH
 from tests.helpers.data import make_samples, random_links, random_theta

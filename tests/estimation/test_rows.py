@@ -37,13 +37,7 @@ from sdpid.robot.friction.terms import AsymmetricCoulomb, Coupling
 from sdpid.robot.model import regressor_kernel as kernels
 from tests.helpers import world
 from tests.helpers.arm import ARM
-from tests.helpers.data import (
-    make_samples,
-    random_covariance,
-    random_theta,
-    raw_rows,
-    row_source,
-)
+from tests.helpers.data import make_samples, random_covariance, random_theta, raw_rows, row_source
 from tests.helpers.legged import NOISE, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
