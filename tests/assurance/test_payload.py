@@ -373,12 +373,16 @@ def test_refusals(arm: RobotModel) -> None:
     refuses(DataError, words, identify_payload, "denso_vp6242", loaded, estimate)
 
 
+def gains_of(robot: RobotModel, relative: Array) -> DriveGains:
+    """Return gains with relative covariances."""
+    given = {"joint_names": robot.joint_names, "gains": np.full(6, 10.0)}
+    return DriveGains(**given, covariance=100.0 * relative, basis="a common factor")
+
+
 def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
     """The rows move with the gains of both recordings at once; a common factor scales the mass."""
     loaded, bare, _ = pair(arm, load())
-    gains = DriveGains(
-        joint_names=arm.joint_names, gains=np.full(6, 10.0), covariance=np.eye(6) + 0.5
-    )
+    gains = gains_of(arm, 0.01 * (np.eye(6) + 0.5))
 
     def turned(off: Array) -> tuple[Array, Array]:
         """Return the right side of the normal equations, and its slopes: rows may be turned."""
@@ -399,12 +403,7 @@ def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
 def test_errors_of_gains_widen_intervals_and_are_told(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
     relative = 0.03
-    gains = DriveGains(
-        joint_names=arm.joint_names,
-        gains=np.full(6, 10.0),
-        covariance=np.full((6, 6), (10.0 * relative) ** 2),
-        basis="a common factor",
-    )
+    gains = gains_of(arm, np.full((6, 6), relative**2))
     given = [replace(each, gains=gains) for each in (loaded, bare)]
     found = identify_payload(arm, *given)
     plain_found = identify_payload(arm, loaded, bare)

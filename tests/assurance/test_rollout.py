@@ -21,6 +21,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.motion import noise_of
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.workflow.result import Identification
 from tests.helpers.data import random_theta
 from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
@@ -63,11 +64,14 @@ def recorded(seed: int, noise: float = 0.0) -> sdpid.Recording:
     )
 
 
+def identified(**options: Any) -> Identification:
+    options = {"friction": TERMS, "effects": "none", "intervals": False, **options}
+    return sdpid.identify(arm(), recorded(1, 1e-4), **options)
+
+
 @cache
 def estimated() -> Estimate:
-    return sdpid.identify(
-        arm(), recorded(1, 1e-4), friction=TERMS, effects="none", intervals=False
-    ).estimate
+    return identified().estimate
 
 
 @pytest.mark.parametrize("free", ["all", "each"])
@@ -202,16 +206,8 @@ def test_light_joints_are_named() -> None:
 
 
 def test_identify_shows_it(tmp_path: Any) -> None:
-    refuses(DataError, "validation", sdpid.identify, arm(), recorded(1, 1e-4), rollout=True)
-    result = sdpid.identify(
-        arm(),
-        recorded(1, 1e-4),
-        validation=recorded(2, 1e-4),
-        friction=TERMS,
-        effects="none",
-        intervals=False,
-        rollout=True,
-    )
+    refuses(DataError, "validation", identified, rollout=True)
+    result = identified(validation=recorded(2, 1e-4), rollout=True)
     assert [each.free for each in result.rollouts] == ["all", "each"]
     assert any("It moves as the robot does" in text for text in result.verdict)
     page = sdpid.write_report(result, tmp_path / "report.html").read_text("utf-8")

@@ -63,7 +63,7 @@ def symmetric(rng: np.random.Generator, size: int) -> Array:
     return root + root.T
 
 
-def nearest(goal: Array, constant: Array | float = 0.0) -> Array:
+def nearest(goal: Array, constant: Array) -> Array:
     """Return what plus a constant is positive semidefinite, nearest to a goal."""
     values, vectors = np.linalg.eigh(goal + constant)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T - constant)
@@ -74,26 +74,22 @@ def projection(h: Array, size: int) -> ConicProgram:
     return program(np.eye(len(h)), -h, blocks=(whole(size),))
 
 
-@pytest.mark.parametrize("size", [2, 3, 4, 6])
-def test_the_nearest_positive_semidefinite_matrix(size: int) -> None:
-    """Every entry has its place and its weight, in the point and in the multiplier."""
-    A = symmetric(np.random.default_rng(size), size)
-    found = solve_conic(projection(coordinates(A), size))
-    np.testing.assert_allclose(matrix_of(found.x, size), nearest(A), atol=SOLVED)
-    # The gradient 2·(X − A) is the multiplier.
-    np.testing.assert_allclose(found.blocks[0], 2.0 * (nearest(A) - A), atol=SOLVED)
+@pytest.mark.parametrize(("one", "two"), [(3, 2), (4, 6)])
+def test_the_nearest_positive_semidefinite_matrices(one: int, two: int) -> None:
+    """Blocks of different sizes that each see some of the variables, moved by their constants.
 
-
-def test_constants_and_several_blocks() -> None:
-    """Blocks of different sizes that each see some of the variables, moved by their constants."""
+    Every entry has its place and its weight, in the point and in the multiplier.
+    """
     rng = np.random.default_rng(1)
-    A, B, D, E = symmetric(rng, 3), symmetric(rng, 2), symmetric(rng, 3), symmetric(rng, 2)
-    first = Matrix(3 + np.arange(6), symmetric_basis(3), D)
-    second = Matrix(np.arange(3), symmetric_basis(2), E)
+    A, B, D, E = (symmetric(rng, size) for size in (one, two, one, two))
     target = np.concatenate([coordinates(B), coordinates(A)])
-    found = solve_conic(program(np.eye(9), -target, blocks=(first, second)))
-    np.testing.assert_allclose(matrix_of(found.x[3:], 3), nearest(A, D), atol=SOLVED)
-    np.testing.assert_allclose(matrix_of(found.x[:3], 2), nearest(B, E), atol=SOLVED)
+    inner = len(coordinates(B))
+    first = Matrix(np.arange(inner, len(target)), symmetric_basis(one), D)
+    second = Matrix(np.arange(inner), symmetric_basis(two), E)
+    found = solve_conic(program(np.eye(len(target)), -target, blocks=(first, second)))
+    np.testing.assert_allclose(matrix_of(found.x[inner:], one), nearest(A, D), atol=SOLVED)
+    np.testing.assert_allclose(matrix_of(found.x[:inner], two), nearest(B, E), atol=SOLVED)
+    # The gradient 2·(X − A) is the multiplier.
     for dual, goal, constant in zip(found.blocks, (A, B), (D, E), strict=True):
         np.testing.assert_allclose(dual, 2.0 * (nearest(goal, constant) - goal), atol=SOLVED)
 

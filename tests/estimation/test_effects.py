@@ -401,9 +401,7 @@ def test_what_is_there_is_chosen(effects: tuple[str, ...]) -> None:
         again = chosen(logged(*effects))
         assert again.origin.effects == problem.origin.effects
         np.testing.assert_array_equal(again.A, problem.A)
-    estimate = solve_sdp(problem)
-    found = estimate.named_theta()
-    assert found is not None
+    found = solve_sdp(problem).named_theta()
     if "tilt" in effects:
         np.testing.assert_allclose(np.degrees([found["Gx"], found["Gy"]]), [1.5, -0.5], atol=0.05)
     if "load" in effects:

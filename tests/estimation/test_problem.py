@@ -198,9 +198,6 @@ def test_costs_of_other_rows_are_refused(taken: Any, fields: dict[str, Any]) -> 
 # ---- On exact data every estimator returns the true base parameters.
 
 
-ARMS = {n: small_arm(n) for n in (2, 3)}
-
-
 def exact(robot: RobotModel, seed: int, **options: object) -> tuple[Problem, Array, Array]:
     """Return a problem without noise, the true theta and the true base parameters."""
     rng = np.random.default_rng(seed)
@@ -236,7 +233,7 @@ def test_wls_on_any_arm(table: object, seed: int) -> None:
 @given(SEEDS)
 @settings(max_examples=5)
 def test_sdp_on_small_arms_and_a_tree(seed: int) -> None:
-    for robot, consistency in product((ARMS[2], load_robot(TREE)), BOTH):
+    for robot, consistency in product((small_arm(2), load_robot(TREE)), BOTH):
         problem, _, truth = exact(robot, seed, consistency=consistency)
         estimate = solve_sdp(problem)
         assert error_of(problem, estimate.base, truth) <= EXACT
@@ -247,7 +244,7 @@ def test_sdp_on_small_arms_and_a_tree(seed: int) -> None:
 @pytest.mark.parametrize("solve", [solve_slsqp, solve_log_cholesky])
 @pytest.mark.parametrize("near", [True, False])
 def test_local_solvers_from_some_start(solve: Any, near: bool, consistency: Consistency) -> None:
-    problem, theta, truth = exact(ARMS[2], 4, consistency=consistency)
+    problem, theta, truth = exact(small_arm(2), 4, consistency=consistency)
     start = random_start(problem, np.random.default_rng(5))
     if near:
         start = theta * (1.0 + 0.02 * np.random.default_rng(0).standard_normal(len(theta)))
