@@ -17,8 +17,8 @@ class ErrorSource:
     Attributes
     ----------
     name : str
-        ``"gains"``, ``"motion"`` (noise in the measured one), ``"landing"``, ``"filter"`` or
-        ``"friction"`` (its law).
+        What it is called among the shares of intervals, such as ``"gains"``, ``"landing"`` or
+        ``"motion"`` (noise in the measured one).
     moves : ndarray, shape (b, k)
         How the unconstrained fit moves with each of k errors.
     covariance : ndarray, shape (k, k)
