@@ -199,15 +199,14 @@ class RowSource:
         -------
         ndarray, shape (k, n, b + 1)
         """
-        s, n, links = self.samples, self.robot.n, 10 * self.robot.n_links
-        effort = self.effort(part)
+        s, n, effort = self.samples, self.robot.n, self.effort(part)
+        of_links, to = np.split(self._places, [10 * self.robot.n_links])
         out = np.empty((len(effort), n, self.base.count + 1))
         self.robot.regressor_columns(
             s.position[part], s.velocity[part], s.acceleration[part],
-            places=self._places[:links], out=out, compiled=self.many,
+            places=of_links, out=out, compiled=self.many,
             entries=(effort, np.arange(n), np.full(n, self.base.count)),
         )  # fmt: skip
-        to = self._places[links:]
         out[:, :, to[to >= 0]] = self.friction.columns_in(self.motion(part))[:, :, to >= 0]
         return out
 
@@ -219,12 +218,9 @@ class RowSource:
 
     def effort(self, part: slice) -> Array:
         """Return the efforts of some samples (k, n), those of measured contact forces added."""
-        effort = self.samples.effort[part]
-        if self.samples.contacts is None or not self.samples.contacts.measured:
-            return effort
-        touching = self.contacts(part)
-        assert touching is not None
-        return effort + touching.effort
+        effort, contacts = self.samples.effort[part], self.samples.contacts
+        touching = self.contacts(part) if contacts is not None and contacts.measured else None
+        return effort if touching is None else effort + touching.effort
 
     def mask(self, part: slice) -> Mask:
         """Return which rows of some samples are used, shape (k, n)."""

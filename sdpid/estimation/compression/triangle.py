@@ -51,21 +51,13 @@ class Triangle:
     def __init__(self, columns: int) -> None:
         self.columns = columns
         # The factor of everything is T, or root(G)·T of the columns seen while rows are divided.
+        # No array is ever written to again: a copy shares them.
         self._T: Array = np.zeros((0, columns))
         self._G: Any = None
         # No eigenvalue of G is larger.
         self._growth = 1.0
         self._seen: Any = None
         self._R: Array | None = self._T
-
-    def __getstate__(self) -> tuple[int, Array]:
-        """Return what is sent: the rows' triangle stands for all of them."""
-        return self.columns, self.R
-
-    def __setstate__(self, state: tuple[int, Array]) -> None:
-        """Go on from a triangle."""
-        self.__init__(state[0])  # type: ignore[misc]
-        self._restart(state[1])
 
     @property
     def R(self) -> Array:  # noqa: N802

@@ -34,6 +34,8 @@ def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, In
         -1/2 to whiten.
     """
     used, index = mask, np.arange(len(mask))
+    if sigma.ndim == 2 and mask.all():
+        return power(sigma, exponent)[None], np.zeros(len(mask), dtype=np.intp)
     if sigma.ndim == 2:
         patterns, index = np.unique(np.packbits(mask, axis=1), axis=0, return_inverse=True)
         used = np.unpackbits(patterns, axis=1, count=mask.shape[1]).astype(bool)
