@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ from sdpid.estimation.selection.choose import (
 )
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, OpenParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
@@ -150,28 +150,6 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool, pulled: bool)
 
 
 @dataclass(frozen=True)
-class Flat(JointwiseTerm):
-    """A term without effect and with an open number."""
-
-    symbol: ClassVar[str] = "Fx"
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = True
-    velocity: float | tuple[float, ...] | None = None
-    speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        return np.zeros_like(velocity)
-
-
-def test_without_effect_the_middle_is_kept() -> None:
-    problem = build_problem(ARM3, made("viscous"), friction=("viscous", Flat()))
-    for p in problem.origin.profiled:
-        assert p.value == pytest.approx(np.sqrt(p.lower * p.upper))
-        assert (p.flat_from, p.flat_to) == (p.lower, p.upper)
-        assert not p.determined
-
-
-@dataclass(frozen=True)
 class Power(FrictionTerm):
     """sign(v)·|v|^e, with one exponent for the robot, chosen by the data."""
 
@@ -221,6 +199,10 @@ def test_only_rows_in_use_count() -> None:
     both = [close_terms(model, ARM3, each, lambda _: np.eye(3))[1] for each in cases]
     assert both[0] == both[1]
     assert [p.determined for p in both[0]] == [True, True, False]
+    # Without effect the middle is kept.
+    unseen = both[0][2]
+    assert unseen.value == pytest.approx(np.sqrt(unseen.lower * unseen.upper))
+    assert (unseen.flat_from, unseen.flat_to) == (unseen.lower, unseen.upper)
 
 
 def test_a_floating_base() -> None:

@@ -7,7 +7,7 @@ import math
 import re
 import shutil
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from functools import cache
 from itertools import product
@@ -32,7 +32,7 @@ from sdpid.verifier.result import Result
 from tests.helpers import world
 from tests.helpers.arm import BODIES, LAST, LIGHT, arm_problem
 from tests.helpers.commands import VERIFIER, alone
-from tests.helpers.forged import edit_json, reseal, with_row, written
+from tests.helpers.forged import at, edit_json, paths, reseal, set_to, with_row, written
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
 
@@ -276,17 +276,9 @@ def test_values_that_make_no_sense_are_refused(key: str, value: Any, forged: Dat
         checked(forged)
 
 
-def objects(value: Any) -> Iterator[Data]:
-    """Yield every object in some data."""
-    if isinstance(value, dict):
-        yield value
-    if isinstance(value, (dict, list)):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from objects(item)
-
-
 def test_keys_at_any_level_are_known_and_there(forged: Data) -> None:
-    found = [each for each in objects(forged) if each]
+    every = (forged, *(at(forged, path) for path in paths(forged)))
+    found = [each for each in every if isinstance(each, dict) and each]
     assert len(found) > 8
     for each in found:
         each["approved"] = True
@@ -597,21 +589,15 @@ NO_FILES = ("../x", "../run.csv", "/etc/passwd", "a\\b", "", ".", "manifest.json
 @pytest.mark.parametrize(
     "change",
     [
-        lambda data: data.update(version=1.0),
-        lambda data: data.update(version=True),
-        lambda data: data.update(more=1),
+        *(set_to(value, "version") for value in (1.0, True)),
+        *(set_to(1, key) for key in ("more", "recipe", "certificate")),
         lambda data: data.pop("inputs"),
-        *(
-            lambda data, name=name: data["files"].update({name: {"bytes": 0, "sha256": "0" * 64}})
-            for name in NO_FILES
-        ),
-        lambda data: data["files"].update({"x": {"bytes": -1, "sha256": "0" * 64}}),
-        lambda data: data["files"].update({"x": {"bytes": 0, "sha256": "0" * 63}}),
+        *(set_to({"bytes": 0, "sha256": "0" * 64}, "files", name) for name in NO_FILES),
+        set_to({"bytes": -1, "sha256": "0" * 64}, "files", "x"),
+        set_to({"bytes": 0, "sha256": "0" * 63}, "files", "x"),
         lambda data: data["files"].pop("certificate.json"),
         lambda data: data["inputs"].append({}),
-        lambda data: data["inputs"][0].update(role="friend"),
-        lambda data: data.update(recipe=1),
-        lambda data: data.update(certificate=1),
+        set_to("friend", "inputs", 0, "role"),
     ],
 )
 def test_a_manifest_that_is_none(own: Path, change: Callable[[Any], Any]) -> None:
