@@ -397,7 +397,8 @@ def test_cross_validation_and_pieces_are_shown() -> None:
 def test_values_at_a_bound_are_zero(result: Identification) -> None:
     rows = parameters.base_rows(result._subject, None)
     tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
-    again = parameters.base_rows(replace(result, estimate=tiny)._subject, None)
+    other = replace(result, estimate=tiny)
+    again = parameters.base_rows(other._subject, None)
     assert again[0]["value"] == 0.0
     assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid._common.kept import kept
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import cost_of_constraints
 from sdpid.assurance.diagnostics.bands import effort_band
@@ -96,10 +98,10 @@ class Judged(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
 
-    @cached_property
+    @property
     def _subject(self) -> Subject:
         """What verdict, lines and report are drawn from, so that they say the same."""
-        return Subject(self)
+        return _subject_of(self)
 
 
 class Prediction:
@@ -147,7 +149,9 @@ class Subject(Prediction):
     """An identification, by its prediction of what was held out, or else of what was fitted."""
 
     def __init__(self, result: Judged) -> None:
-        self.result, self.problem, self.estimate = result, result.problem, result.estimate
+        # Weakly: it is kept with the result, which must go when its user drops it.
+        self._result = weakref.ref(result)
+        self.problem, self.estimate = result.problem, result.estimate
         held_out = self.held_out = result.held_out
         self.other_motion = held_out is not None and held_out.by == "recording"
         if held_out is None:
@@ -160,6 +164,13 @@ class Subject(Prediction):
         if self.other_motion:
             self.where = "motion that was not used for the fit"
         self.terms = frozenset(type(term).__name__ for term in self.problem.friction.terms)
+
+    @property
+    def result(self) -> Judged:
+        """The identification."""
+        result = self._result()
+        assert result is not None
+        return result
 
     @cached_property
     def grades(self) -> tuple[Grade, ...]:
@@ -276,6 +287,12 @@ class Subject(Prediction):
         None where none is written, or there are no rows.
         """
         return urdf_errors(self.estimate, self.result.validation_samples)
+
+
+# Beside the result, not in it: no copy or pickle of it takes along what was drawn from it.
+@kept
+def _subject_of(result: Judged) -> Subject:
+    return Subject(result)
 
 
 def _speeds_of(rows: RowSource) -> Array:

@@ -1,6 +1,8 @@
 """What is said of a model follows from what was put wrong."""
 
+import gc
 import re
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -380,6 +382,22 @@ def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.Mon
     monkeypatch.setattr("sdpid.output.report.subject.joint_errors", None)
     assert fresh._subject.errors is first
     assert fresh.verdict == wanted
+
+
+def test_what_is_said_stays_outside_of_the_result(good: Identification) -> None:
+    result = replace(good)
+    before = set(vars(result))
+    assert result.verdict == good.verdict
+    assert headline(result).lines == headline(good).lines
+    assert set(vars(result)) == before
+    gone, enabled = weakref.ref(result), gc.isenabled()
+    gc.disable()
+    try:
+        del result
+        assert gone() is None
+    finally:
+        if enabled:
+            gc.enable()
 
 
 # ---- The terminal's lines say what the report's boxes say, on public recordings and on wrong logs.
