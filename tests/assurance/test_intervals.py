@@ -233,6 +233,9 @@ def test_text_and_plain_values() -> None:
     plain = found.to_dict()
     assert plain["method"] == "profile"
     assert [each["name"] for each in plain["parameters"]] == ["m_1", "Fv1"]
+    for method in ("profile", "gauss_markov"):
+        none = sdpid.confidence_intervals(pressed(), parameters=[], method=method)  # type: ignore[arg-type]
+        assert none.to_dict()["parameters"] == []
 
 
 @pytest.mark.parametrize(
@@ -243,6 +246,7 @@ def test_text_and_plain_values() -> None:
         ({"parameters": ["m_9"]}, "m_9"),
         ({"parameters": ["m_1"], "method": "gauss_markov"}, "m_1"),
         ({"method": "gauss_markov", "groups": "periods"}, "periods"),
+        ({"groups": "block"}, "groups is 'block'"),
         ({"method": "bootstrap", "groups": "frequencies"}, "blocks"),
         ({"method": "bootstrap", "resamples": 79}, "at least 80"),
         ({"method": "bootstrap", "resamples": 80, "kind": "bca"}, "kind"),

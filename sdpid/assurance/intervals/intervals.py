@@ -177,7 +177,7 @@ class Intervals(Shown):
 
     def noise_in_words(self) -> str | None:
         """Return which base parameters biases move most; None where they move little."""
-        base = np.array([kind == "base" for kind in self.kind])
+        base = np.array([kind == "base" for kind in self.kind], dtype=bool)
         found = []
         for name, share in self.shares.items():
             _, what, remedy = _SOURCES[name]
@@ -285,6 +285,10 @@ def confidence_intervals(
         raise DataError(
             f"intervals: method is {method!r}; use 'profile', 'gauss_markov' or 'bootstrap'."
         )
+    if groups not in (None, "frequencies", "blocks", "periods"):
+        raise DataError(
+            f"intervals: groups is {groups!r}; use 'frequencies', 'blocks' or 'periods'."
+        )
     problem, chosen = estimate.problem, groups or "frequencies"
     wanted, named = ParameterFunctions.of(problem, parameters), parameters is not None
     posterior = None
@@ -294,7 +298,7 @@ def confidence_intervals(
         believed = estimate.theta is not None and problem.prior is not None
         if not believed:
             require_excitation(problem.excitation)
-        base = np.array([kind == "base" for kind in wanted.kind])
+        base = np.array([kind == "base" for kind in wanted.kind], dtype=bool)
         wanted = wanted.answered(wanted.determined | (base & believed), named)
         posterior = Posterior.of(estimate, chosen)
         found = _gauss_markov(estimate, wanted, level, posterior)

@@ -419,8 +419,9 @@ def profile_intervals(
     pairs = list(zip(functions, ends, strict=True))
     proven = np.reshape([profile.proven(c, end, box) for c, end in pairs], (-1, 2)) * signs
     slack = [float(c @ end.theta) - profile.proven(c, end, box, end.solved) for c, end in pairs]
-    rests = np.reshape([end.rests for end in ends], (-1, 2, 2)).astype(bool)
-    by_prior = np.reshape([end.prior_share > 0.5 for end in ends], (-1, 2)) | rests[:, :, 0]
+    rests = np.array([end.rests for end in ends], dtype=bool).reshape(-1, 2, 2)
+    shares = np.array([end.prior_share for end in ends]).reshape(-1, 2)
+    by_prior = (shares > 0.5) | rests[:, :, 0]
     return {
         "lower": frozen(proven[:, 0]),
         "upper": frozen(proven[:, 1]),
