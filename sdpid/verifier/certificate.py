@@ -72,6 +72,8 @@ def load(content: bytes) -> dict[str, Any]:
 def check(data: dict[str, Any]) -> Result:
     """Check the digest and every claim; MalformedError where the data make no sense."""
     try:
+        known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
+        require_keys(data["origin"], known, "origin")
         result = prove(data, Proof(data))
         sealed = digest(data) == text(data["sha256"], "sha256")
     except REFUSED as cause:
@@ -96,8 +98,6 @@ def prove(data: dict[str, Any], proof: Proof) -> Result:
     """Compare every claim with what was recomputed."""
     claims = require_keys(data["claims"], CLAIMS, "claims")
     require_keys(data["metadata"], _METADATA, "metadata")
-    known = (*_ORIGIN, "contacts") if data["version"] == WITH_CONTACTS else _ORIGIN
-    require_keys(data["origin"], known, "origin")
     described = _described(data, proof)
     problems, said = list(proof.broken), []
     bound = numbers(claims["lower_bound"])

@@ -276,6 +276,11 @@ def test_values_that_make_no_sense_are_refused(key: str, value: Any, forged: Dat
         checked(forged)
 
 
+@pytest.mark.parametrize(("origin", "said"), [(None, "no object"), ({}, "missing .*'links'")])
+def test_an_origin_that_is_none_is_named(origin: Any, said: str, forged: Data) -> None:
+    refuses(MalformedError, f"origin .*{said}", checked, {**forged, "origin": origin})
+
+
 def test_keys_at_any_level_are_known_and_there(forged: Data) -> None:
     every = (forged, *(at(forged, path) for path in paths(forged)))
     found = [each for each in every if isinstance(each, dict) and each]
