@@ -45,6 +45,13 @@ def arm() -> sdpid.RobotModel:
     return truth().robot
 
 
+def but_for(place: int, value: float) -> RobotDynamics:
+    """Return the truth with another value of one parameter."""
+    theta = np.array(truth().theta)
+    theta[place] = value
+    return replace(truth(), theta=theta)
+
+
 def motion(seed: int, seconds: float = 12.0, rate: float = 200.0) -> tuple[Array, ...]:
     """Return time, positions, velocities and accelerations of a smooth motion."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 1.0 / rate)
@@ -107,11 +114,8 @@ def test_models_are_told_apart() -> None:
 
 
 def test_what_runs_away_is_told_and_raises_nothing() -> None:
-    model = truth()
-    flipped = np.array(model.theta)
     # A negative rotational inertia about the last axis: no body has it, and friction drives it.
-    flipped[10 + 9] = -0.01
-    found = sdpid.rollout(replace(model, theta=flipped), recorded(2), HORIZONS, free="all")
+    found = sdpid.rollout(but_for(10 + 9, -0.01), recorded(2), HORIZONS, free="all")
     assert found.diverged[-1] == 1.0
     assert np.isinf(found.median[-1])
     assert "runs away" in found.verdict
@@ -121,11 +125,8 @@ def test_what_runs_away_is_told_and_raises_nothing() -> None:
 
 
 def test_one_joint_free_leaves_the_others_on_the_record() -> None:
-    model = truth()
-    heavier = np.array(model.theta)
     # Viscous friction of the second joint alone.
-    heavier[20 + 1] *= 3.0
-    wrong = replace(model, theta=heavier)
+    wrong = but_for(20 + 1, 3.0 * truth().theta[20 + 1])
     found = sdpid.rollout(wrong, recorded(2), (0.5,), free="each")
     first, second = found.models["this model"].joints()[0]
     assert first < 1e-3 < 1e-2 < second

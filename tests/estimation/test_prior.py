@@ -451,9 +451,6 @@ def test_a_side_that_never_moved_is_like_the_other_and_sides_that_moved_may_diff
 # Friction terms behind the links, of which the divergence knows nothing.
 EXTRA = 3
 
-# Relative error of formulas that lose a few hundred roundings to the conditioning of P.
-FORMULA = 1e-8
-
 # Central differences with a relative step of 1e-6.
 DIFFERENCE = 1e-5
 

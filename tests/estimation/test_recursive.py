@@ -43,6 +43,14 @@ def pieces(samples: sdpid.Samples, *cuts: int) -> list[sdpid.Samples]:
     return [samples.between(*ends) for ends in pairwise((0, *cuts, samples.n_samples))]
 
 
+def streamed(start: Problem, others: list[sdpid.Samples], **options: Any) -> RecursiveEstimator:
+    """Return a stream that has taken pieces."""
+    stream = RecursiveEstimator(start, **options)
+    for piece in others:
+        stream.update(piece)
+    return stream
+
+
 def same_cost(found: Problem, expected: Problem) -> None:
     """Assert that two compressed costs are one function."""
     scale = np.sqrt(np.diagonal(expected.A.T @ expected.A))
@@ -61,9 +69,7 @@ def test_pieces_give_the_problem_of_all_samples(weighting: Any) -> None:
     samples = measured(covariance=covariance, mask=mask)
     whole = build_problem(ARM, samples, weighting=weighting)
     first, *others = pieces(samples, 40, 43, 80)
-    stream = RecursiveEstimator(build_problem(ARM, first, weighting=weighting))
-    for piece in others:
-        stream.update(piece)
+    stream = streamed(build_problem(ARM, first, weighting=weighting), others)
     same_cost(stream.problem, whole)
     assert stream.problem.n_rows == whole.n_rows
     found, expected = stream.solve(), sdpid.solve_sdp(whole)
@@ -88,24 +94,18 @@ def test_weights_are_powers_of_the_forgetting_factor() -> None:
     aged = SIGMA / factor ** ages[:, None, None]
     whole = build_problem(ARM, replace(samples, covariance=aged), weighting="gls_per_sample")
     first, *others = pieces(samples, 35, 36, 77)
-    stream = RecursiveEstimator(build_problem(ARM, first), forgetting=factor)
-    for piece in others:
-        stream.update(piece)
-    same_cost(stream.problem, whole)
+    same_cost(streamed(build_problem(ARM, first), others, forgetting=factor).problem, whole)
 
 
 def test_memory_is_forgetting_in_time() -> None:
     samples = measured(covariance=SIGMA, time=np.arange(90) * 0.02 + 5.0)
     first, *others = pieces(samples, 35, 36, 77)
     start, factor = build_problem(ARM, first), float(np.exp(-0.02 / 0.5))
-    by_number = RecursiveEstimator(start, forgetting=factor)
+    by_number = streamed(start, others, forgetting=factor)
     # By number the start ended one sample before the first that comes in, by time at that one.
     root = np.sqrt(factor)
     faded = replace(start, A=root * start.A, rhs=root * start.rhs, floor=factor * start.floor)
-    by_time = RecursiveEstimator(faded, memory=0.5)
-    for piece in others:
-        by_time.update(piece)
-        by_number.update(piece)
+    by_time = streamed(faded, others, memory=0.5)
     same_cost(by_time.problem, by_number.problem)
 
 
