@@ -156,7 +156,6 @@ FACES = ("sdpid.cli", "sdpid.workflow")
 USED_TWICE = {
     "Choice",
     "Finding",
-    "Fit",
     "Gains",
     "Law",
     "Loop",
@@ -167,13 +166,10 @@ USED_TWICE = {
     "Purpose",
     "Reading",
     "Rows",
-    "Run",
     "Standing",
     "States",
-    "Stream",
     "Subject",
     "Table",
-    "Words",
 }
 # In these rooms no class has the name of another one of the package.
 ROOMS_OF_OWN_NAMES = ("estimation", "assurance", "verifier")

@@ -175,7 +175,7 @@ _Means: TypeAlias = tuple[Array, Array, Array, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Fit:
+class _ReferenceFit:
     """A reference as scale × the position some time later, plus an offset.
 
     What a proportional controller lags behind for its effort is accounted for: a slow loop is no
@@ -198,7 +198,7 @@ def references(subject: Subject) -> Iterator[Finding]:
     if means is None:
         return
     position, reference, effort, step = means
-    wrong: dict[str, tuple[str, _Fit]] = {}
+    wrong: dict[str, tuple[str, _ReferenceFit]] = {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
         fit = _fit(position[:, j], reference[:, j], effort[:, j], step)
         what = _wrong(fit, longest.names, j, means)
@@ -217,7 +217,7 @@ def references(subject: Subject) -> Iterator[Finding]:
     yield found("reference_unlike", next(iter(wrong)) if alone else None, wrong=told, **numbers)
 
 
-def _wrong(fit: _Fit, names: tuple[str, ...], j: int, means: _Means) -> str | None:
+def _wrong(fit: _ReferenceFit, names: tuple[str, ...], j: int, means: _Means) -> str | None:
     """Return what is wrong with a joint's reference, in words."""
     if fit.correlation < _CORRELATED:
         position, reference, effort, step = means
@@ -254,7 +254,7 @@ def _means(log: Recording) -> _Means | None:
     return position, reference, effort, stride * log.step
 
 
-def _fit(position: Array, reference: Array, effort: Array, step: float) -> _Fit:
+def _fit(position: Array, reference: Array, effort: Array, step: float) -> _ReferenceFit:
     """Fit a reference by the position, its rate, the effort and a constant."""
     rate = (position[2:] - position[:-2]) / (2.0 * step)
     position, reference = position[1:-1], reference[1:-1]
@@ -263,7 +263,7 @@ def _fit(position: Array, reference: Array, effort: Array, step: float) -> _Fit:
     columns = np.column_stack(signals)
     weights = np.linalg.lstsq(columns, reference)[0]
     scale, slope, _, level = weights.tolist()
-    return _Fit(
+    return _ReferenceFit(
         scale=scale,
         offset=level - mean,
         lag=slope / scale if scale != 0.0 else 0.0,

@@ -219,7 +219,7 @@ DESCRIBED = {
 }
 
 
-class _Words(Formatter):
+class _VerdictWords(Formatter):
     """Formats of shares and of lists of names."""
 
     def format_field(self, value: Any, format_spec: str) -> Any:
@@ -233,7 +233,7 @@ class _Words(Formatter):
 def found(kind: str, /, *, careful: bool = False, **fields: Any) -> Finding:
     """Return a finding of a kind; where it calls for care, it is a caution in any case."""
     level, words = next((each, rows[kind]) for each, rows in KINDS.items() if kind in rows)
-    both = (_Words().vformat(each, (), fields) for each in (words, WARNINGS.get(kind, "")))
+    both = (_VerdictWords().vformat(each, (), fields) for each in (words, WARNINGS.get(kind, "")))
     return Finding(kind, "caution" if careful else level, *both)
 
 

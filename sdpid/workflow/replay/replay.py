@@ -86,7 +86,7 @@ def replay(
     MissingExtraError
         When a package is missing that the log's format needs.
     """
-    run, given = _Run(Sealed.read(folder)), several(logs)
+    run, given = _Replaying(Sealed.read(folder)), several(logs)
     steps: dict[str, Callable[[], None]] = {
         "log": lambda: run.read(given),
         "robot": lambda: run.find(robot),
@@ -109,7 +109,7 @@ def replay(
 
 
 @dataclass(eq=False)
-class _Run:
+class _Replaying:
     """The links so far, and what later ones need of earlier ones."""
 
     sealed: Sealed

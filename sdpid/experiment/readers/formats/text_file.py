@@ -76,7 +76,7 @@ def load_text(path: Path) -> Table:
     return Table(arrays, place=text.place, unnamed=unnamed)
 
 
-class _Stream(io.TextIOBase):
+class _LinesAsFile(io.TextIOBase):
     """Lines as a file that pandas reads."""
 
     def __init__(self, lines: Iterator[str]) -> None:
@@ -120,7 +120,7 @@ class _Text:
                 # Newer versions read all digits by default, and warn of the argument.
                 warnings.simplefilter("ignore")
                 return pd.read_csv(
-                    _Stream(line for _, line in self._lines()),
+                    _LinesAsFile(line for _, line in self._lines()),
                     sep=self.delimiter or r"\s+",
                     header=None,
                     names=range(len(self.names)),
