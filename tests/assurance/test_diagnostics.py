@@ -138,6 +138,7 @@ def test_coordinates_of_a_base_are_no_joints_in_tables() -> None:
         assert not fit.rows[:6].any()
     # Without the forces of the feet the base misses its weight.
     assert fit.floating.force > 10.0
+    assert fit.to_dict()["floating"] == fit.floating.to_dict()
 
 
 def test_a_held_base_leaves_an_arm_of_legs() -> None:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
-from sdpid._common.tables import Shown, Table, plain, plain_dict
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
 from sdpid.assurance.diagnostics.rest import moving_and_resting
@@ -168,6 +168,10 @@ class BaseErrors:
         count = int(np.count_nonzero(whole))
         return cls(force=float(force), torque=float(torque), samples=count)
 
+    def to_dict(self) -> dict[str, object]:
+        """Return plain values."""
+        return plain_dict(vars(self))
+
     @property
     def rows(self) -> tuple[tuple[str, float], ...]:
         """What is told of the base beside the joints, units included, and its size."""
@@ -311,7 +315,7 @@ class Validation(Errors):
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""
-        floating = {} if self.floating is None else {"floating": plain(self.floating)}
+        floating = {} if self.floating is None else {"floating": self.floating.to_dict()}
         resting = None if self.resting is None else self.resting.to_dict()
         moving = self.moving.to_dict()
         return {**super().to_dict(), "moving": moving, "resting": resting, **floating}
