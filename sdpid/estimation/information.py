@@ -50,8 +50,14 @@ class Excitation(Shown):
     def of(cls, A: Array, names: tuple[str, ...]) -> Excitation:
         """Analyze a compressed regressor (b, b)."""
         norms = np.linalg.norm(A, axis=0)
-        scaled = A / np.where(norms > 0.0, norms, 1.0)
-        _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
+        seen = norms > 0.0
+        _, singular, found = np.linalg.svd(A[:, seen] / norms[seen], full_matrices=False)
+        # A column of nothing is a direction by itself: a decomposition would mix several of them.
+        shown, unseen = len(found), np.flatnonzero(~seen)
+        directions = np.zeros((shown + len(unseen), len(norms)))
+        directions[:shown, seen] = found
+        directions[np.arange(shown, len(directions)), unseen] = 1.0
+        singular = np.append(singular, np.zeros(len(unseen)))
         return cls(names, frozen(singular), frozen(directions), frozen(norms))
 
     @property

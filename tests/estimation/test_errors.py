@@ -481,6 +481,15 @@ def test_a_column_of_zeros() -> None:
     assert excitation.weak() == ((0.0, ("b",)),)
 
 
+def test_columns_of_zeros_are_named_one_by_one() -> None:
+    A = np.random.default_rng(3).standard_normal((5, 5))
+    A[:, [1, 2, 4]] = 0.0
+    excitation = Excitation.of(A, tuple("abcde"))
+    assert excitation.weak() == ((0.0, ("b",)), (0.0, ("c",)), (0.0, ("e",)))
+    np.testing.assert_allclose(np.linalg.norm(A @ excitation.root, axis=0), 1.0)
+    np.testing.assert_allclose(A @ excitation.root @ excitation.inverse, A, atol=1e-12)
+
+
 @pytest.mark.parametrize("speed", [1e-2, 3e-5])
 def test_errors_of_what_is_hardly_seen_are_large(speed: float) -> None:
     """A slow joint's viscous and sigmoid friction are nearly one column."""
