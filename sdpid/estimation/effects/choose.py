@@ -16,7 +16,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import apply, weights_of
+from sdpid.estimation.compression.whitening import apply, are_diagonal, weights_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
@@ -260,22 +260,35 @@ class VariableProjection:
         number, placed = np.arange(len(parameters)), rows.friction.placed
         places = [number[placed[each.place][1]] for each in found]
         loose = np.concatenate(places)
-        parts = every.parts(_TOGETHER)
-        whitened = np.concatenate([apply(powers, which[p], every.rows(p)) for p in parts])
         # The columns of links and friction of fixed shape; the c open ones, the effort as last.
         apart = [*(every.base.count - len(parameters) + loose), every.base.count]
-        K, n, _ = whitened.shape
-        Q = _orthonormal(np.delete(whitened, apart, axis=2).reshape(K * n, -1))
-        flat = whitened[:, :, apart].reshape(K * n, -1)
-        own, self._inside = flat.T @ flat, Q.T @ flat
+        parts, independent = list(every.parts(_TOGETHER)), are_diagonal(powers)
+        reached = np.any([every.rows(p).any(axis=0) for p in parts], axis=0) | (not independent)
+        reached[:, apart] = False
+        owns = [np.flatnonzero(each) for each in reached]
+        fixed = [np.empty((rows.n_samples, len(own))) for own in owns]
+        self._loose = np.empty((len(owns), rows.n_samples, len(apart)))
+        for part in parts:
+            whitened = apply(powers, which[part], every.rows(part))
+            for j, own in enumerate(owns):
+                fixed[j][part] = whitened[:, j, own]
+                self._loose[j, part] = whitened[:, j, apart]
+        self._basis = _orthonormal(fixed, owns, every.base.count)
+        pairs = list(zip(self._basis, self._loose, strict=True))
+        self._inside = np.sum([U.T @ (Q.T @ x) for (Q, U), x in pairs], axis=0)
+        own = np.sum([each.T @ each for each in self._loose], axis=0)
         self._products: Array = own - self._inside.T @ self._inside
         self._squares: Array = np.diagonal(own).copy()
         again = np.swapaxes(powers, 1, 2)[which]
         self._gram = again @ powers[which]
-        self._loose, self._basis = (
-            np.ascontiguousarray(np.swapaxes(again @ each.reshape(K, n, -1), 0, 1))
-            for each in (flat, Q)
-        )
+        if independent:
+            scale = np.diagonal(again, axis1=1, axis2=2).T[:, :, None]
+            self._loose *= scale
+            self._basis = [(s * Q, U) for s, (Q, U) in zip(scale, self._basis, strict=True)]
+        else:
+            self._loose = _mixed(again, self._loose)
+            mixed = _mixed(again, np.stack([Q @ U for Q, U in self._basis]))
+            self._basis = [(Q, np.eye(mixed.shape[2])) for Q in mixed]
         nonnegative = np.array([p.nonnegative for p in parameters], dtype=bool)[loose]
         self._free = np.flatnonzero(~nonnegative)
         self._lowest = np.where(nonnegative, 0.0, -np.inf)
@@ -338,7 +351,8 @@ class VariableProjection:
         whole = np.zeros((len(self._inside), flat.shape[2]))
         beside = np.zeros((len(self._products), flat.shape[2]))
         for j, each in zip(joints, flat, strict=True):
-            whole += self._basis[j].T @ each
+            Q, U = self._basis[j]
+            whole += U.T @ (Q.T @ each)
             beside += self._loose[j].T @ each
         beside -= self._inside.T @ whole
         inside, others = (np.moveaxis(x.reshape(len(x), *size), 1, 0) for x in (whole, beside))
@@ -427,12 +441,24 @@ class VariableProjection:
         return np.asarray(np.maximum(products[:, -1, -1] - gain, 0.0))
 
 
-def _orthonormal(columns: Array) -> Array:
-    """Return an orthonormal basis (K, r) of what columns (K, c) span."""
-    size = np.linalg.norm(columns, axis=0)
-    Q, R = np.linalg.qr(columns / np.where(size > 0.0, size, 1.0))
+def _orthonormal(fixed: list[Array], owns: list[Indices], width: int) -> list[tuple[Array, Array]]:
+    """Return Q (K, own) and U (own, r) of joints with own columns: Q·U are an orthonormal basis."""
+    pairs = [np.linalg.qr(each) for each in fixed]
+    rows = [np.zeros((len(R), width)) for _, R in pairs]
+    for each, own, (_, R) in zip(rows, owns, pairs, strict=True):
+        each[:, own] = R
+    stacked = np.concatenate(rows)
+    size = np.linalg.norm(stacked, axis=0)
+    V, R = np.linalg.qr(stacked / np.where(size > 0.0, size, 1.0))
     U, s, _ = np.linalg.svd(R)
-    return np.asarray(Q @ U[:, : np.count_nonzero(s > _DEPENDENT * s.max(initial=0.0))])
+    rank = np.count_nonzero(s > _DEPENDENT * s.max(initial=0.0))
+    parts = np.split(V @ U[:, :rank], np.cumsum([len(each) for each in rows])[:-1])
+    return [(Q, part) for (Q, _), part in zip(pairs, parts, strict=True)]
+
+
+def _mixed(weights: Array, columns: Array) -> Array:
+    """Return columns (n, K, c) times the weights (K, n, n) of their samples."""
+    return np.ascontiguousarray(np.swapaxes(weights @ np.swapaxes(columns, 0, 1), 0, 1))
 
 
 def _flat_range(tried: dict[float, float], own: Profiled) -> list[float]:
