@@ -57,19 +57,25 @@ class Triangle:
         # No eigenvalue of G is larger.
         self._growth = 1.0
         self._seen: Any = None
+        # Rows that wait for others, since a few cost as much to fold in as many.
+        self._waiting = self._T
         self._R: Array | None = self._T
 
     @property
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""
         if self._R is None:
-            self._R = self._factor()
+            found = self._factor()
+            self._R = (
+                found if not len(self._waiting) else _triangle(np.vstack([found, self._waiting]))
+            )
             self._R.setflags(write=False)
         return self._R
 
     def scale(self, factor: float) -> None:
         """Multiply all rows so far by a number, as one does to forget them slowly."""
         self._T, self._R = factor * self._T, None
+        self._waiting = factor * self._waiting
 
     def add(self, rows: Array, at: Indices | None = None) -> None:
         """Fold further rows (k, columns) in, or (k, c) of those columns alone; k may be zero."""
@@ -78,8 +84,12 @@ class Triangle:
             whole = np.zeros((len(rows), self.columns))
             whole[:, at] = rows
             rows = whole
-        self._R = None
-        size = max(PIECE // (8 * self.columns), _FEW * self.columns)
+        self._R, few = None, _FEW * self.columns
+        if len(self._waiting) or len(rows) < few:
+            rows = np.concatenate([self._waiting, rows])
+            end = 0 if len(rows) < few else len(rows)
+            rows, self._waiting = rows[:end], rows[end:]
+        size = max(PIECE // (8 * self.columns), few)
         for start in range(0, len(rows), size):
             self._fold(rows[start : start + size])
 
@@ -104,10 +114,11 @@ class Triangle:
     def _restart(self, factor: Array) -> None:
         """Be this triangle alone."""
         self._T, self._G, self._R = factor, None, None
+        self._waiting = factor[:0]
 
     def _fold(self, rows: Array) -> None:
         if self._G is None:
-            if len(self._T) < self.columns:
+            if np.count_nonzero(self._T.any(axis=1)) < np.count_nonzero(self._T.any(axis=0)):
                 self._fold_plainly(rows)
                 return
             self._divide_by(self._T)
@@ -161,7 +172,14 @@ class Triangle:
 
 
 def _triangle(rows: Array) -> Array:
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+    """Return the triangle of rows; columns that are zero cost nothing, and have zero rows."""
+    seen = np.flatnonzero(rows.any(axis=0))
+    if len(seen) == rows.shape[1]:
+        return np.asarray(np.linalg.qr(rows, mode="r"))
+    found = np.linalg.qr(rows[:, seen], mode="r")
+    triangle = np.zeros((rows.shape[1], rows.shape[1]))
+    triangle[np.ix_(seen[: len(found)], seen)] = found
+    return triangle
 
 
 def _bound(G: Array) -> float:
