@@ -148,7 +148,8 @@ class JointRows:
         joined = Triangle(self.triangles[0].columns - 1)
         # Their order makes no difference but to the last bits.
         pairs = zip(self.triangles[::-1], variance[::-1], strict=True)
-        joined.add(np.concatenate([t.R[:, :-1] / np.sqrt(s) for t, s in pairs]))
+        every = np.concatenate([t.R[:, :-1] / np.sqrt(s) for t, s in pairs])
+        joined.add(every[every.any(axis=1)])
         return joined
 
     def fit(self, variance: Array) -> tuple[Array, int]:

@@ -50,32 +50,37 @@ class Triangle:
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
-        # The factor of everything is T, or root(G)·T of the columns seen while rows are divided.
+        # Columns that are not zero in every row so far: all below is of these alone.
+        self._at: Indices = np.zeros(0, dtype=np.intp)
+        # The factor of everything is T, or root(G)·T while rows are divided.
         # No array is ever written to again: a copy shares them.
-        self._T: Array = np.zeros((0, columns))
+        self._T: Array = np.zeros((0, 0))
         self._G: Any = None
         # No eigenvalue of G is larger.
         self._growth = 1.0
-        self._seen: Any = None
         # Rows that wait for others, since a few cost as much to fold in as many.
-        self._waiting = self._T
-        self._R: Array | None = self._T
+        self._waiting: tuple[Array, ...] = ()
+        self._R: Array | None = None
 
     @property
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""
         if self._R is None:
             found = self._factor()
-            self._R = (
-                found if not len(self._waiting) else _triangle(np.vstack([found, self._waiting]))
-            )
+            if self._waiting:
+                found = _triangle(np.vstack([found, *self._waiting]))
+            if len(self._at) < self.columns:
+                places = self._at[: len(found)]
+                own, found = found, np.zeros((max(places, default=-1) + 1, self.columns))
+                found[np.ix_(places, self._at)] = own
+            self._R = found
             self._R.setflags(write=False)
         return self._R
 
     def scale(self, factor: float) -> None:
         """Multiply all rows so far by a number, as one does to forget them slowly."""
         self._T, self._R = factor * self._T, None
-        self._waiting = factor * self._waiting
+        self._waiting = tuple(factor * each for each in self._waiting)
 
     def add(self, rows: Array, at: Indices | None = None) -> None:
         """Fold further rows (k, columns) in, or (k, c) of those columns alone; k may be zero."""
@@ -84,18 +89,25 @@ class Triangle:
             whole = np.zeros((len(rows), self.columns))
             whole[:, at] = rows
             rows = whole
-        self._R, few = None, _FEW * self.columns
-        if len(self._waiting) or len(rows) < few:
-            rows = np.concatenate([self._waiting, rows])
-            end = 0 if len(rows) < few else len(rows)
-            rows, self._waiting = rows[:end], rows[end:]
-        size = max(PIECE // (8 * self.columns), few)
+        used = np.asarray(rows.any(axis=0))
+        used[self._at] = True
+        if np.count_nonzero(used) > len(self._at):
+            self._widen(np.flatnonzero(used))
+        self._R, few = None, _FEW * len(self._at)
+        rows = rows if len(self._at) == self.columns else rows[:, self._at]
+        if len(rows) + sum(map(len, self._waiting)) < few:
+            self._waiting += (np.array(rows),)
+            return
+        if self._waiting:
+            rows = np.concatenate([*self._waiting, rows])
+            self._waiting = ()
+        size = max(PIECE // (8 * max(len(self._at), 1)), few, 1)
         for start in range(0, len(rows), size):
             self._fold(rows[start : start + size])
 
     def merge(self, other: Triangle) -> None:
         """Fold another triangle's rows in: that of all rows is the same, whoever saw them."""
-        self._restart(_triangle(np.vstack([self.R, other.R])))
+        self.add(other.R)
 
     def split(self) -> tuple[Array, Array, float]:
         """Return A (b, b), rhs (b,) and floor, the last column being the right-hand side."""
@@ -107,25 +119,32 @@ class Triangle:
         """Return the triangle of everything folded in."""
         if self._G is None:
             return self._T
-        factor = np.zeros((self.columns, self.columns))
-        factor[np.ix_(self._seen, self._seen)] = _root(self._G) @ self._T
-        return factor
+        return np.asarray(_root(self._G) @ self._T)
+
+    def _widen(self, at: Indices) -> None:
+        """Have more columns, which are zero in the rows so far."""
+        old, self._at = np.searchsorted(at, self._at), at
+
+        def wide(rows: Array) -> Array:
+            found = np.zeros((len(rows), len(at)))
+            found[:, old] = rows
+            return found
+
+        self._waiting = tuple(map(wide, self._waiting))
+        self._restart(wide(self._factor()))
 
     def _restart(self, factor: Array) -> None:
-        """Be this triangle alone."""
+        """Be the triangle of this factor, beside what waits."""
         self._T, self._G, self._R = factor, None, None
-        self._waiting = factor[:0]
 
     def _fold(self, rows: Array) -> None:
         if self._G is None:
-            if np.count_nonzero(self._T.any(axis=1)) < np.count_nonzero(self._T.any(axis=0)):
+            # What is not yet as many rows as columns, or has columns that were zero in them.
+            if len(self._T) < len(self._at) or not self._T.any(axis=0).all():
                 self._fold_plainly(rows)
                 return
             self._divide_by(self._T)
             self._G, self._growth = np.eye(len(self._T), order="F"), 1.0
-        if not self._seen.all() and rows[:, ~self._seen].any():
-            self._fold_plainly(rows)
-            return
         if not len(self._G):
             return
         grown = self._added(self._G, rows)
@@ -153,33 +172,23 @@ class Triangle:
         """Return G with the products of rows, divided by T, added in its upper triangle."""
         from scipy.linalg.blas import dsyrk, dtrsm
 
-        own = rows if self._seen.all() else rows[:, self._seen]
-        return dsyrk(1.0, dtrsm(1.0, self._T, own.T, trans_a=1), beta=1.0, c=G)
+        return dsyrk(1.0, dtrsm(1.0, self._T, rows.T, trans_a=1), beta=1.0, c=G)
 
     def _fold_plainly(self, rows: Array) -> None:
         self._restart(_triangle(np.vstack([self._factor(), rows])))
 
     def _divide_by(self, factor: Array) -> None:
-        """Make T of a triangle, at the columns that are not zero."""
-        norms = np.sqrt(np.einsum("ij,ij->j", factor, factor))
-        self._seen = norms > 0.0
-        T = factor if self._seen.all() else _triangle(factor[:, self._seen])
-        T = np.array(T, order="F")
+        """Make T of a triangle."""
+        T = np.array(factor, order="F")
         # Below, what a column adds is rounding; any other such number stands for it as well.
-        own, least = np.diagonal(T).copy(), np.finfo(float).eps * norms[self._seen]
+        norms = np.sqrt(np.einsum("ij,ij->j", T, T))
+        own, least = np.diagonal(T).copy(), np.finfo(float).eps * norms
         np.fill_diagonal(T, np.copysign(np.maximum(np.abs(own), least), own))
         self._T = T
 
 
 def _triangle(rows: Array) -> Array:
-    """Return the triangle of rows; columns that are zero cost nothing, and have zero rows."""
-    seen = np.flatnonzero(rows.any(axis=0))
-    if len(seen) == rows.shape[1]:
-        return np.asarray(np.linalg.qr(rows, mode="r"))
-    found = np.linalg.qr(rows[:, seen], mode="r")
-    triangle = np.zeros((rows.shape[1], rows.shape[1]))
-    triangle[np.ix_(seen[: len(found)], seen)] = found
-    return triangle
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _bound(G: Array) -> float:
