@@ -169,13 +169,13 @@ def identify_payload(
     model = _robot(robot, without_load)
     require_fixed_robot(model, "payload")
     require_open_chain(model, "payload")
-    number = carrying_link(model, link, what="payload")
-    rotation, translation, name = frame_on_link(model, number, frame, what="payload")
     absent, known = joints_without(without_effort), as_gains(gains)
     with_load, without_load = (
         _read(model, log, name, absent, known)
         for log, name in ((with_load, "log"), (without_load, "without_load"))
     )
+    number = carrying_link(model, link, what="payload")
+    rotation, translation, name = frame_on_link(model, number, frame, what="payload")
     how = {
         "processing": processing,
         "without_effort": absent,

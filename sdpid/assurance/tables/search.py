@@ -15,9 +15,15 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.answers import StoredRefutation
-from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic, solve_with_retries
+from sdpid.estimation.conic.solve import (
+    ConicProgram,
+    ConicSolution,
+    Matrix,
+    solve_conic,
+    solve_with_retries,
+)
 from sdpid.estimation.scaling import Scaling, congruent
-from sdpid.robot.inertia import from_pseudo_inertia, margin_shift, matrix_basis
+from sdpid.robot.inertia import from_pseudo_inertia, margin, margin_shift, matrix_basis
 from sdpid.verifier.decimals import rounded
 from sdpid.verifier.exact import positive_semidefinite
 from sdpid.verifier.realizable import Question
@@ -180,10 +186,18 @@ class ScaledQuestion:
             upper=(upper - here)[moves],
             blocks=tuple(map(Matrix, [np.arange(n + 1)] * links, linear, constants)),
         )
+
+        def judged(x: Array, found: ConicSolution) -> tuple[ConicSolution, float] | None:
+            # The solver's account of its errors may be smaller than they are: bodies show them.
+            bodies = (origin + basis @ x[:n])[: 10 * links].reshape(links, 10)
+            least = float(np.min(margin(bodies, q.consistency))) - float(q.margin)
+            off = abs(x[n] - least / body) if inner else 0.0
+            return None if "Infeasible" in found.status else (found, max(found.error, off))
+
         solution = solve_with_retries(
             lambda regularization: solve_conic(program, regularization=regularization),
             _REGULARIZATIONS,
-            lambda _, found: None if "Infeasible" in found.status else (found, found.error),
+            judged,
             enough=_ACCURATE,
         ).value
         if solution is None or solution.x is None:
