@@ -50,7 +50,7 @@ class Triangle:
 
     def __init__(self, columns: int) -> None:
         self.columns = columns
-        # Columns that are not zero in every row so far: all below is of these alone.
+        # Columns of which some row so far is not zero: all below is of these alone.
         self._at: Indices = np.zeros(0, dtype=np.intp)
         # The factor of everything is T, or root(G)·T while rows are divided.
         # No array is ever written to again: a copy shares them.
@@ -90,6 +90,8 @@ class Triangle:
             whole[:, at] = rows
             rows = whole
         used = np.asarray(rows.any(axis=0))
+        if not used.any():
+            return
         used[self._at] = True
         if np.count_nonzero(used) > len(self._at):
             self._widen(np.flatnonzero(used))
@@ -101,7 +103,7 @@ class Triangle:
         if self._waiting:
             rows = np.concatenate([*self._waiting, rows])
             self._waiting = ()
-        size = max(PIECE // (8 * max(len(self._at), 1)), few, 1)
+        size = max(PIECE // (8 * len(self._at)), few)
         for start in range(0, len(rows), size):
             self._fold(rows[start : start + size])
 
@@ -145,8 +147,6 @@ class Triangle:
                 return
             self._divide_by(self._T)
             self._G, self._growth = np.eye(len(self._T), order="F"), 1.0
-        if not len(self._G):
-            return
         grown = self._added(self._G, rows)
         # Rows add their square at most; sums of sizes, a closer bound, cost as much as they.
         growth = self._growth + float(np.trace(grown) - np.trace(self._G))
