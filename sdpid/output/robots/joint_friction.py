@@ -271,7 +271,7 @@ class Places:
                 self.offsets.append(part)
             elif type(term) is not Tilt:
                 self.lost.append(part)
-        self.tendons = tuple(each for part in self.coupled for each in _tendons(part, self.joints))
+        self.tendons = tuple(each for part in self.coupled for each in _tendons(part))
         armature, damping = added(self.tendons, self.joints)
         if np.any(armature > self.exact.get(RotorInertia, 0.0)):
             # Tendons that add more armature than the joints have: what is left is none.
@@ -330,7 +330,7 @@ def _sharp(term: Coulomb) -> bool:
     return term.dead_zone == 0.0 and bool(np.all(widths <= SMOOTH))
 
 
-def _tendons(part: Part, joints: Sequence[str]) -> Iterator[MjcfTendon]:
+def _tendons(part: Part) -> Iterator[MjcfTendon]:
     """Yield the tendons of a drive: one, or two where inertia and damping differ in sign."""
     assert isinstance(part.term, Coupling)
     inertia, viscous, coulomb = part.values.tolist()
