@@ -30,7 +30,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection.accept import REFUSED
+from sdpid.experiment.inspection.inspect import REFUSED
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu

@@ -25,7 +25,7 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Check, Subject
 
 MOTIONS = ("stand", "trot", "walk", "hang")

@@ -29,8 +29,8 @@ from simulated_logs import drawn, log_of, there, with_gravity
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.recording.joints import match_joints
 

@@ -94,7 +94,7 @@ def _complete_friction(incomplete: str) -> list[str]:
 
 def _complete_kind(incomplete: str) -> list[str]:
     """Complete the kind of a finding."""
-    from sdpid.experiment.inspection.accept import REFUSED
+    from sdpid.experiment.inspection.inspect import REFUSED
 
     return _beginning(REFUSED)(incomplete)
 

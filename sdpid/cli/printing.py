@@ -16,7 +16,7 @@ from sdpid.cli.config import read_config
 
 if TYPE_CHECKING:
     from sdpid.assurance.diagnostics.validation import Validation
-    from sdpid.experiment.inspection.finding import Finding
+    from sdpid.experiment.inspection.kinds import Finding
 
 _printing = functools.partial(typer.Option, rich_help_panel="Configuration and output")
 

@@ -14,7 +14,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
 
 # Units of parameters that belong to the rigid part beside the links: rotors and gravity's

@@ -17,7 +17,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.for_robot import friction_of
 from sdpid.experiment.preparation.several import (
     Logs,

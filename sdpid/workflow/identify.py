@@ -31,7 +31,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.several import (
     Logs,
     Prepared,

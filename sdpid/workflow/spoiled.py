@@ -11,8 +11,7 @@ import numpy as np
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.errors import SdpidError
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.preparation.several import Prepared, without_efforts
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification

@@ -16,7 +16,7 @@ import typer
 
 import sdpid
 from sdpid import cli
-from sdpid.experiment.inspection.kinds import KINDS
+from sdpid.experiment.inspection import inspect as inspection
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import BY_NAME
 from tests.helpers.arm import arm_problem
@@ -275,7 +275,7 @@ def test_every_message_is_one_of_the_package() -> None:
 
 
 def test_every_kind_of_finding_is_named() -> None:
-    kinds = set(KINDS)
+    kinds = set(inspection.KINDS)
     named = set(first_cells("kind"))
     assert kinds - named == set()
     assert named - kinds == set()

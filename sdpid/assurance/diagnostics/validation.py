@@ -21,7 +21,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.several import (
     Logs,
     ProcessingOf,

@@ -13,9 +13,8 @@ from sdpid.assurance.drive_gains.fit import FoundGains, GainFit
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.information import least_squares
-from sdpid.experiment.inspection.accept import require_accepted
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.recording import Recording

@@ -30,7 +30,7 @@ from sdpid.assurance.drive_gains.result import (
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.several import Logs, ProcessingOf, as_pieces
 from sdpid.experiment.processing.samples import Samples

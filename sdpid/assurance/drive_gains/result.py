@@ -13,7 +13,7 @@ from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.model import GainModel
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.robot.inertia import physical_parameters
 
 # A gain whose error is more than this many times the joints' median, and this share, is weak.

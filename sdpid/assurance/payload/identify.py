@@ -25,8 +25,8 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.accept import kinds_accepted
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import kinds_accepted
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.preparation.for_robot import friction_of
 from sdpid.experiment.preparation.several import (
     all_recordings,

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain_dict
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.robot.inertia import physical_parameters, tensor_entries
 
 # Of osmium, kg/m³: nothing is denser.

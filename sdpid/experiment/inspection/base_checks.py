@@ -20,8 +20,7 @@ from sdpid.experiment.inspection.evidence import (
     unexplained,
     window_means,
 )
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording

@@ -14,11 +14,64 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, refuse, warning
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import ROWS, taken
+
+_STAYS = " of {joint} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
+_LEAVE = "leave those rows out"
+KINDS.update(
+    position_lone=refuse(
+        "position of {joint} is {off:.3g} rad off those before and after it at row {row}, limit "
+        "{limit:.2g} rad: a wrong sample",
+        "remove that sample: a gap of a few samples is interpolated",
+    ),
+    position_coarse=warning(
+        "position of {joint} has {values} different values (limit {limit}), {step:.2g} rad apart "
+        "(limit {step_limit:g} rad): it is rounded",
+        "log positions with all their digits",
+        spoils=True,
+    ),
+    position_frozen=refuse(
+        f"position{_STAYS}, while {{joint}} moves by {{moved:.2g}} rad, limit {{limit:.2g}}",
+        _LEAVE,
+    ),
+    velocity_frozen=warning(
+        f"velocity{_STAYS}, while {{joint}} leaves that speed by {{moved:.2g}} rad (limit "
+        "{limit:.2g} rad)",
+        f"{_LEAVE}, or the velocity (velocity=none)",
+        hides=("velocity_clipped",),
+    ),
+    effort_frozen=warning(
+        f"effort{_STAYS}, while {{joint}} moves by {{way:.2g}} rad",
+        f"{_LEAVE}, or the efforts of that joint (without_effort)",
+        hides=("effort_clipped",),
+    ),
+    effort_spike=warning(
+        "effort of {joint} is {off:.3g} off those before and after it at row {row}, limit "
+        "{limit:.2g}: an outlier",
+        "remove that sample",
+    ),
+    effort_silent=left_out(
+        "effort of {joint} is exactly 0 in {share:.3g %} of the rows in which it moves "
+        "(limit {limit:g %}): it was not measured there",
+    ),
+    effort_constant=warning(
+        "effort of {joint} never changes: it is {value:.4g} in every row",
+        "if it was not measured, leave it out (without_effort)",
+    ),
+    effort_clipped=warning(
+        "effort of {joint} stays at {at} in {rows} of {all} rows ({share:.2g %}, limit "
+        "{limit:g %}): it is clipped",
+        "leave those rows out, or move more gently: what the drive gave is unknown",
+    ),
+    velocity_clipped=warning(
+        "velocity of {joint} stays at {at} in {rows} of {all} rows ({share:.2g %}, limit "
+        "{limit:g %}): it is clipped",
+        "leave the velocity out (velocity=none): it is then had from the position",
+    ),
+)
 
 # A channel stays where it has one value for so long (s), in so many rows, and so many times as long
 # as usual: a slow bus holds every value.

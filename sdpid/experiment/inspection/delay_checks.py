@@ -17,8 +17,7 @@ from sdpid.experiment.inspection.delays.find import (
     is_told,
 )
 from sdpid.experiment.inspection.delays.kinematic import block_error, pooled
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.delays.on_time import CHANNELS

@@ -16,9 +16,97 @@ from sdpid.experiment.inspection.corrections import (
     misfit,
     placeholders,
 )
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import exchanged, found, words
+from sdpid.experiment.inspection.kinds import (
+    KINDS,
+    Finding,
+    exchanged,
+    found,
+    left_out,
+    note,
+    refuse,
+    warning,
+    words,
+)
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
+
+KINDS.update(
+    effort_small=left_out(
+        "effort of {joint} is {effort:.3g} {unit} (rms), and the description's bodies need "
+        "{needed:.3g} {unit}, {ratio:.3g} times as much (limit {limit:g}): another unit, a "
+        "counterweight or a spring",
+    ),
+    effort_spoils=left_out(
+        "effort of {joint} contradicts the others, whose errors fall to {share:.2f} without it "
+        "(limit {limit:g}); with it {why}",
+    ),
+    forces_ignored=warning(
+        "the description has forces on joints that are not in the model: {what}; they are taken "
+        "for gravity, offsets and friction",
+        "take stiffness·(position − springref) off the recorded efforts of a joint with a spring, "
+        "or leave it out (--without-effort)",
+    ),
+    actuators_ignored=note(
+        "the description has actuators whose effort is not their control: {what}; efforts are read "
+        "as the joints', whatever these are",
+        "log the efforts of joints (qfrc_actuator), not controls",
+    ),
+    effort_not_compared=note(
+        "efforts are not compared with the motion, for the robot's description {lacks}: wrong "
+        "signs, units and orders of columns are not found",
+        "check them by hand{give}",
+    ),
+    effort_sign=refuse("effort of {of} has the wrong sign{mended}", "flip {its}"),
+    position_sign=refuse(
+        "position of {of} has the wrong sign{mended}",
+        "flip its sign, and that of its velocity",
+        hides=("feet",),
+    ),
+    axis_sign=refuse(
+        "position and effort of {of} count the other way round than the description's axis{mended}",
+        "flip the signs of both, or turn the axis in the description",
+        hides=("feet",),
+    ),
+    position_zero=refuse(
+        "position of {of} has another zero than the description{mended}",
+        "add {add:+.0f °} ({add:+.4f} rad)",
+        hides=("feet",),
+    ),
+    gravity_direction=refuse(
+        "gravity acts along {gravity} m/s² of the base, not as described{mended}",
+        "give gravity= to load_robot, or mount the description's base as the robot's",
+    ),
+    joint_order=refuse(
+        "columns are in the order {held}{mended}",
+        "name the columns so (joint_names), or put them in the robot's order",
+        hides=("feet",),
+    ),
+    effort_order=refuse(
+        "columns of the efforts are in the order {held}{mended}",
+        "name the effort columns one by one (columns)",
+    ),
+    flags_unlike_motion=warning(
+        "flags of contacts are wrong: feet bear the robot while they are said to be up{mended}",
+        "lower their threshold, or widen contact_margin_s; fuse forces where they are measured",
+        about="flags",
+    ),
+    feet_exchanged=warning(
+        "flags of contacts are of other feet: {feet}{mended}",
+        "give the contacts' frames in the order of their columns",
+        hides=("flags",),
+        about="feet",
+    ),
+    effort_scale=refuse(
+        "{whose} times {of}, limit {least:g} to {limit:g}: {unit}",
+        "{remedy}",
+        hides=("forces",),
+    ),
+    effort_unlike_description=warning(
+        "effort of {joint} does not follow from the motion: the description and friction leave "
+        "{unexplained:.3g %} of its variance unexplained, limit {limit:g %}",
+        "check the columns, the units, the mounting and the description of this joint",
+        hides=("forces",),
+    ),
+)
 
 # Efforts beyond this many times the description's, either way, are in another unit: of six real
 # arms they are 0.7 to 2.3 times.

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import extremes

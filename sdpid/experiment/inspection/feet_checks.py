@@ -11,8 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.block_fit import BlockSums, sure_part
 from sdpid.experiment.inspection.delays.kinematic import Standing
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import exchanged, found, vector
+from sdpid.experiment.inspection.kinds import Finding, exchanged, found, vector
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.robot.inertia import skew

@@ -18,9 +18,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, rotation_matrices
 from sdpid.experiment.inspection.block_fit import BlockSums
-from sdpid.experiment.inspection.finding import Finding, Severity
 from sdpid.experiment.inspection.floating_log import FloatingLog
-from sdpid.experiment.inspection.kinds import exchanged, found
+from sdpid.experiment.inspection.kinds import Finding, Severity, exchanged, found
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.robot.inertia import skew

@@ -12,8 +12,7 @@ from sdpid.experiment.inspection import base_checks
 from sdpid.experiment.inspection.block_fit import SURE, BlockFit, BlockSums, sure_part
 from sdpid.experiment.inspection.delays.kinematic import Smooth, lag
 from sdpid.experiment.inspection.evidence import GRAVITY, LEAST_RATE, axes_in_words, signed_axes
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found, vector
+from sdpid.experiment.inspection.kinds import Finding, found, vector
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
 from sdpid.experiment.processing.settings import Processing

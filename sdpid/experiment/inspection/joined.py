@@ -9,11 +9,19 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.corrections import described
 from sdpid.experiment.inspection.delays.kinematic import block_error
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, refuse
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.robot.model.model import RobotModel
+
+KINDS.update(
+    payload_differs=refuse(
+        "it carries another load than recording 1: {mass:+.3g} kg (standard error {error:.2g} kg) "
+        "on the last link, with a first moment of {moment:.2g} kg·m, takes {takes:.2g %} of the "
+        "residual of both, limit {limit:g %}",
+        "fit each load by itself, or identify the load with sdpid payload --without",
+    ),
+)
 
 # Another load on the last link takes this share of the squared residuals of two recordings where
 # there is one: 0.71 to 0.90 of 14 pairs of a UR10e with and without 2.8 kg, at most 0.09 of 21

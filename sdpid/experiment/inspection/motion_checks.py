@@ -10,14 +10,60 @@ from typing import TypeAlias
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import ROWS, taken
 from sdpid.experiment.recording.velocities import velocity_fit
+
+KINDS.update(
+    time_scale=refuse(
+        "velocities of all joints are {scale:.3g} times the rate of their positions, limit "
+        "{least:.2g} to {limit:g}: the time stamps count {scale:.3g} s for every second",
+        "give the stamps in s, or the true rate (rate_hz); where they are right, leave the "
+        "velocity out (velocity=none)",
+        hides=("speed",),
+        spoils=True,
+    ),
+    position_in_degrees=refuse(
+        "positions look like degrees, not radians{seen}{mended}",
+        "convert them, or read the file with units={{'position': 'deg'}}",
+        spoils=True,
+    ),
+    joint_at_rest=warning(
+        "{joint} {moved} (limit {limit:g} rad)",
+        "its inertia and friction are unknown; excite it",
+    ),
+    position_jumps=refuse(
+        "position of {joint} changes by {size:.4g} rad in one step at row {row}, that is "
+        "{speed:.4g} rad/s (limit {limit:g}): an outlier, or wrong units",
+        "remove that sample, or give the unit",
+        spoils=True,
+        about="speed",
+    ),
+    one_direction=warning(
+        "{joints} in one direction only: {of}{share:.2g %} of the way goes back, limit {limit:g %}",
+        "move both ways: friction looks like an offset else, or like gravity",
+        about="speed",
+    ),
+    long_rest=warning(
+        "the robot stands still in {share:.2g %} of the recording (no joint faster than {speed:g} "
+        "rad/s), limit {limit:g %}",
+        "no need to cut it: rows at rest are left out by default; record more motion",
+        about="speed",
+    ),
+    velocity_scale=warning(
+        "velocity of {joint} {what}", "correct it, or leave the velocity out", about="speed"
+    ),
+    reference_unlike=note(
+        "reference of {wrong}",
+        "name its column, unit or joints, or leave it out (reference=none); fits that simulate the "
+        "controller would be wrong",
+        about="speed",
+    ),
+)
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
 _FASTEST = 40.0

@@ -13,8 +13,8 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.corrections import CorrectedLog, corrected, searched
 from sdpid.experiment.inspection.delays.kinematic import Standing
-from sdpid.experiment.inspection.finding import Finding, Severity
 from sdpid.experiment.inspection.floating_log import floating_log
+from sdpid.experiment.inspection.kinds import Finding, Severity
 from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.process import process

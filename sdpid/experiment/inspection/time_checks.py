@@ -7,11 +7,31 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
+
+KINDS.update(
+    time_stamps=refuse("{why}", final=True),
+    continued=note("{note}"),
+    units=note("{note}"),
+    recording=note("{note}"),
+    time_unit=refuse("{seen}", "{remedy}", hides=("speed",), spoils=True),
+    jitter=note(
+        "time stamps jitter by {jitter:.3g %} of a step of {step:.4g} s (rms), limit {limit:g %}",
+        "stamp samples where they are measured",
+    ),
+    lost_samples=warning(
+        "{lost} of {all} samples ({share:.3g %}) are missing between the others, limit {limit:g %}",
+        "log with a larger buffer, or at a lower rate",
+    ),
+    repeated_rows=warning(
+        "{rows} of {all} rows ({share:.3g %}) repeat the row before in every position and effort, "
+        "limit {limit:g %}: the log is written faster than the robot measures",
+        "remove the repeated rows, or log at the robot's rate",
+    ),
+)
 
 # A row is repeated where no position and no effort changes. More repeats than these in a row are
 # rest; a logger that runs faster than the robot makes fewer, many times.
@@ -40,21 +60,21 @@ def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
     if isinstance(subject.continued, DataError):
         yield found("time_stamps", why=str(subject.continued))
         return
-    for note in subject.continued[1]:
-        yield found("continued", note=note)
+    for text in subject.continued[1]:
+        yield found("continued", note=text)
 
 
 @check
 def units_of_time(subject: Subject) -> Iterator[Finding]:
     """Say where the unit of time was inferred, and find rates of no robot's logger."""
     log, rate = subject.log, subject.log.rate_hz
-    for note in log.notes:
-        if note.startswith("time:"):
+    for text in log.notes:
+        if text.startswith("time:"):
             remedy = f"where that is wrong, {_GIVE_UNIT}"
-            yield found("time_unit", None, "note", seen=note, remedy=remedy, rate=rate)
+            yield found("time_unit", None, "note", seen=text, remedy=remedy, rate=rate)
         else:
             # Else of who made the recording, such as a simulator.
-            yield found("units" if note.startswith("units:") else "recording", note=note)
+            yield found("units" if text.startswith("units:") else "recording", note=text)
     rows = subject.low_passed if _LEAST_RATE <= rate < _SLOW_RATE else None
     if rows is not None and (fastest := float(np.abs(rows.velocity).max())) < _LEAST_SPEED:
         cause, remedy = _read_as_seconds(rate)

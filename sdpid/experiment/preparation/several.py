@@ -9,14 +9,14 @@ from typing import Any, TypeAlias
 
 from sdpid._common.progress import progress
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.accept import (
+from sdpid.experiment.inspection.delays.find import channel_delays, is_told, pooled_delays
+from sdpid.experiment.inspection.inspect import (
+    inspect_recordings,
     joints_left_out,
     kinds_accepted,
     require_accepted,
 )
-from sdpid.experiment.inspection.delays.find import channel_delays, is_told, pooled_delays
-from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import default_processing, with_changes

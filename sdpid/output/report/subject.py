@@ -39,7 +39,7 @@ from sdpid.errors import SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, graded, grades
 from sdpid.output.report.kinds import DESCRIBED, STEPS, listed, percent

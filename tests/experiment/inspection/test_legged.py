@@ -18,13 +18,12 @@ from sdpid.experiment.inspection import (
     force_checks,
     imu_checks,
 )
-from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.find import channel_delays
 from sdpid.experiment.inspection.delays.kinematic import lag
-from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.floating_log import FloatingLog, floating_log
-from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged import model
 from sdpid.experiment.plant.legged.friction import DryFriction

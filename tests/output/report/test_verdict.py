@@ -18,8 +18,8 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed, MirrorPair
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.effects.kinds import Tried
-from sdpid.experiment.inspection.accept import REFUSED
-from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import REFUSED
+from sdpid.experiment.inspection.kinds import Finding
 from sdpid.output.report.grades import EXPLAINED, MARGIN, SMALL, Level, graded, grades
 from sdpid.output.report.headline import headline
 from sdpid.output.report.kinds import KINDS, WARNINGS
