@@ -53,7 +53,7 @@ from .workflow.adapt import adapt
 from .workflow.comparison import compare
 from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
-from .workflow.runs.saved import load
+from .workflow.runs import load
 from .workflow.sample import sample_parameters
 from .workflow.verify import verify
 

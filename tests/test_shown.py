@@ -15,7 +15,7 @@ import sdpid
 from sdpid.constraints import TotalMass
 from sdpid.estimation.duality.bound import Multipliers
 from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.workflow.runs.saved import SavedRun
+from sdpid.workflow.runs import SavedRun
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
 from tests.helpers.plans import small_plan, standing_plan

@@ -69,9 +69,8 @@ class Table:
     def html(self, digits: int = 4) -> str:
         """Return an HTML ``<table>`` with every text escaped."""
         sides = [' style="text-align:right"' if right else "" for right in self._right()]
-        lines = ["<table>", _html_row("th", self.header, sides)]
-        lines += [_html_row("td", cells, sides) for cells in self._cells(digits)]
-        return "\n".join([*lines, "</table>"])
+        rows = [_html_row("td", cells, sides) for cells in self._cells(digits)]
+        return "\n".join(["<table>", _html_row("th", self.header, sides), *rows, "</table>"])
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write as CSV with all digits, whole or not at all."""
@@ -131,7 +130,7 @@ def facts_html(title: str, facts: Mapping[str, object], *tables: Table) -> str:
     str
         Every text is escaped. For a method ``_repr_html_``.
     """
-    cells = tuple((name, _cell(value, ".5g")) for name, value in facts.items())
+    cells = [(name, _cell(value, ".5g")) for name, value in facts.items()]
     rows = [_html_row("td", row, ("", "")) for row in cells]
     parts = [f"<b>{escape(title)}</b>", "<table>", *rows, "</table>"]
     return "\n".join([*parts, *(table.html() for table in tables)])
@@ -223,11 +222,15 @@ def _is_default(value: object, field: Field[Any]) -> bool:
     return bool(value is default or value == default)
 
 
+# What is shown as it is in a list.
+_SIMPLE = (str, int, float, tuple, list, type(None))
+
+
 def brief(value: object) -> str:
     """Return a value in a few characters: of an array its shape, of a long list its beginning."""
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
-    if isinstance(value, tuple | list) and value and not _simple(value[0]):
+    if isinstance(value, tuple | list) and value and not isinstance(value[0], _SIMPLE):
         return f"({', '.join(type(each).__name__ for each in value[:3])}{', …' * (len(value) > 3)})"
     short = reprlib.Repr()
     short.maxstring = short.maxother = _VALUE
@@ -236,17 +239,14 @@ def brief(value: object) -> str:
     return text if len(text) <= 2 * _VALUE else f"{text[: 2 * _VALUE]}…"
 
 
-def _simple(value: object) -> bool:
-    return value is None or isinstance(value, str | int | float | tuple | list)
-
-
 def plain(value: Any) -> Any:
     """Return a value as JSON has it: the one way by which results become dictionaries.
 
     Parameters
     ----------
     value : object
-        Nested dataclasses (by their public fields), mappings, sequences, arrays and scalars.
+        Nested dataclasses (by their public fields), tables (as rows by name), mappings, sequences,
+        arrays and scalars.
 
     Returns
     -------
@@ -264,6 +264,8 @@ def plain(value: Any) -> Any:
         return os.fspath(value)
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, Table):
+        return [dict(zip(value.header, plain(row), strict=True)) for row in value.rows]
     if is_dataclass(value):
         names = [each.name for each in fields(value) if not each.name.startswith("_")]
         return {name: plain(getattr(value, name)) for name in names}

@@ -22,7 +22,7 @@ from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.workflow.runs.compare import RunComparison, Saved, compare_runs
+from sdpid.workflow.runs import RunComparison, Saved, compare_runs
 
 
 @dataclass(frozen=True, kw_only=True)

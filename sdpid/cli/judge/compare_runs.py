@@ -18,17 +18,15 @@ def compare_runs(
     printing: Printing,
     verbose: Annotated[
         bool,
-        typer.Option(
-            "--verbose", "-v", help="Print verdicts, baselines, all parameters and links too."
-        ),
+        typer.Option("--verbose", "-v", help="Print what is the same and all parameters too."),
     ] = False,
 ) -> None:
     """Compare two results folders from their files: inputs, options, errors, parameters, proofs.
 
     Nothing is computed anew, and nothing is proven: `sdpid verify` checks a folder.
     """
-    from sdpid.workflow.runs.compare import compare_runs as run
+    from sdpid.workflow.runs import compare_runs as run
 
     found = run(first, other)
-    more = "" if verbose else "\nVerdicts, baselines, all parameters and links: -v."
+    more = "" if verbose else "\nWhat is the same, and all parameters: -v."
     printing.show(found.to_dict(), found.text(full=verbose) + more)

@@ -1,0 +1,514 @@
+"""Results of `identify` read back from their folders, and two of them against each other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.files import load_toml
+from sdpid._common.tables import Shown, Table, plain
+from sdpid.assurance.diagnostics.held_out import OURS
+from sdpid.errors import DataError
+from sdpid.output.tables.parameters_file import parameters_dict
+from sdpid.robot.description.level import without_level
+from sdpid.robot.description.xml import read_description
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.stored import term_from_dict
+from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.load import load_robot
+from sdpid.verifier.reading import REFUSED, listed, numbers, parse, read_bytes, text
+from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS
+from sdpid.workflow.result import Identification
+
+# Results, and folders of them.
+Saved: TypeAlias = "SavedRun | Identification | str | os.PathLike[str]"
+
+# Options that say where files go or what is printed, not what is computed; the logs and the robot
+# are told apart by their hashes.
+_NOT_COMPUTED = frozenset(
+    {"out", "figures", "offsets", "verbose", "json", "quiet", "log", "validation"}
+)
+
+_LOG = "log, SHA-256"
+
+# What was chosen, beside friction terms and processing.
+_CHOSEN = ("weighting", "consistency", "margin", "prior", "samples", "rows_used")
+
+_NO_JOINT_TEST = (
+    "Files hold no covariances, so parameters are tested one by one and never together; "
+    "first.compare_to(other) of the estimates does both."
+)
+
+
+@dataclass(frozen=True)
+class SavedParameter:
+    """A parameter of a run.
+
+    Attributes
+    ----------
+    value : float
+        Its value.
+    unit : str
+        Its unit.
+    lower, upper : float or None
+        Its interval; None where the run has none.
+    expression : str
+        What standard parameters a base parameter is made of.
+    """
+
+    value: float
+    unit: str
+    lower: float | None
+    upper: float | None
+    expression: str = ""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class SavedRun(Shown):
+    """A result of `identify`, read from the files that it was saved in.
+
+    Attributes
+    ----------
+    folder : Path or None
+        The folder; None of a result that is not saved.
+    result : dict
+        Content of result.json.
+    inputs : dict of str to tuple of (str, str), or None
+        Names and SHA-256 of the files of each role; None without a manifest.
+    recipe : dict or None
+        How rows were made of the logs; None without one in the manifest.
+    options : dict or None
+        Options of the command; None without run.toml.
+    intervals : (str or None, float or None)
+        Method and level of the intervals.
+    base, standard : dict of str to SavedParameter
+        Base parameters and, where the method has some, standard ones.
+    links : tuple of str
+        Moving links, in the order of their standard parameters.
+
+    Examples
+    --------
+    >>> files = result.save("results")
+    >>> saved = sdpid.load("results")
+    >>> saved.base["Fv1"].unit, saved.headline["worst"][:5]
+    ('N.m.s/rad', 'joint')
+    >>> q = np.zeros(6)
+    >>> bool(np.allclose(saved.model().mass_matrix(q), result.model().mass_matrix(q)))
+    True
+    """
+
+    folder: Path | None
+    result: dict[str, Any]
+    inputs: dict[str, tuple[tuple[str, str], ...]] | None
+    recipe: dict[str, Any] | None
+    options: dict[str, Any] | None
+    intervals: tuple[Any, Any]
+    base: dict[str, SavedParameter]
+    standard: dict[str, SavedParameter]
+    links: tuple[str, ...]
+
+    def _shown(self) -> dict[str, object]:
+        names = ("status", "certified", "cost", "lower_bound", "gap")
+        return {"folder": self.folder, **{name: self.result[name] for name in names}}
+
+    def _tables(self) -> Iterator[Table]:
+        lines = [(what, text) for what, text in self.headline.items() if isinstance(text, str)]
+        yield Table(("verdict", ""), tuple(lines))
+
+    @classmethod
+    def of(cls, given: Saved) -> SavedRun:
+        """Return a result as its files say it: of `identify`, or of a folder.
+
+        Raises
+        ------
+        DataError
+            When it is none, or a file of it cannot be understood.
+        """
+        if isinstance(given, SavedRun):
+            return given
+        if isinstance(given, Identification):
+            parameters = parameters_dict(given.estimate, intervals=given.intervals)
+            recipe = None if given.recipe is None else given.recipe.to_dict()
+            sealed = {"inputs": given.inputs, "recipe": recipe}
+            return cls._from(None, given.to_dict(), parameters, sealed, None)
+        path = Path(given) if isinstance(given, (str, os.PathLike)) else None
+        if path is None or not path.is_dir():
+            raise DataError(f"{given}: is no folder; give one that sdpid identify --out wrote.")
+        if missing := [name for name in (RESULT, PARAMETERS) if not (path / name).exists()]:
+            raise DataError(
+                f"{path}: has no {' and no '.join(missing)}; give a folder that sdpid identify "
+                "--out wrote, with all its files."
+            )
+        manifest, config = path / "manifest.json", path / "run.toml"
+        contents = [
+            _json(path / RESULT),
+            _json(path / PARAMETERS),
+            _json(manifest) if manifest.exists() else None,
+            load_toml(config) if config.exists() else None,
+        ]
+        try:
+            return cls._from(path, *contents)
+        except REFUSED as cause:
+            raise DataError(
+                f"{path}: its files are not as sdpid identify writes them ({cause!r:.120}); "
+                "`sdpid verify` names the file that was changed."
+            ) from None
+
+    @classmethod
+    def _from(
+        cls, folder: Path | None, result: Any, parameters: Any, manifest: Any, options: Any
+    ) -> SavedRun:
+        """Return a result with the contents of its files."""
+        recipe = None if manifest is None else manifest["recipe"]
+        inputs: dict[str, tuple[tuple[str, str], ...]] = {}
+        for entry in () if manifest is None else manifest["inputs"]:
+            role, file = str(entry["role"]), (str(entry["name"]), str(entry["sha256"]))
+            inputs[role] = (*inputs.get(role, ()), file)
+        base, standard = (
+            {name: _parameter(entry) for name, entry in (parameters.get(kind) or {}).items()}
+            for kind in ("base", "standard")
+        )
+        run = cls(
+            folder=folder,
+            result=result,
+            inputs=None if manifest is None else inputs,
+            recipe={**recipe, "processing": dict(recipe["processing"])} if recipe else None,
+            options=options,
+            intervals=(parameters["interval_method"], parameters["interval_level"]),
+            base=base,
+            standard=standard,
+            links=tuple(map(str, parameters["links"].values())),
+        )
+        # What is looked at later is understood now, or refused.
+        run.headline, run.facts  # noqa: B018
+        return run
+
+    @property
+    def headline(self) -> dict[str, Any]:
+        """The verdict in short, as `Headline` has it."""
+        return dict(self.result["headline"])
+
+    @cached_property
+    def facts(self) -> dict[str, object]:
+        """What was given, asked, chosen and found, by name."""
+        result, facts = self.result, dict[str, object]()
+        for role, files in (self.inputs or {}).items():
+            facts[role] = ", ".join(name for name, _ in files)
+            facts[f"{role}, SHA-256"] = ", ".join(digest for _, digest in files)
+        asked = {k: v for k, v in (self.options or {}).items() if k not in _NOT_COMPUTED}
+        facts |= {f"option {name}": value for name, value in asked.items()}
+        problem = result["problem"]
+        facts["joints"] = [text(each, "joints") for each in problem["joints"]]
+        facts |= {name: problem.get(name) for name in _CHOSEN}
+        facts["friction terms"] = [
+            text(each["term"], "terms") for each in problem["friction_terms"]
+        ]
+        processing = (self.recipe or {}).get("processing", {})
+        facts |= {f"processing {name}": value for name, value in processing.items()}
+        held = dict(result["held_out"] or {})
+        facts |= {f"held out {name}": held.pop(name) for name in ("by", "blocks") if held}
+        if held:
+            joints = held[OURS]["moving"]["joints"].values()
+            facts["held out rows"] = [numbers(joint["rows"]) for joint in joints]
+        for model, each in held.items():
+            moving = each["moving"]
+            facts[f"error of {model}, %"] = 100.0 * numbers(moving["relative_residual"])
+            for joint, own in moving["joints"].items():
+                share = own["nrmse"]
+                share = None if share is None else 100.0 * numbers(share)
+                facts[f"error of {model} at {joint}, %"] = share
+        facts |= {name: numbers(result[name]) for name in ("cost", "lower_bound", "gap")}
+        facts |= {name: result[name] for name in ("certified", "worst_margin")}
+        return facts
+
+    def model(self) -> RobotDynamics:
+        """Return the identified robot, to compute with; see `Estimate.model`.
+
+        Its kinematics are those of the robot in the folder, its terms those of the recipe.
+
+        Raises
+        ------
+        DataError
+            When the folder has no robot, or terms whose code no file can hold.
+        """
+        what = self.folder or "a result that is not saved"
+        files = [each for name in ROBOTS if self.folder and (each := self.folder / name).exists()]
+        if not files or self.recipe is None:
+            lacking = " and no ".join(ROBOTS) if self.recipe else "recipe in its manifest.json"
+            raise DataError(f"{what}: has no {lacking}, so that no model can be made of it.")
+        given = self.recipe["robot"]
+        text = without_level(read_description(files[0]).text)
+        robot = load_robot(text, root=given["root"], gravity=given["gravity"])
+        terms = [term_from_dict(each) for each in self.recipe["friction"]]
+        friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
+        if [*robot.parameter_names, *(p.name for p in friction.parameters)] != [*self.standard]:
+            raise DataError(f"{what}: {files[0].name} is of another robot than parameters.json.")
+        theta = frozen(np.array([each.value for each in self.standard.values()]))
+        return RobotDynamics(robot=robot, terms=friction, theta=theta)
+
+    def to_frame(self, parameters: Literal["base", "standard"] = "base") -> Any:
+        """Return base or standard parameters as a pandas DataFrame: unit, value and interval."""
+        import pandas
+
+        entries = self.base if parameters == "base" else self.standard
+        return pandas.DataFrame.from_dict({k: vars(e) for k, e in entries.items()}, orient="index")
+
+    def plot(self, *, axes: Any = None) -> Any:
+        """Draw base parameters with their intervals (extra ``plot``) and return the axes."""
+        from sdpid.plots.estimates import plot_forest
+
+        value, lower, upper = _values(self.base)
+        sets = {"this estimate": value}
+        return plot_forest([*self.base], sets, lower=lower, upper=upper, axes=axes)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """Return the object in a JSON file."""
+    try:
+        return parse(read_bytes(path))
+    except OSError as cause:
+        raise DataError(f"{path}: cannot be read ({cause.strerror}).") from None
+    except REFUSED as cause:
+        raise DataError(f"{path}: cannot be understood ({cause}).") from None
+
+
+def _parameter(entry: Mapping[str, Any]) -> SavedParameter:
+    ends = entry.get("interval") or (None, None)
+    lower, upper = (None if end is None else numbers(end) for end in ends)
+    value, expression = numbers(entry["value"]), str(entry.get("expression", ""))
+    return SavedParameter(value, str(entry["unit"]), lower, upper, expression)
+
+
+def _values(parameters: Mapping[str, SavedParameter]) -> Array:
+    """Return values, lower and upper ends of parameters, (3, count); NaN where there are none."""
+    rows = [(each.value, each.lower, each.upper) for each in parameters.values()]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3).T
+
+
+def load(folder: str | os.PathLike[str]) -> SavedRun:
+    """Load a result of `identify` from the folder that it was saved in.
+
+    Nothing is computed anew, and nothing is proven: `verify` checks a folder.
+
+    Parameters
+    ----------
+    folder : path
+        Written by `Identification.save` or ``sdpid identify --out``.
+
+    Returns
+    -------
+    SavedRun
+        ``.model()``, ``.base`` and ``.standard`` with intervals, ``.to_frame()``, ``.plot()``.
+
+    Raises
+    ------
+    DataError
+        When it is no such folder, or a file of it cannot be understood.
+
+    Examples
+    --------
+    >>> files = result.save("results")
+    >>> round(sdpid.load("results").base["Fv1"].value)
+    151
+    """
+    return SavedRun.of(folder)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RunComparison(Shown):
+    """Two runs against each other.
+
+    Attributes
+    ----------
+    folders : (str, str)
+        The first and the other, which are called so where they are in no folder.
+    facts : Table
+        What each was given, asked and chosen, its errors on what was held out, in motion, and its
+        cost and proof.
+    differences : Table
+        Those facts that differ.
+    parameters : Table
+        Base parameters with their differences, and what the intervals of both allow.
+    same_log : bool or None
+        Whether both were fitted to the same log; None where the files do not say.
+    better : str or None
+        The folder that predicts better what was held out from both.
+    outside : tuple of str
+        Base parameters that differ by more than their intervals together; none where the runs
+        share data.
+    notes : tuple of str
+        What to know, one sentence each.
+    """
+
+    folders: tuple[str, str]
+    facts: Table
+    differences: Table
+    parameters: Table
+    same_log: bool | None
+    better: str | None
+    outside: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def _shown(self) -> dict[str, object]:
+        first, other = self.folders
+        notes = " ".join(self.notes)
+        return {"same log": self.same_log, "first": first, "other": other, "notes": notes}
+
+    def _tables(self) -> Iterator[Table]:
+        return iter((self.differences, self.parameters))
+
+    def text(self, *, full: bool = True) -> str:
+        """Return everything as text; not in full what differs and what it means."""
+        outside = tuple(row for row in self.parameters.rows if row[0] in self.outside)
+        tables = {
+            "given, chosen and found": self.facts,
+            "base parameters": self.parameters,
+        }
+        if not full:
+            tables = {
+                "given, chosen and found differently": self.differences,
+                "base parameters that differ": replace(self.parameters, rows=outside),
+            }
+        parts = [f"first: {self.folders[0]}\nother: {self.folders[1]}"]
+        for title, table in tables.items():
+            body = table.text() if table.rows else "nothing"
+            parts.append(f"{title}\n  " + body.replace("\n", "\n  "))
+        return "\n\n".join([*parts, "\n".join(self.notes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: tables as lists of rows by name."""
+        content: dict[str, Any] = plain(self)
+        return content
+
+
+def compare_runs(first: Saved, other: Saved) -> RunComparison:
+    """Compare two results of `identify`, as their files say them.
+
+    Parameters
+    ----------
+    first, other : Identification, SavedRun or path
+        Results, or the folders that they were saved in, of one robot.
+
+    Returns
+    -------
+    RunComparison
+        ``.text()``, ``.to_dict()``.
+
+    Raises
+    ------
+    DataError
+        When a folder is none, or they are of different robots.
+    """
+    a, b = runs = SavedRun.of(first), SavedRun.of(other)
+    names = (str(a.folder or "first"), str(b.folder or "other"))
+    joints = [_cell(run.facts["joints"]) for run in runs]
+    if joints[0] != joints[1]:
+        raise DataError(
+            f"compare: the joints of {names[0]} are {joints[0]}, those of {names[1]} {joints[1]}; "
+            "compare runs of one robot."
+        )
+    logs = [{digest for _, digest in (run.inputs or {}).get("log", ())} for run in runs]
+    known = a.inputs is not None and b.inputs is not None
+    untested = None
+    if not known:
+        untested = "a folder has no manifest, so that whether the logs are the same is not known"
+    elif logs[0] & logs[1]:
+        untested = (
+            "both were fitted to the same data, at least in part, and their errors are not "
+            "independent"
+        )
+    elif a.intervals != b.intervals or None in a.intervals:
+        kinds = (f"{method or 'none'} at {level}" for method, level in (a.intervals, b.intervals))
+        untested = f"their intervals are of two kinds, or there are none ({' and '.join(kinds)})"
+    facts = [
+        (name, *(_cell(run.facts.get(name)) for run in runs)) for name in {**a.facts, **b.facts}
+    ]
+    header = ("what", "first", "other")
+    differences = tuple(row for row in facts if row[1] != row[2])
+    better, sentence = _better(a, b, names, [str(row[0]) for row in differences])
+    parameters, outside, sentences = _parameters(a, b, untested)
+    return RunComparison(
+        folders=names,
+        facts=Table(header, tuple(facts)),
+        differences=Table(header, differences),
+        parameters=parameters,
+        same_log=a.facts.get(_LOG) == b.facts.get(_LOG) if known else None,
+        better=better,
+        outside=outside,
+        notes=(sentence, *sentences),
+    )
+
+
+def _cell(value: Any) -> object:
+    """Return a value as a cell."""
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return value if value is None or isinstance(value, float) else str(value)
+
+
+def _better(
+    a: SavedRun, b: SavedRun, names: tuple[str, str], differ: list[str]
+) -> tuple[str | None, str]:
+    """Return the folder that predicts better what was held out from both, and a sentence."""
+    errors: list[Any] = [run.facts.get(f"error of {OURS}, %") for run in (a, b)]
+    held = _LOG if a.facts.get("held out by") == "blocks" else "validation, SHA-256"
+    other = [name for name in differ if name.startswith(("held out", "processing", held))]
+    if None in (*errors, a.recipe, b.recipe):
+        other.append("something was held out by one alone, or a manifest has no recipe")
+    if other:
+        return None, f"Which predicts better is not said: other {', '.join(other)}."
+    told = f"{errors[0]:.3g} % (first) and {errors[1]:.3g} % (other) in motion."
+    if errors[0] == errors[1]:
+        return None, f"On the same rows held out both predict alike: {told}"
+    k = int(errors[1] < errors[0])
+    which = ("first", "other")[k]
+    return names[k], f"On the same rows held out the {which} predicts better: {told}"
+
+
+def _parameters(
+    a: SavedRun, b: SavedRun, untested: str | None
+) -> tuple[Table, tuple[str, ...], list[str]]:
+    """Return the base parameters of both, those that differ, and sentences on them."""
+    shared = [name for name in a.base if name in b.base]
+    regrouped = [name for name in shared if a.base[name].expression != b.base[name].expression]
+    names = [name for name in shared if name not in regrouped]
+    one, two = (_values({name: run.base[name] for name in names}) for run in (a, b))
+    difference = two[0] - one[0]
+    # The ends that face each other; squares of half widths add up, as of independent errors.
+    facing = np.where(difference > 0.0, (one[2], two[1]), (one[1], two[2]))
+    allowed = np.hypot(*(facing - (one[0], two[0])))
+    differ = (np.abs(difference) > allowed) & (untested is None)
+    columns = {
+        "parameter": names,
+        "unit": [a.base[name].unit for name in names],
+        "first": one[0],
+        "other": two[0],
+        "difference": difference,
+        "allowed": allowed,
+        "verdict": ["differs" * each for each in differ.tolist()],
+    }
+    outside = tuple(name for name, each in zip(names, differ.tolist(), strict=True) if each)
+    if untested:
+        sentences = [f"Differences of parameters are not tested: {untested}."]
+    else:
+        told = f" ({listed(outside, 6)})" if outside else ""
+        tested = int(np.count_nonzero(np.isfinite(allowed)))
+        chance = (1.0 - float(a.intervals[1])) * tested
+        sentences = [
+            f"Of {tested} base parameters with intervals in both, {len(outside)}{told} differ "
+            f"by more than these allow; about {chance:.2g} would by chance.",
+            _NO_JOINT_TEST,
+        ]
+    for which, run, against in (("first", a, b), ("other", b, a)):
+        if alone := [name for name in run.base if name not in against.base]:
+            sentences.append(f"In the {which} alone: {', '.join(alone)}.")
+    if regrouped:
+        sentences.append(f"Regrouped differently, and not compared: {', '.join(regrouped)}.")
+    return Table.of_columns(columns), outside, sentences
