@@ -18,7 +18,7 @@ from held_out import STILL, Case, cases  # noqa: E402
 from protocol import Rows, Task  # noqa: E402
 
 import sdpid  # noqa: E402
-from sdpid.experiment.preparation.for_robot import prepare  # noqa: E402
+from sdpid.experiment.preparation.prepare import samples_of  # noqa: E402
 
 # One case a robot; the TX40 twice, without the terms of its drives and with them.
 TRAINED = {
@@ -96,7 +96,7 @@ def _held_out(case: Case) -> Rows:
     for label, other in case.others.items():
         if "alone" in label:
             continue  # one joint of six moves
-        samples = prepare(case.robot, other, case.common)
+        samples = samples_of(case.robot, other, case.common)
         if case.after is not None:
             assert samples.time is not None
             begin = int(np.searchsorted(samples.time, case.after, side="right"))
@@ -117,7 +117,7 @@ def _record(arm: str, case: Case, data: Path) -> Record:
         log["velocity"] = case.log.velocity
     name = SET[arm]
     urdf = _without_meshes(data / name / ("ur10e.urdf" if name not in SETS else SETS[name].urdf))
-    common = _thinned(_rows(prepare(case.robot, case.log, case.common)), MOST_TRAINED)
+    common = _thinned(_rows(samples_of(case.robot, case.log, case.common)), MOST_TRAINED)
     wrist = WRIST if "wrist" in arm else ()
     return _assembled(arm, case.robot, urdf, log, case.scored_hz, common, _held_out(case), wrist)
 

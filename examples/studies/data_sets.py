@@ -30,7 +30,7 @@ from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
@@ -244,7 +244,7 @@ def rows(
     for trained, log, other in cases(folder, data):
         # As the training data are: nothing is chosen by what is predicted.
         alike = default_processing(log)
-        fresh = None if other is None else prepare(robot, other, alike)
+        fresh = None if other is None else samples_of(robot, other, alike)
         for terms in models:
             for consistency in kinds:
                 for belief, prior in priors.items():

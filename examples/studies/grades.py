@@ -32,7 +32,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.output.report.grades import MARGIN, graded, grades, left_room, level_of
 
 # Recordings of the UR10e without a load, each of another motion.
@@ -144,7 +144,7 @@ def measure(robot_name: str, case: Case) -> tuple[list[Joint], list[tuple[str, s
     blind = sdpid.identify(robot, log, intervals=False)
     told = {each.joint: each for each in grades(blind.estimate, blind.training, blind.held_out)}
     room = left_room(blind.estimate)
-    prepared = prepare_recordings(robot, log)
+    prepared = prepare(robot, log)
     for label, other in others.items():
         shown = hold_out(blind.estimate, blind.wls, prepared.others(other).samples)
         assert shown is not None

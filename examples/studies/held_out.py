@@ -35,8 +35,8 @@ from sdpid._common.arrays import Mask
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.preparation.for_robot import default_friction, prepare
-from sdpid.experiment.preparation.several import chosen_processing
+from sdpid.experiment.preparation.default_friction import default_friction
+from sdpid.experiment.preparation.prepare import chosen_processing, samples_of
 
 # De Luca's gains of another UR10, N·m/A (docs/evidence/data.md).
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
@@ -249,7 +249,7 @@ def error(
 
 def least_squares(case: Case) -> Estimate:
     """Return the plain least-squares fit to the common rows that move."""
-    samples = prepare(case.robot, case.log, case.common)
+    samples = samples_of(case.robot, case.log, case.common)
     samples = replace(samples, mask=moving(samples))
     terms = (*LEAST_SQUARES, *case.terms)
     problem = sdpid.build_problem(case.robot, samples, friction=terms, weighting="gls")
@@ -271,13 +271,13 @@ def rows(case: Case, given: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
         plain = None  # the run leaves base parameters open
     own, _ = chosen_processing([case.log], given.get("processing"))
     for label, other in case.others.items():
-        common = prepare(case.robot, other, case.common)
+        common = samples_of(case.robot, other, case.common)
         estimate = result.estimate
         yield (
             case.name,
             label,
             case.limits.get(label),
-            error(estimate, prepare(case.robot, other, own), case.after),
+            error(estimate, samples_of(case.robot, other, own), case.after),
             error(estimate, common, case.after),
             error(estimate, common, case.after, only_moving=True),
             None if plain is None else error(plain, common, case.after, only_moving=True),

@@ -39,7 +39,7 @@ from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.truth import changed_parameters
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.workflow.formulate import formulate
 
 ROBOTS = ("go1", "solo12", "a1")
@@ -101,7 +101,7 @@ def formulated(
     robot: sdpid.RobotModel, logs: Sequence[sdpid.Recording], friction: str
 ) -> tuple[Problem, sdpid.Processing]:
     """Return the problem that `identify` solves, channels being on time."""
-    prepared = prepare_recordings(robot, logs, ON_TIME)
+    prepared = prepare(robot, logs, ON_TIME)
     problem = formulate(
         robot, prepared, friction=KNOWN if friction == "known" else None, effects="none"
     )

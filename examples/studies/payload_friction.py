@@ -24,7 +24,8 @@ from simulated_logs import Truth, drawn, log_of, other_log
 
 import sdpid
 from sdpid._common.tables import Table
-from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.preparation.default_friction import default_friction
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.robot.inertia import theta_from_physical
 
 ROBOTS = ("ur10", "panda", "denso")
@@ -79,7 +80,7 @@ def one(robot: str, load: float, change: float, seed: int) -> list[tuple[object,
     )
     loaded = other_log(changed, seed)
     terms = default_friction(loaded)
-    both = [prepare(truth.robot, log) for log in (loaded, bare)]
+    both = [samples_of(truth.robot, log) for log in (loaded, bare)]
     rows = []
     for name, separate in RULES.items():
         found = sdpid.identify_payload(truth.robot, *both, friction=terms, separate=separate)

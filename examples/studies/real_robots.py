@@ -33,7 +33,8 @@ from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import SMOOTH, default_friction, prepare
+from sdpid.experiment.preparation.default_friction import SMOOTH, default_friction
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency, margin
 
@@ -133,7 +134,7 @@ class Case:
 
     def trained(self, processing: sdpid.Processing) -> sdpid.Samples:
         """Return the training samples, which saw nothing of the rest."""
-        return prepare(self.robot, self.log, processing)
+        return samples_of(self.robot, self.log, processing)
 
     def held_out(self, processing: sdpid.Processing) -> sdpid.Samples:
         """Return the samples to predict.
@@ -141,7 +142,7 @@ class Case:
         A record's rest is filtered with its own past before it, which is what was measured then;
         nothing of the rest reaches the training samples.
         """
-        samples = prepare(self.robot, self.rest, processing)
+        samples = samples_of(self.robot, self.rest, processing)
         return samples if self.second_run else since(samples, float(self.log.time[-1]))
 
     def problem(
@@ -363,7 +364,7 @@ def comparison(folder: Path, names: Sequence[str]) -> str:
                         f"| {ROBOTS[name]} | {words} | {joined(errors)} ({overall:.3g} %) |"
                     )
             everything = case.log if case.second_run else case.rest
-            samples = prepare(case.robot, everything, processing)
+            samples = samples_of(case.robot, everything, processing)
             whole = sdpid.solve_sdp(case.problem(samples, METHODS[DEFAULT], terms))
             words = "default, trained on run 1" if case.second_run else "default, whole record"
             lines.append(f"| {ROBOTS[name]} | {words} | {joined(sdpid.validate(whole).rmse)} |")
@@ -377,7 +378,7 @@ def comparison(folder: Path, names: Sequence[str]) -> str:
                         f"| {ROBOTS[name]} | Coulomb friction asymmetric, {words} | {errors} |"
                     )
         if name == "panda_unisa":
-            samples = prepare(case.robot, case.rest, processing)
+            samples = samples_of(case.robot, case.rest, processing)
             gravity = "\n\n" + gravities(case, samples, terms)
     return "\n".join(scored) + "\n\n" + "\n".join(lines) + gravity
 

@@ -28,7 +28,7 @@ from truth import friction_rows
 
 import sdpid
 from sdpid._common.files import atomic_write_text
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.friction.term import FrictionTerm
 
@@ -106,7 +106,7 @@ def held_out(case: Case, arguments: Arguments) -> float:
     except sdpid.errors.SdpidError:
         return float("inf")
     errors = [
-        error(estimate, prepare(case.robot, other, case.common), case.after, only_moving=True)
+        error(estimate, samples_of(case.robot, other, case.common), case.after, only_moving=True)
         for other in case.others.values()
     ]
     return float(np.exp(np.mean(np.log(errors))))

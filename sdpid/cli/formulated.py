@@ -10,7 +10,7 @@ import sdpid.cli.options as opt
 
 if TYPE_CHECKING:
     from sdpid.estimation.problem import Problem
-    from sdpid.experiment.preparation.several import Prepared
+    from sdpid.experiment.preparation.prepare import Prepared
     from sdpid.experiment.recording.recording import Recording
     from sdpid.robot.model.model import RobotModel
 
@@ -23,10 +23,10 @@ def robot_and_logs(
     without_effort: Sequence[str],
 ) -> tuple[RobotModel, list[Recording]]:
     """Return the robot, with a floating base where a log has one, and the recordings."""
-    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.experiment.preparation.prepare import columns_without
     from sdpid.experiment.recording.floating.robots import robot_of
 
-    absent = columns_without(robot_of(robot), without_effort)
+    absent = columns_without(robot, without_effort)
     records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
     return robot_of(robot, records), records
 
@@ -45,13 +45,13 @@ def formulated(
     The problem's robot is `robot`, with a floating base where a log has one.
     """
     from sdpid.estimation.constraints.mass import known_mass
-    from sdpid.experiment.preparation.several import prepare_recordings
+    from sdpid.experiment.preparation.prepare import prepare
     from sdpid.workflow.formulate import formulate
 
     absent = opt.joints(estimation.without_effort)
     model, records = robot_and_logs(robot, logs, reading, periods, absent)
     formulation = estimation.arguments(model)
-    prepared = prepare_recordings(
+    prepared = prepare(
         model,
         records,
         processing.changes(),

@@ -80,7 +80,7 @@ def identify(
     require_writable(out, inputs, config=config, writes_config=True)
     if figures:
         require("matplotlib", extra="plot")
-    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.experiment.preparation.prepare import columns_without
     from sdpid.workflow.identify import identify as run
 
     absent = opt.joints(estimation.without_effort)

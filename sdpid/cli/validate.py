@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,21 +42,19 @@ def validate(
         require("matplotlib", extra="plot")
         opt.require_folder("--figure", figure, reading.files((log,), robot, printing.config))
     from sdpid.assurance.diagnostics.validation import validate_robot
-    from sdpid.experiment.preparation.for_robot import prepare
-    from sdpid.experiment.preparation.several import (
-        chosen_processing,
-        inspected,
-        without_efforts,
-    )
+    from sdpid.experiment.preparation.prepare import prepare
     from sdpid.output.report.verdict import prediction_findings
 
     absent = opt.joints(without_effort)
     model, (record,) = robot_and_logs(robot, [log], reading, periods, absent)
-    findings = inspected(model, [record], without_effort=absent, **acceptance.arguments())
-    chosen, _ = chosen_processing([record], processing.changes())
-    samples = prepare(model, record, replace(chosen, covariance=None))
-    if absent:
-        samples = without_efforts(samples, model, absent)
+    prepared = prepare(
+        model,
+        record,
+        {**processing.changes(), "covariance": None},
+        without_effort=absent,
+        **acceptance.arguments(),
+    )
+    findings, samples, chosen = prepared.findings, prepared.samples, prepared.processing
     fit = validate_robot(model, samples)
     files = []
     if figure is not None:

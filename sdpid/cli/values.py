@@ -80,7 +80,7 @@ def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
     ModelError
         When a term takes no value, or another number of them, or only some begin with +.
     """
-    from sdpid.experiment.preparation.for_robot import DEFAULT
+    from sdpid.experiment.preparation.default_friction import DEFAULT
     from sdpid.robot.friction.terms import (
         AsymmetricCoulomb,
         Coulomb,

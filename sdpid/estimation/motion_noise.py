@@ -43,8 +43,7 @@ from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.information import Excitation, least_squares
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import prepare
-from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.processing.floating.rotations import unit
 from sdpid.experiment.processing.motion import fourth_differences, noise_of
@@ -153,7 +152,7 @@ def _others(
 
 def _processed(problem: Problem, logs: Sequence[Recording], processing: Processing) -> Samples:
     """Return the samples of all recordings."""
-    return join_samples([prepare(problem.robot, log, processing) for log in logs])
+    return prepare(problem.robot, logs, processing).samples
 
 
 def _fits(problem: Problem, noisy: Sequence[Problem]) -> tuple[Array, Array]:

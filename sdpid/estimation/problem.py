@@ -29,7 +29,7 @@ from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
-from sdpid.experiment.preparation.several import Piece, all_samples
+from sdpid.experiment.preparation.prepare import Piece, all_samples
 from sdpid.experiment.processing.contacts.places import require_places
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing

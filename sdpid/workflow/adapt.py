@@ -15,7 +15,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
+from sdpid.experiment.preparation.prepare import Logs, ProcessingOf, prepare
 
 # Units of parameters that belong to the rigid part beside the links: rotors and gravity's
 # direction. Everything else of a joint changes with temperature, wear and zero errors.
@@ -83,7 +83,7 @@ def adapt(
             f"adapt: the estimate ({estimate.method}) breaks its constraints by "
             f"{estimate.violation:.1e}; give one of solve_sdp."
         )
-    prepared = prepare_recordings(
+    prepared = prepare(
         old.robot,
         log,
         processing,

@@ -21,17 +21,15 @@ from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation.several import (
+from sdpid.experiment.preparation.prepare import (
     Logs,
     ProcessingOf,
-    all_recordings,
-    columns_without,
     joints_without,
-    prepare_recordings,
+    prepare,
+    read_logs,
 )
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -249,9 +247,7 @@ def cross_validate(
     2 blocks of time held out in turn: relative residual in motion 0.15 % (...)
     """
     without_effort = joints_without(without_effort)
-    columns = columns_without(robot_of(robot), without_effort) if without_effort else ()
-    logs = all_recordings(log, "log", without_effort=columns)
-    model = robot_of(robot, logs)
+    model, logs = read_logs(robot, log, without_effort=without_effort)
     asked = names_of_effects(effects)
     formulation: dict[str, Any] = {
         "friction": tuple_of_terms(friction),
@@ -267,9 +263,7 @@ def cross_validate(
     with progress(len(parts), "cross-validation") as advance:
         for name, kept, out in parts:
             try:
-                prepared = prepare_recordings(
-                    model, kept, processing, without_effort=without_effort
-                )
+                prepared = prepare(model, kept, processing, without_effort=without_effort)
                 fresh = prepared.others(out, scored).samples
                 problem = formulate(model, prepared, **formulation)
             except (DataError, IdentifiabilityError) as reason:

@@ -18,12 +18,12 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.for_robot import friction_of
-from sdpid.experiment.preparation.several import (
+from sdpid.experiment.preparation.default_friction import friction_of
+from sdpid.experiment.preparation.prepare import (
     Logs,
     Prepared,
     ProcessingOf,
-    prepare_recordings,
+    prepare,
 )
 from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.robot.friction.term import FrictionTerm
@@ -84,12 +84,12 @@ def formulate(
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`.
 
-    `log` may also be recordings that are prepared already (see `prepare_recordings`).
+    `log` may also be recordings that are prepared already (see `prepare`).
     """
     check_kinds(constraints, prior)
     friction = tuple_of_terms(friction)
     if not isinstance(log, Prepared):
-        log = prepare_recordings(
+        log = prepare(
             robot,
             log,
             processing,

@@ -32,11 +32,11 @@ from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.several import (
+from sdpid.experiment.preparation.prepare import (
     Logs,
     Prepared,
     ProcessingOf,
-    prepare_recordings,
+    prepare,
 )
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.robot.friction.term import FrictionTerm
@@ -184,7 +184,7 @@ def identify(
     asked = names_of_effects(effects)
     kinds = kinds_accepted(accept)
     known = as_gains(gains)
-    prepared = prepare_recordings(
+    prepared = prepare(
         robot,
         log,
         processing,

@@ -14,7 +14,7 @@ from sdpid.assurance.diagnostics.validation import Errors, validate
 from sdpid.errors import SdpidError
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.preparation.several import Prepared, without_efforts
+from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.output.report.kinds import listed
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
@@ -84,8 +84,7 @@ def _choices(
         name = robot.joint_names[worst]
 
         def without() -> Problem:
-            less = replace(prepared, samples=without_efforts(prepared.samples, robot, (name,)))
-            return formulate(robot, less, **fixed)
+            return formulate(robot, prepared.without(name), **fixed)
 
         cause = f"the effort of {name} or its links in the description contradict the others"
         yield cause, f"--without-effort {name}", without, worst

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from sdpid.assurance.diagnostics.validation import validate
 from sdpid.errors import SdpidError
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.inspection.kinds import Finding, found
-from sdpid.experiment.preparation.several import Prepared, without_efforts
+from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 
@@ -45,9 +44,9 @@ def spoiling_effort(
     fixed = {**formulation, "friction": result.problem.friction.terms, "effects": "none"}
     shares = {}
     for j in joints:
-        less = without_efforts(samples, robot, (robot.joint_names[j],))
+        less = prepared.without(robot.joint_names[j])
         try:
-            estimate = solve_sdp(formulate(robot, replace(prepared, samples=less), **fixed))
+            estimate = solve_sdp(formulate(robot, less, **fixed))
         except SdpidError:
             continue
         errors = np.array([result.training.rmse, validate(estimate, samples).rmse])

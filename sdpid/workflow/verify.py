@@ -21,7 +21,7 @@ from sdpid.workflow.replay.links import told
 from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS, TABLES, check_numbers
 
 if TYPE_CHECKING:
-    from sdpid.experiment.preparation.several import Logs
+    from sdpid.experiment.preparation.prepare import Logs
     from sdpid.robot.model.model import RobotModel
     from sdpid.workflow.replay.links import Link, Replay
 

@@ -35,7 +35,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.contacts.held import base_held
 from sdpid.output.tables.parameter_tables import theta_table
@@ -152,7 +152,7 @@ def test_a_held_base_leaves_an_arm_of_legs() -> None:
     refuses(DataError, "has the motion of a base already", held.with_held_base, "base_link")
     processing = sdpid.Processing(cutoff_hz=20.0, filter="finite", filter_friction=False)
     both = [
-        validate_robot(robot, prepare(robot, recording, processing))
+        validate_robot(robot, samples_of(robot, recording, processing))
         for robot, recording in ((arm, log), (legged.quadruped(), held))
     ]
     np.testing.assert_allclose(both[0].rmse, both[1].rmse[6:], rtol=1e-6)

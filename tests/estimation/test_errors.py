@@ -38,7 +38,7 @@ from sdpid.estimation.posterior import Groups, Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers import world
@@ -322,7 +322,7 @@ GAINS = sdpid.DriveGains(
 )
 
 
-def samples_of(off: Array, *, noise: float = 0.1, seed: int = 1, count: int = 60) -> Samples:
+def scaled_samples(off: Array, *, noise: float = 0.1, seed: int = 1, count: int = 60) -> Samples:
     """Return samples whose efforts were made by gains that are off by shares."""
     samples = make_samples(ARM, THETA, np.random.default_rng(seed), count=count, noise=noise)
     return replace(samples, effort=samples.effort * (1.0 + off), gains=GAINS)
@@ -352,7 +352,7 @@ def test_slopes_are_those_of_the_fit(weighting: Weighting) -> None:
     mask = np.random.default_rng(3).random((40, 2)) < 0.9
 
     def fitted(off: Array) -> Estimate:
-        samples = replace(samples_of(off, count=40), covariance=covariance, mask=mask)
+        samples = replace(scaled_samples(off, count=40), covariance=covariance, mask=mask)
         return sdpid.solve_wls(build_problem(ARM, samples, weighting=weighting))
 
     check_slopes(fitted, 1e-7)
@@ -360,7 +360,7 @@ def test_slopes_are_those_of_the_fit(weighting: Weighting) -> None:
 
 def test_slopes_of_an_instrumental_estimate() -> None:
     def fitted(off: Array) -> Estimate:
-        samples = samples_of(off, count=200)
+        samples = scaled_samples(off, count=200)
         rng = np.random.default_rng(8)
         shaken = replace(samples, position=samples.position + 0.01 * rng.standard_normal((200, 2)))
         return sdpid.solve_instrumental(
@@ -375,7 +375,7 @@ def test_a_prior_holds_against_gains() -> None:
 
     def fitted(off: Array) -> Estimate:
         prior = sdpid.Prior(bodies=BODIES, strength=5.0)
-        samples = samples_of(off)
+        samples = scaled_samples(off)
         return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior, consistency="none"))
 
     estimate = fitted(np.zeros(2))
@@ -389,7 +389,7 @@ def test_a_prior_holds_against_gains() -> None:
 def test_errors_of_gains_are_counted_by_their_slopes() -> None:
     exact = replace(GAINS, covariance=None)
     known, unsure = (
-        sdpid.solve_wls(build_problem(ARM, replace(samples_of(np.zeros(2)), gains=gains)))
+        sdpid.solve_wls(build_problem(ARM, replace(scaled_samples(np.zeros(2)), gains=gains)))
         for gains in (exact, GAINS)
     )
     assert gain_errors(known.problem) is None
@@ -553,7 +553,7 @@ def recorded(noise: float, seed: int = 0) -> sdpid.Recording:
 
 
 def problem_of(log: sdpid.Recording) -> Problem:
-    samples = prepare(ARM, log, PROCESSING)
+    samples = samples_of(ARM, log, PROCESSING)
     return sdpid.build_problem(ARM, samples, friction=(), weighting="residual")
 
 
@@ -795,7 +795,7 @@ def test_motion_and_friction_are_asked_together() -> None:
     speed = np.gradient(log.position, log.time, axis=0)
     curve = 2.0 * (1.0 + np.exp(-((speed / 0.3) ** 2))) * np.tanh(speed / 0.1)
     log = replace(log, effort=log.effort + curve)
-    samples = prepare(ARM, log, PROCESSING)
+    samples = samples_of(ARM, log, PROCESSING)
     problem = sdpid.build_problem(ARM, samples, friction=CHOSEN, weighting="residual")
     bias = bias_of(problem)
     assert bias.any()

@@ -12,7 +12,7 @@ import sdpid
 from sdpid._common.files import load_toml
 from sdpid.cli.options import Reading
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.readers.scaled import scaled
@@ -336,13 +336,13 @@ def test_gains_follow_picked_joints() -> None:
     )
     log = Recording(time=time, position=table, effort=table, joint_names=names, currents=True)
     refuses(DataError, "sdpid gains", sdpid.process, log)
-    samples = prepare(robot, scaled(log, gains))
+    samples = samples_of(robot, scaled(log, gains))
     assert samples.gains.joint_names == robot.joint_names
     np.testing.assert_array_equal(samples.gains.gains, [2.0, 3.0, 4.0, 5.0, 1.0, 6.0])
     np.testing.assert_array_equal(samples.gains.covariance, np.diag(samples.gains.gains) / 1e4)
     assert samples.between(0, 50).gains is samples.gains
     with pytest.raises(DataError, match="others than those of the first"):
-        sdpid.Samples.join([samples, prepare(robot, scaled(log, gains.gains))])
+        sdpid.Samples.join([samples, samples_of(robot, scaled(log, gains.gains))])
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

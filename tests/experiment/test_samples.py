@@ -16,10 +16,9 @@ import sdpid.experiment.processing.motion as motion_module
 from sdpid import Recording
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.preparation.overview import overview
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation.prepare import prepare, samples_of
 from sdpid.experiment.processing.choose import choose_processing, default_processing
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.delays.on_time import on_time
@@ -831,7 +830,7 @@ def test_what_a_sensor_shows_of_a_foot_in_the_air_is_left_out() -> None:
     processing = sdpid.Processing(filter="finite", contact_force_std=0.2)
     shown = np.where(walk.down[:, :, None], walk.forces, [3.0, -2.0, 5.0])
     plain, offset = (
-        prepare(walk.robot, walk.log(forces=each), processing).contacts
+        samples_of(walk.robot, walk.log(forces=each), processing).contacts
         for each in (walk.forces, shown)
     )
     assert np.array_equal(plain.forces, offset.forces)
@@ -863,7 +862,7 @@ def test_recordings_with_other_contacts_are_put_together() -> None:
     for chosen in ({}, {"contact_force_std": 2.0}):
         processing = sdpid.Processing(filter="finite", **chosen)
         logs = [log, replace(log, contacts=held), replace(log, contacts=None)]
-        standing, hanging, flying = (prepare(walk.robot, each, processing) for each in logs)
+        standing, hanging, flying = (samples_of(walk.robot, each, processing) for each in logs)
         both = join_samples([standing, hanging, flying]).contacts
         assert both.frames == (*CRAWLING, "base_link")
         K = standing.n_samples
@@ -891,14 +890,14 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(
         DataError, match="recording 2 of 2: contact_force_std: the recording has no"
     ):
-        prepare_recordings(walk.robot, [log, without], fused)
+        prepare(walk.robot, [log, without], fused)
     # What is predicted needs no forces.
-    predicted = prepare_recordings(walk.robot, log, fused).others(without).samples
+    predicted = prepare(walk.robot, log, fused).others(without).samples
     assert not predicted.contacts.measured
     with pytest.raises(DataError, match=r"fixed to the ground.*root='free_flyer'"):
-        prepare(sdpid.load_robot("solo12"), log)
+        samples_of(sdpid.load_robot("solo12"), log)
     with pytest.raises(DataError, match="no motion of the base"):
-        prepare(walk.robot, replace(log, base=None, contacts=None))
+        samples_of(walk.robot, replace(log, base=None, contacts=None))
 
 
 def test_a_finite_filter_sees_no_farther_than_it_says() -> None:

@@ -27,7 +27,7 @@ from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import CertificateError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.preparation.for_robot import SMOOTH
+from sdpid.experiment.preparation.default_friction import SMOOTH
 from sdpid.friction import (
     AsymmetricCoulomb,
     Coulomb,

@@ -18,7 +18,7 @@ from sdpid.assurance.recipe.inputs import recording_digest
 from sdpid.assurance.recipe.recipe import Recipe, RobotRecipe
 from sdpid.assurance.recipe.stated import StatedProblem
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.robot.friction.terms import Coulomb
 from sdpid.workflow.replay import given as given_to_it
 from sdpid.workflow.replay.cost import distance
@@ -522,7 +522,7 @@ def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
     loaded = sdpid.load_robot(tmp_path / "arm.urdf", **recipe.robot.arguments)
     (reading,) = recipe.reading
     read = sdpid.read_recording(tmp_path / "run.csv", mapping=False, **(reading or {}))
-    again = prepare_recordings(loaded, read, recipe.processing).samples
+    again = prepare(loaded, read, recipe.processing).samples
     samples = result.problem.samples
     for name in ("position", "velocity", "acceleration", "effort", "mask"):
         assert np.array_equal(getattr(again, name), getattr(samples, name))

@@ -14,12 +14,11 @@ import sdpid
 from sdpid.assurance.diagnostics.causes import joint_errors
 from sdpid.errors import DataError
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.preparation.for_robot import prepare
-from sdpid.experiment.preparation.several import (
+from sdpid.experiment.preparation.prepare import (
     agreed,
     chosen_processing,
-    common_processing,
-    prepare_recordings,
+    prepare,
+    samples_of,
 )
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording.recording import rows_of
@@ -57,7 +56,7 @@ def test_a_gaits_cutoff_decides_beside_a_slow_motion(logs: list[sdpid.Recording]
     base = sdpid.BaseMotion(orientation=upright, position=np.zeros((logs[0].n_samples, 3)))
     # Of cut-offs that are equal the second counts as the higher one.
     for log, number in ((logs[0], 1), (replace(logs[0], base=base), 2)):
-        assert f"as suits recording {number}" in str(common_processing([log, log])[1])
+        assert f"as suits recording {number}" in str(chosen_processing([log, log])[1])
 
 
 def test_recordings_are_processed_alike_and_alone(
@@ -66,15 +65,15 @@ def test_recordings_are_processed_alike_and_alone(
     cutoffs = [default_processing(log).cutoff_hz for log in logs]
     assert cutoffs == sorted(cutoffs)
     # The median; of two the lower one.
-    assert common_processing(logs)[0] == default_processing(logs[1])
-    assert common_processing(logs[:2])[0] == default_processing(logs[0])
-    assert common_processing(logs[:1]) == (default_processing(logs[0]), None)
+    assert chosen_processing(logs)[0] == default_processing(logs[1])
+    assert chosen_processing(logs[:2])[0] == default_processing(logs[0])
+    assert chosen_processing(logs[:1]) == (default_processing(logs[0]), None)
     chosen = default_processing(logs[0])
-    pieces = [prepare(arm(), log, chosen) for log in logs[:2]]
+    pieces = [samples_of(arm(), log, chosen) for log in logs[:2]]
     samples = result.problem.samples
     assert samples.starts == (0, pieces[0].n_samples)
     np.testing.assert_array_equal(samples.effort, np.concatenate([p.effort for p in pieces]))
-    alone = prepare(arm(), logs[2], replace(chosen, covariance=None))
+    alone = samples_of(arm(), logs[2], replace(chosen, covariance=None))
     np.testing.assert_array_equal(result.validation_samples.effort, alone.effort)
     assert "as suits recording 1" in result.notes[0]
     assert result.certificate.passed
@@ -247,7 +246,7 @@ def test_joints_without_effort_are_left_out() -> None:
 
 
 def test_a_problem_takes_recordings_that_are_prepared(logs: list[sdpid.Recording]) -> None:
-    prepared = prepare_recordings(arm(), logs)
+    prepared = prepare(arm(), logs)
     one, other = formulate(arm(), prepared), formulate(arm(), logs)
     np.testing.assert_array_equal(one.A, other.A)
     fresh = prepared.others(logs[0])
@@ -279,7 +278,7 @@ def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) 
     problem = formulate(arm(), kept, processing=processing)
     assert len(problem.samples.starts) == 2
     estimate = sdpid.solve_sdp(problem)
-    fresh = prepare(arm(), rows_of(log, slice(a, b)), processing)
+    fresh = samples_of(arm(), rows_of(log, slice(a, b)), processing)
     fold = crossed.folds[1]
     assert fold.name == "block 2 of 4"
     assert fold.processing == processing

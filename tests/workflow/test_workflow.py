@@ -22,7 +22,7 @@ from sdpid.errors import CertificateError, DataError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import rows_of
@@ -109,7 +109,7 @@ def test_the_written_urdf_predicts_as_the_estimate_does(
 ) -> None:
     sdpid.write_urdf(result.estimate, target=tmp_path / "identified.urdf")
     written = sdpid.load_robot(tmp_path / "identified.urdf", gravity=denso.gravity.tolist())
-    samples = prepare(written, log)
+    samples = samples_of(written, log)
     fit = validate_robot(written, samples)
     expected = sdpid.validate(result.estimate, samples)
     np.testing.assert_allclose(fit.effort_predicted, expected.effort_predicted, atol=1e-6)

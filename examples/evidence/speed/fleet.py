@@ -30,7 +30,8 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression import distributed_rows
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.preparation.default_friction import default_friction
+from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 
 ROBOT = "denso_vp6242"
@@ -104,7 +105,7 @@ def job(file: str) -> dict[str, Any]:
     laps.end("open, check time")
     processing = default_processing(log)
     laps.end("choose settings")
-    samples = prepare(robot, log, processing)
+    samples = samples_of(robot, log, processing)
     laps.end("read and process")
     problem = stated(robot, samples, log)
     laps.end("regressor, weights, compress")
@@ -144,7 +145,7 @@ def one_robot(file: str, processing: sdpid.Processing) -> tuple[Any, ...]:
     """Return what a fleet keeps of one robot: parameters, factor, certificate."""
     robot = sdpid.load_robot(ROBOT)
     log = sdpid.read_recording(file)
-    problem = stated(robot, prepare(robot, log, processing), log)
+    problem = stated(robot, samples_of(robot, log, processing), log)
     estimate = sdpid.solve_sdp(problem)
     found = sdpid.certify(estimate).to_dict()
     return estimate.theta, (problem.A, problem.rhs, problem.floor), found

@@ -32,7 +32,8 @@ def job(file: str) -> dict[str, Any]:
     from sdpid.estimation.problem import build_problem
     from sdpid.estimation.sdp.solve import solve_sdp
     from sdpid.estimation.wls import solve_wls
-    from sdpid.experiment.preparation.for_robot import default_friction, prepare
+    from sdpid.experiment.preparation.default_friction import default_friction
+    from sdpid.experiment.preparation.prepare import samples_of
     from sdpid.experiment.readers.read import read_recording
     from sdpid.output.robots.urdf import write_urdf
     from sdpid.robot.model.load import load_robot
@@ -42,7 +43,7 @@ def job(file: str) -> dict[str, Any]:
     laps.end("load the robot")
     log = read_recording(file)
     laps.end("decode, check")
-    samples = prepare(robot, log)
+    samples = samples_of(robot, log)
     laps.end("process")
     problem = build_problem(
         robot,

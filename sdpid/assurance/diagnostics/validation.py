@@ -22,11 +22,11 @@ from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.several import (
+from sdpid.experiment.preparation.prepare import (
     Logs,
     ProcessingOf,
     joints_without,
-    prepare_recordings,
+    prepare,
     without_efforts,
 )
 from sdpid.experiment.processing.contacts.held import base_held
@@ -374,7 +374,7 @@ def validate(
             processing = replace(processing, covariance=None)
         else:
             processing = {**(processing or {}), "covariance": None}
-        prepared = prepare_recordings(
+        prepared = prepare(
             problem.robot,
             samples,
             processing,

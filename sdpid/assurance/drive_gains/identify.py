@@ -31,8 +31,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.for_robot import prepare
-from sdpid.experiment.preparation.several import Logs, ProcessingOf, as_pieces
+from sdpid.experiment.preparation.prepare import Logs, ProcessingOf, as_pieces, samples_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.joints import match_joints
@@ -161,7 +160,7 @@ def identify_drive_gains(
     logs = [match_joints(arm, log) for log in (*bare, *loaded)]
     checks.require_every_current(logs)
     chosen, why = gain_processing(logs, processing)
-    samples = tuple(prepare(arm, replace(log, currents=False), chosen) for log in logs)
+    samples = tuple(samples_of(arm, replace(log, currents=False), chosen) for log in logs)
     unloaded = Samples.join(samples[: len(bare)])
     rough = checks.rough_gains(arm, unloaded, kinds)
     findings = checks.looked_at(arm, logs[: len(bare)], logs[len(bare) :], rough, kinds)

@@ -26,8 +26,8 @@ from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
-from sdpid.experiment.preparation.for_robot import SMOOTH, friction_of
-from sdpid.experiment.preparation.several import ProcessingOf, common_processing
+from sdpid.experiment.preparation.default_friction import SMOOTH, friction_of
+from sdpid.experiment.preparation.prepare import ProcessingOf, chosen_processing
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
@@ -233,7 +233,7 @@ def gain_processing(
         raise DataError("gains: leave periods out of the recordings (period=None).")
     if isinstance(given, Processing):
         return given, None
-    common, why = common_processing([replace(log, currents=False) for log in logs])
+    common, why = chosen_processing([replace(log, currents=False) for log in logs])
     speeds = [np.sqrt(np.mean(np.gradient(log.position, log.time, axis=0) ** 2)) for log in logs]
     slow = {
         "reversal_speed": min(_SLOW, _SLOW_SHARE * float(np.median(speeds))),

@@ -27,12 +27,11 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.inspection.kinds import Finding
-from sdpid.experiment.preparation.for_robot import friction_of
-from sdpid.experiment.preparation.several import (
-    all_recordings,
-    columns_without,
+from sdpid.experiment.preparation.default_friction import friction_of
+from sdpid.experiment.preparation.prepare import (
     joints_without,
-    prepare_recordings,
+    prepare,
+    read_logs,
     without_efforts,
 )
 from sdpid.experiment.processing.samples import Samples
@@ -266,8 +265,7 @@ def _read(robot: RobotModel, log: Any, name: str, absent: tuple[str, ...], gains
     """Return the recordings of a log, some efforts of which may lack, and others as they are."""
     if log is None or isinstance(log, Samples | Estimate):
         return log
-    columns = columns_without(robot, absent)
-    logs = all_recordings(log, name, without_effort=columns, gains=gains)
+    _, logs = read_logs(robot, log, name, without_effort=absent, gains=gains)
     for each in logs:
         require_torques(each, f"payload, {name}")
         require_fixed_base(each, f"payload, {name}")
@@ -281,7 +279,7 @@ def _samples(
     if isinstance(log, Samples):
         absent = how["without_effort"]
         return without_efforts(log, robot, absent) if absent else log, ()
-    found = prepare_recordings(robot, log, name=name, **how)
+    found = prepare(robot, log, name=name, **how)
     return found.samples, found.findings
 
 

@@ -15,7 +15,7 @@ from sdpid.errors import CertificateError, ModelError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.effects.choose import Profiled
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.several import Prepared
+from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import Arguments
 from sdpid.robot.friction.posed import PosedTerm

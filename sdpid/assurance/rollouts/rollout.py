@@ -35,8 +35,7 @@ from sdpid.assurance.rollouts.result import (
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation.for_robot import prepare
-from sdpid.experiment.preparation.several import joints_without
+from sdpid.experiment.preparation.prepare import joints_without, samples_of
 from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.motion import noise_of
 from sdpid.experiment.processing.samples import Samples
@@ -211,7 +210,7 @@ class _Simulations:
         if not (np.isfinite(every) and every > 0.0):
             raise DataError(f"start_every: is {every!r}; give a time in s, above 0.")
         noisier = None if self.log is None else _noisier(self.log, rng)
-        self.again = None if noisier is None else Track.of(prepare(robot, noisier, chosen))
+        self.again = None if noisier is None else Track.of(samples_of(robot, noisier, chosen))
         self.first = self.track.starts(last, every)
         self.starts = f"{len(self.first)} starts, {every:.3g} s apart"
         ends = np.array([self.track.steps(h) for h in self.horizons])
@@ -399,7 +398,7 @@ def _prepared(
     chosen = replace(processing, reversal_time=None, covariance=None, decimation=None)
     if chosen.derivative == "spectral":
         chosen = replace(chosen, derivative="central6")
-    return log, prepare(robot, log, chosen), chosen
+    return log, samples_of(robot, log, chosen), chosen
 
 
 def _reference_on(track: Track, robot: RobotModel, log: Recording | None) -> Array:

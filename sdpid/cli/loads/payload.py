@@ -54,7 +54,7 @@ def payload(
     """Identify what is mounted on the last link: mass, center of mass and inertia."""
     from sdpid.assurance.payload.identify import SEPARATE, identify_payload
     from sdpid.estimation.prior.prior import Prior
-    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.experiment.preparation.prepare import columns_without
     from sdpid.robot.model.load import load_robot
 
     model = load_robot(robot)

@@ -34,7 +34,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.preparation.several import ProcessingOf
+from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.law import Controller
 

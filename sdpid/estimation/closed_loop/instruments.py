@@ -20,7 +20,7 @@ from sdpid.estimation.compression.factor import Factor, compressed
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whitened_chunks
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.several import ProcessingOf
+from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples

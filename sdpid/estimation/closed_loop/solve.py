@@ -26,7 +26,7 @@ from sdpid.estimation.estimate import FEASIBLE, Estimate, extended
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation.several import ProcessingOf
+from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.law import Controller

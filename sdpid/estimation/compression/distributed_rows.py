@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.experiment.preparation.several import Piece, agreed, as_pieces, samples_of
+from sdpid.experiment.preparation.prepare import Piece, agreed, as_pieces, samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing

@@ -22,7 +22,7 @@ from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.excitation.criterion.marginal import inverse, marginal
 from sdpid.excitation.criterion.noise import ExpectedNoise
-from sdpid.experiment.preparation.several import Logs, prepare_recordings
+from sdpid.experiment.preparation.prepare import Logs, prepare
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
@@ -108,7 +108,7 @@ def _identified(
     robot: RobotModel, friction: FrictionModel, base: BaseParameters, logs: Logs
 ) -> Estimate:
     """Return the estimate from recordings, with the plan's terms and the default prior."""
-    prepared = prepare_recordings(robot, logs, name="previous")
+    prepared = prepare(robot, logs, name="previous")
     samples = prepared.samples
     prior = Prior() if np.any(robot.prior[:, 0] > 0.0) else None
     with_periods = samples.covariance is not None

@@ -12,7 +12,6 @@ from sdpid.experiment.inspection.delays.dynamic import orthonormal
 from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
     LEAST,
-    channel_delays,
     gyroscope_delay,
     is_told,
 )
@@ -141,7 +140,7 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
         return  # With a wrong sign or order nothing can be said of delays.
     against = "the joints' positions"
     if robot is not None and robot.free_flyer:
-        delays = channel_delays(robot, log, subject.without)
+        delays = subject.view.delays(subject.without)
     else:
         delays, against = gyroscope_delay(log), "the orientation of the base"
     for channel, delay in delays.items():

@@ -28,9 +28,10 @@ from sdpid.experiment.inspection import (
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, note, refuse
 from sdpid.experiment.inspection.subject import CHECKS, OF_EFFORTS, Subject
+from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
-from sdpid.experiment.recording.joints import joint_columns, match_joints
+from sdpid.experiment.recording.joints import joint_columns
 from sdpid.experiment.recording.loops.passive_joints import lacking
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
@@ -152,11 +153,11 @@ def inspect_recording(
         log = read_recording(log)
     if robot is not None:
         robot = robot_of(robot, [log])
-    return Inspection(findings=_looked_at(log, robot, total_mass=total_mass)[1])
+    return Inspection(findings=inspect_recordings([log], robot, total_mass=total_mass))
 
 
 def inspect_recordings(
-    logs: Sequence[Recording],
+    logs: Sequence[Recording | LogView],
     robot: RobotModel | None = None,
     *,
     name: str = "",
@@ -167,10 +168,10 @@ def inspect_recordings(
 
     Parameters
     ----------
-    logs : sequence of Recording
+    logs : sequence of Recording or LogView
         What is to be used together.
     robot : RobotModel, optional
-        Whose joints these are.
+        Whose joints these are; a LogView knows its robot.
     name : str, optional
         Messages begin with it and, of several recordings, a number.
     without_effort : iterable of str, optional
@@ -178,11 +179,12 @@ def inspect_recordings(
     total_mass : float, optional
         What a robot with a floating base weighs, kg.
     """
-    looked_at = [_looked_at(log, robot, frozenset(without_effort), total_mass) for log in logs]
-    if len(logs) == 1 and not name:
+    views = [log if isinstance(log, LogView) else LogView(given=log, asked=robot) for log in logs]
+    looked_at = [_looked_at(view, frozenset(without_effort), total_mass) for view in views]
+    if len(views) == 1 and not name:
         return looked_at[0][1]
     between: dict[int, Finding] = {}
-    if len(logs) > 1:
+    if len(views) > 1:
         between = dict(other_loads([subject for subject, _ in looked_at]))
     resting = [{f.joint for f in found if f.kind == "joint_at_rest"} for _, found in looked_at]
     always = set.intersection(*resting)
@@ -199,16 +201,13 @@ def inspect_recordings(
 
 
 def _looked_at(
-    log: Recording,
-    robot: RobotModel | None,
+    view: LogView,
     without: frozenset[str] = frozenset(),
     total_mass: float | None = None,
 ) -> tuple[Subject, tuple[Finding, ...]]:
     """Return one recording as checks see it, and its findings, what is to be refused first."""
-    findings: list[Finding] = []
-    if robot is not None:
-        log, robot, findings = _matched(log, robot)
-    subject = Subject(log=log, robot=robot, without=without, total_mass=total_mass)
+    findings = [*_about_names(view)]
+    subject = Subject(view=view, without=without, total_mass=total_mass)
     findings += effort_checks.silent(subject)
     subject = _less(subject, findings)
     # What a wrong row makes of other channels, and of other joints, is not told.
@@ -256,32 +255,27 @@ def _told(findings: list[Finding]) -> Iterator[Finding]:
             yield finding
 
 
-def _matched(
-    log: Recording, robot: RobotModel
-) -> tuple[Recording, RobotModel | None, list[Finding]]:
-    """Return the recording in the robot's order, the robot, and findings about joint names."""
-    try:
-        matched = match_joints(robot, log)
-    except DataError as cause:
-        return log, None, [found("joints_unknown", why=str(cause))]
-    missing = lacking(robot, log)
+def _about_names(view: LogView) -> Iterator[Finding]:
+    """Yield what to say of the names of joints."""
+    if view.mismatch is not None:
+        yield found("joints_unknown", why=str(view.mismatch))
+        return
+    robot, names = view.robot, view.given.joint_names
+    if robot is None or names is None:
+        return
+    missing = lacking(robot, view.given)
     own = tuple(name for name in robot.joint_names[robot.n_base :] if name not in missing)
-    names = log.joint_names
-    if names is None or set(own) <= set(names):
-        left_out = () if names is None else sorted(set(names) - set(own))
-        if left_out:
-            message = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
-        elif names is not None and names != own:
-            message = (
-                f"joints are taken in the robot's order, the columns are of {', '.join(names)}"
-            )
-        else:
-            return matched, robot, []
-    else:
+    if not set(own) <= set(names):
         columns = [names[column] for column in joint_columns(robot, names, own)]
         pairs = [f"{a} is {b}" for a, b in zip(columns, own, strict=True)]
-        message = f"joints have another prefix or suffix than the robot's: {', '.join(pairs)}"
-    return matched, robot, [found("joints", how=message)]
+        how = f"joints have another prefix or suffix than the robot's: {', '.join(pairs)}"
+    elif left_out := sorted(set(names) - set(own)):
+        how = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
+    elif names != own:
+        how = f"joints are taken in the robot's order, the columns are of {', '.join(names)}"
+    else:
+        return
+    yield found("joints", how=how)
 
 
 # Kinds of findings that one may overrule. Any other that is refused stands in the way of processing

@@ -16,11 +16,11 @@ from sdpid.experiment.inspection.delays.kinematic import Standing
 from sdpid.experiment.inspection.floating_log import floating_log
 from sdpid.experiment.inspection.kinds import Finding, Severity
 from sdpid.experiment.inspection.rows import Rows, low_passed
+from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating.base import BaseMotion
-from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
@@ -32,10 +32,8 @@ class Subject:
 
     Attributes
     ----------
-    log : Recording
-        With its joints named and ordered as the robot's, where there is one.
-    robot : RobotModel or None
-        None too where its joints could not be matched.
+    view : LogView
+        The recording, in the robot's order, and the robot.
     without : frozenset of str
         Joints whose effort is not used.
     total_mass : float or None
@@ -44,11 +42,20 @@ class Subject:
         Rows in which a channel is wrong, as was told.
     """
 
-    log: Recording
-    robot: RobotModel | None
+    view: LogView
     without: frozenset[str] = frozenset()
     total_mass: float | None = None
     left_out: tuple[slice, ...] = ()
+
+    @property
+    def log(self) -> Recording:
+        """The recording, with its joints named and ordered as the robot's, where there is one."""
+        return self.view.log
+
+    @property
+    def robot(self) -> RobotModel | None:
+        """The robot; None too where its joints could not be matched."""
+        return self.view.robot
 
     @property
     def fixed(self) -> RobotModel | None:
@@ -62,22 +69,14 @@ class Subject:
         return None if self.log.base is None else self.robot
 
     @cached_property
-    def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:
-        """The parts between gaps, angles continued, and notes on them; or why it is refused."""
-        try:
-            return continuous(self.log)
-        except DataError as refused:
-            return refused
-
-    @cached_property
     def pieces(self) -> tuple[tuple[int, Recording], ...]:
         """The parts between gaps and rows left out, angles continued, each with its first row.
 
         Empty if refused.
         """
-        if isinstance(self.continued, DataError):
+        if isinstance(self.view.continued, DataError):
             return ()
-        pieces, _ = self.continued
+        pieces, _ = self.view.continued
         found: tuple[tuple[int, Recording], ...] = ((0, self.log),)
         if pieces != (self.log,):
             time = np.asarray(self.log.time)
@@ -143,10 +142,11 @@ class Subject:
         if robot is None or not self.pieces or self.longest.n != robot.n - robot.n_base:
             return None
         contacts = self.longest.contacts
-        changes = (
-            {} if contacts is None or contacts.measured is None else {"contact_force_std": 1.0}
-        )
+        measured = contacts is not None and contacts.measured is not None
+        changes = {"contact_force_std": 1.0} if measured else {}
         try:
+            if not (measured or self.closed or len(self.pieces) > 1 or self.left_out):
+                return self.view.samples()
             return process(self.longest, changes, gravity=robot.gravity.tolist(), progress=False)
         except SdpidError:
             return None

@@ -57,10 +57,11 @@ _GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 @check
 def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
     """Find gaps and stamps that came late, and angles that wrap."""
-    if isinstance(subject.continued, DataError):
-        yield found("time_stamps", why=str(subject.continued))
+    continued = subject.view.continued
+    if isinstance(continued, DataError):
+        yield found("time_stamps", why=str(continued))
         return
-    for text in subject.continued[1]:
+    for text in continued[1]:
         yield found("continued", note=text)
 
 

@@ -12,16 +12,20 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing, recordings
+from sdpid.experiment.inspection.view import LogView
+from sdpid.experiment.preparation.prepare import (
+    ProcessingOf,
+    chosen_processing,
+    read_logs,
+    require_joint_covariance,
+)
 from sdpid.experiment.processing.efforts import Efforts
 from sdpid.experiment.processing.period_mean import Chain
-from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -78,7 +82,7 @@ class Twin:
         log : Recording or path, or a sequence of these
             What was measured.
         processing : Processing or mapping, optional
-            As `measured` were made; by default as `prepare_recordings` chooses.
+            As `measured` were made; by default as `prepare` chooses.
         measured : Samples, optional
             Made of these recordings, with masks of one's own, say. By default they are processed
             here.
@@ -88,19 +92,18 @@ class Twin:
         DataError
             When a recording cannot be processed, or `measured` were made otherwise.
         """
-        read = recordings(log)
+        _, read = read_logs(robot, log, "recordings")
+        require_joint_covariance(read)
         for each in read:
             require_fixed_base(each, "simulated motion and instruments")
-        logs = tuple(match_joints(robot, each) for each in read)
-        chosen, _ = chosen_processing(logs, processing)
+        views = [LogView(given=each, asked=robot) for each in read]
+        chosen, _ = chosen_processing(views, processing)
+        logs = tuple(view.matched for view in views)
         chains = tuple(
             tuple(_chain(piece, chosen) for piece in continuous(each)[0]) for each in logs
         )
         if measured is None:
-            limits = robot.position_limits
-            measured = Samples.join(
-                [process(each, chosen, position_limits=limits, progress=False) for each in logs]
-            )
+            measured = Samples.join([view.samples(chosen) for view in views])
             return cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
         twin = cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
         _require_same(twin, measured)

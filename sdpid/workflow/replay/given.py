@@ -10,7 +10,7 @@ from typing import Any
 from sdpid.assurance.recipe.inputs import log_entry, recording_digest
 from sdpid.assurance.recipe.recipe import RobotRecipe
 from sdpid.errors import CertificateError, DataError, ModelError
-from sdpid.experiment.preparation.several import Logs
+from sdpid.experiment.preparation.prepare import Logs
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.description.catalog import bundled_robots, example_robots

@@ -21,7 +21,7 @@ from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.nearest_to_prior import distance_to_reference
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.preparation.several import Logs, Prepared, prepare_recordings
+from sdpid.experiment.preparation.prepare import Logs, Prepared, prepare
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import REFUSED, shown
@@ -180,7 +180,7 @@ class _Replaying:
         """Process the logs as the recipe says."""
         recipe, robot = self.sealed.recipe, self.robot
         assert robot is not None
-        self.prepared = prepare_recordings(
+        self.prepared = prepare(
             robot, self.logs, recipe.processing, without_effort=recipe.without_effort
         )
 

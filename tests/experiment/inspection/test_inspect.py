@@ -23,7 +23,7 @@ from sdpid.experiment.inspection.inspect import (
 from sdpid.experiment.inspection.kinds import KINDS, Finding
 from sdpid.experiment.inspection.time_checks import _read_as_seconds
 from sdpid.experiment.preparation.overview import overview
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.recording.recording import Recording, rows_of
 from tests.helpers.refusals import refuses
 
@@ -402,9 +402,9 @@ def test_an_effort_that_says_nothing_is_left_out_and_accuses_no_other(
     (finding,) = inspect_recording(wrong, robot).findings
     assert (finding.severity, finding.kind, finding.joint) == ("warning", kind, name)
     assert words in finding.message
-    assert prepare_recordings(robot, wrong, accept=()).without_effort == (name,)
-    assert prepare_recordings(robot, wrong).without_effort == ()
-    assert prepare_recordings(robot, wrong, accept=(kind,)).without_effort == ()
+    assert prepare(robot, wrong, accept=()).without_effort == (name,)
+    assert prepare(robot, wrong).without_effort == ()
+    assert prepare(robot, wrong, accept=(kind,)).without_effort == ()
     assert f"--accept {kind}" in finding.remedy
     assert not inspect_recordings([wrong], robot, without_effort=[name])
 
@@ -733,7 +733,7 @@ def test_a_joint_that_another_recording_moves_is_not_unknown(
     rests = [f for f in inspect_recordings((still, still), robot) if f.kind == "joint_at_rest"]
     assert [f.remedy for f in rests] == ["its inertia and friction are unknown; excite it"] * 2
     # What is only predicted says nothing of what the fit knows.
-    others = prepare_recordings(robot, slow).others(still, accept=())
+    others = prepare(robot, slow).others(still, accept=())
     (rest,) = (f for f in others.findings if f.kind == "joint_at_rest")
     assert rest.remedy == "how well it is predicted in motion is not shown; record it moving"
 

@@ -25,13 +25,14 @@ from sdpid.experiment.inspection.floating_log import FloatingLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
+from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.plant.legged import model
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.plant.legged.truth import changed_parameters
-from sdpid.experiment.preparation import several
-from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.preparation import prepare as preparing
+from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
@@ -184,7 +185,7 @@ def test_a_foot_that_is_down_in_the_air_is_named() -> None:
     # The left fore leg is stretched backward and up at the hip, as where its zero is another.
     position[:, 1] += 1.2
     wrong = replace(walk(), position=position)
-    subject = Subject(log=wrong, robot=robot())
+    subject = Subject(view=LogView(given=wrong, asked=robot()))
     told = {finding.kind: finding.message for finding in feet_checks.feet_down(subject)}
     assert "FL_FOOT is" in told.get("foot_high", ""), told
     # Efforts tell the joint, and then its foot is no other defect.
@@ -217,7 +218,7 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     time = log.time - log.time[0]
     falling = np.array(base.position) - 0.5 * 9.81 * time[:, None] ** 2 * [0.0, 0.0, 1.0]
     free = sdpid.BaseMotion(orientation=base.orientation, position=falling)
-    air = Subject(log=replace(log, base=free, contacts=contacts), robot=robot())
+    air = Subject(view=LogView(given=replace(log, base=free, contacts=contacts), asked=robot()))
     assert not [*base_checks.contacts_missing(air)]
 
 
@@ -290,7 +291,7 @@ def test_scale_of_forces_against_torques(motion: str, forced: float, driven: flo
 
 def test_some_feet_alone_tell_no_mass() -> None:
     scaled = with_feet(log("trot"), forces=0.95 * forces("trot"))
-    subject = Subject(log=scaled, robot=robot(), without=frozenset({"FL_KFE"}))
+    subject = Subject(view=LogView(given=scaled, asked=robot()), without=frozenset({"FL_KFE"}))
     (finding,) = force_checks.forces(subject)
     assert finding.kind == "forces_scale"
     assert "kg" not in finding.message
@@ -457,7 +458,7 @@ def test_joints_that_bear_little_are_compared_with_their_own_efforts() -> None:
 
 def compared(recording: Recording) -> FloatingLog:
     model = robot("talos_reduced")
-    samples = Subject(log=recording, robot=model).samples
+    samples = Subject(view=LogView(given=recording, asked=model)).samples
     assert samples is not None
     rows = floating_log(model, samples)
     assert rows is not None
@@ -504,7 +505,7 @@ def test_mass_of_a_condition_is_compared(
         asked.append(total_mass)
         raise sdpid.errors.DataError("asked")
 
-    monkeypatch.setattr(several, "inspect_recordings", inspect)
+    monkeypatch.setattr(preparing, "inspect_recordings", inspect)
     constraints = sdpid.Constraints(others=(condition,))
     for run in (sdpid.identify, formulate.formulate):
         with pytest.raises(sdpid.errors.DataError, match="asked"):
@@ -539,7 +540,7 @@ def wrenches(motion: str) -> Array:
 
 def wrenches_found(motion: str, changed: Array) -> list[Finding]:
     recording = with_feet(talos(motion), wrenches=changed)
-    subject = Subject(log=recording, robot=robot("talos_reduced"))
+    subject = Subject(view=LogView(given=recording, asked=robot("talos_reduced")))
     return list(force_checks.forces(subject))
 
 
@@ -612,7 +613,7 @@ def go1(motion: str, seed: int = 3, duration: float = 2.0) -> Recording:
 
 
 def imu_found(recording: Recording) -> list[Finding]:
-    return list(imu_checks.imu(Subject(log=recording, robot=robot("go1"))))
+    return list(imu_checks.imu(Subject(view=LogView(given=recording, asked=robot("go1")))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -707,7 +708,7 @@ def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
 
 def points_found(motion: str, **changes: object) -> list[Finding]:
     recording = with_feet(go1(motion, 4, 3.0), **changes)
-    return list(feet_checks.points(Subject(log=recording, robot=robot("go1"))))
+    return list(feet_checks.points(Subject(view=LogView(given=recording, asked=robot("go1")))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -746,7 +747,7 @@ def test_frame_that_moves_is_refused(part: str) -> None:
 def test_a_foot_that_slips_has_no_other_point(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "_GRIP", 0.05)
     slips = sdpid.simulate_legged(robot(), "trot", seed=2, duration=10.0).recording
-    told = list(feet_checks.points(Subject(log=slips, robot=robot())))
+    told = list(feet_checks.points(Subject(view=LogView(given=slips, asked=robot()))))
     assert {each.kind for each in told} == {"foot_moves"}
     assert told[0].message.endswith(": it slips")
 
@@ -791,7 +792,7 @@ def test_joints_without_effort_hide_no_delay(names: tuple[str, ...]) -> None:
     log = replace(log, effort=effort)
     delays = {name: each.value for name, each in channel_delays(robot(), log, names).items()}
     assert delays == pytest.approx({**LATE, "base": 0.0}, abs=1e-3)
-    processing = prepare_recordings(robot(), log, without_effort=names).processing
+    processing = prepare(robot(), log, without_effort=names).processing
     assert processing.imu_delay_s == pytest.approx(LATE["imu"], abs=5e-4)
     told = {each.kind for each in inspect_recordings([log], robot(), without_effort=names)}
     assert {"imu_late", "contacts_late"} <= told
@@ -800,7 +801,7 @@ def test_joints_without_effort_hide_no_delay(names: tuple[str, ...]) -> None:
 def test_good_recordings_have_no_delay() -> None:
     kinds = {each.kind for each in sdpid.inspect_recording(recorded(late=False), robot()).findings}
     assert not {kind for kind in kinds if kind.endswith("_late")}
-    processing = prepare_recordings(robot(), recorded(late=False)).processing
+    processing = prepare(robot(), recorded(late=False)).processing
     assert (processing.effort_delay_s, processing.imu_delay_s) == (0.0, 0.0)
 
 
@@ -815,7 +816,7 @@ def test_findings_tell_what_processing_takes_off() -> None:
     findings = {each.kind: each for each in sdpid.inspect_recording(log, robot()).findings}
     assert findings["effort_late"].numbers["delay"] == pytest.approx(0.002, abs=1e-3)
     assert "are late by" in findings["effort_late"].message
-    prepared = prepare_recordings(robot(), log, {"imu_delay_s": 0.0})
+    prepared = prepare(robot(), log, {"imu_delay_s": 0.0})
     assert prepared.processing.effort_delay_s == pytest.approx(0.002, abs=1e-3)
     # What is given stands as it is.
     assert prepared.processing.imu_delay_s == 0.0
@@ -847,7 +848,7 @@ def test_without_a_robot_the_imu_is_compared_with_the_pose() -> None:
 
 
 def test_free_rows_hold_no_contact_force() -> None:
-    samples = prepare_recordings(robot(), recorded(late=False)).samples
+    samples = prepare(robot(), recorded(late=False)).samples
     contacts = samples.contacts
     rows = np.arange(0, samples.n_samples, 40)
     free = FreeRows.of(robot(), samples, rows, first_scale(robot(), samples.effort))

@@ -12,9 +12,9 @@ from scipy import signal
 
 import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.for_robot import default_friction, friction_of, prepare
+from sdpid.experiment.preparation.default_friction import default_friction, friction_of
 from sdpid.experiment.preparation.overview import gaps, noise
-from sdpid.experiment.preparation.several import chosen_processing, prepare_recordings
+from sdpid.experiment.preparation.prepare import chosen_processing, prepare, samples_of
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing import states as states_module
@@ -731,7 +731,7 @@ def test_held_out_motion_of_real_robots(data_folder: Path, case: str) -> None:
     friction = (*default_friction(log), *(WRIST if "tx40" in case else ()))
     # Everything is chosen from, and only from, what is trained on.
     result = sdpid.identify(robot, log, friction=friction)
-    fresh = prepare(robot, other, default_processing(log))
+    fresh = samples_of(robot, other, default_processing(log))
     if len(logs) == 1:
         assert fresh.time is not None
         begin = int(np.searchsorted(fresh.time, log.time[-1], side="right"))
@@ -817,7 +817,7 @@ def test_a_twin_is_what_processing_that_motion_gives(
     arm: sdpid.RobotModel, logs: list, processing: sdpid.Processing | None
 ) -> None:
     records = [recorded(time, arm, **fields) for time, fields in logs]
-    prepared = prepare_recordings(arm, records, processing)
+    prepared = prepare(arm, records, processing)
     twin = Twin.of(arm, records, prepared.processing, measured=prepared.samples)
     measured = twin.measured
     # The measured motion is its own twin, to the last bit.
@@ -826,7 +826,7 @@ def test_a_twin_is_what_processing_that_motion_gives(
     motion = [1.1 * moved(log.time, 0.5 if log.period is None else 1.0) for log in records]
     efforts = [np.cos(q) for q in motion]
     other = twin.samples(motion, effort=efforts)
-    alone = prepare_recordings(
+    alone = prepare(
         arm,
         [
             replace(log, position=q, effort=e)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from operator import is_not
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -30,7 +28,6 @@ from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.delays.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -152,11 +149,6 @@ _UNKNOWN, _UNKNOWN_STEPS = 1e-3, 0.2
 _READ = 20_000
 _LEAST_SAMPLES = 500
 
-# What was found is kept as long as the recording's base: inspection and processing both ask. The
-# robot and arrays that it was found with come first.
-_FOUND: WeakKeyDictionary[BaseMotion, tuple[tuple[Any, ...], set[str], dict[str, Delay]]]
-_FOUND = WeakKeyDictionary()
-
 
 def is_told(channel: str, delay: Delay) -> bool:
     """Tell whether a delay is long and sure enough to be told."""
@@ -196,36 +188,7 @@ def channel_delays(
         ``"effort"``, ``"imu"``, ``"base"`` and ``"contacts"``, where they were recorded and the
         motion shows them.
     """
-    if log.base is None:
-        return {}
-    of = (robot, log.time, log.position, log.effort, log.contacts)
-    known = _FOUND.get(log.base)
-    if known is None or known[1] != {*unused} or any(map(is_not, known[0], of)):
-        known = (of, {*unused}, _found(robot, log, unused))
-        _FOUND[log.base] = known
-    return known[2]
-
-
-def gyroscope_delay(log: Recording) -> dict[str, Delay]:
-    """Return how late the IMU is against the pose, all that is known without a robot."""
-    piece = _piece(log)
-    turned = None if piece is None else imu_against_pose(piece)
-    if turned is None:
-        return {}
-    return {"imu": turned.wider(max(_BEYOND["base"], _BEYOND_STEPS * log.step))}
-
-
-def _piece(log: Recording) -> Recording | None:
-    """Return the middle of the longest piece of a recording, None where it is short."""
-    piece = max(continuous(log)[0], key=lambda each: each.n_samples)
-    if piece.n_samples < _LEAST_SAMPLES:
-        return None
-    first = max(0, (piece.n_samples - _READ) // 2)
-    return rows_of(piece, slice(first, first + _READ)) if first else piece
-
-
-def _found(robot: RobotModel, log: Recording, unused: Collection[str]) -> dict[str, Delay]:
-    piece = _piece(log)
+    piece = None if log.base is None else _piece(log)
     if piece is None:
         return {}
     found: dict[str, Delay] = {}
@@ -255,6 +218,24 @@ def _found(robot: RobotModel, log: Recording, unused: Collection[str]) -> dict[s
         return {}
     most = max(_UNKNOWN, _UNKNOWN_STEPS * log.step)
     return {name: each for name, each in found.items() if each.error < most}
+
+
+def gyroscope_delay(log: Recording) -> dict[str, Delay]:
+    """Return how late the IMU is against the pose, all that is known without a robot."""
+    piece = _piece(log)
+    turned = None if piece is None else imu_against_pose(piece)
+    if turned is None:
+        return {}
+    return {"imu": turned.wider(max(_BEYOND["base"], _BEYOND_STEPS * log.step))}
+
+
+def _piece(log: Recording) -> Recording | None:
+    """Return the middle of the longest piece of a recording, None where it is short."""
+    piece = max(continuous(log)[0], key=lambda each: each.n_samples)
+    if piece.n_samples < _LEAST_SAMPLES:
+        return None
+    first = max(0, (piece.n_samples - _READ) // 2)
+    return rows_of(piece, slice(first, first + _READ)) if first else piece
 
 
 def _corrected(piece: Recording, found: dict[str, Delay]) -> Recording:

@@ -1,4 +1,4 @@
-"""Prepare one recording or several for one fit."""
+"""`prepare`: the way from files to samples: read, match, inspect, choose, process, join."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from sdpid._common.progress import progress
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.delays.find import channel_delays, is_told, pooled_delays
+from sdpid.experiment.inspection.delays.find import is_told, pooled_delays
 from sdpid.experiment.inspection.inspect import (
     inspect_recordings,
     joints_left_out,
@@ -17,9 +17,9 @@ from sdpid.experiment.inspection.inspect import (
     require_accepted,
 )
 from sdpid.experiment.inspection.kinds import Finding
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.inspection.view import LogView, view_of
 from sdpid.experiment.preparation.joined_contacts import join_samples
-from sdpid.experiment.processing.choose import default_processing, with_changes
+from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.delays.on_time import CHANNELS
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing, Reason
@@ -27,7 +27,6 @@ from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.floating.robots import require_its_base, robot_of
-from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -39,166 +38,6 @@ Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
 ProcessingOf: TypeAlias = "Processing | Mapping[str, Any] | None"
 # Delays are kept to this many digits of a second: 10 µs.
 _DIGITS = 5
-
-
-def with_delays(
-    robot: RobotModel,
-    logs: Sequence[Recording],
-    processing: Processing,
-    given: Mapping[str, Any] | None = None,
-    unused: Collection[str] = (),
-) -> Processing:
-    """Return a processing that takes late channels of recordings with a base on time.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    logs : sequence of Recording
-        What is to be processed alike; their sensors are the same, and so are the delays.
-    processing : Processing
-        Chosen for them.
-    given : mapping, optional
-        Settings that stand as they are.
-    unused : collection of str, optional
-        Joints whose efforts say nothing.
-
-    Returns
-    -------
-    Processing
-        With a reason for each delay that was found.
-    """
-    own = [match_joints(robot, log) for log in logs if log.base is not None]
-    if not robot.free_flyer or robot.loops or not own:
-        return processing
-    each = [channel_delays(robot, log, unused) for log in own]
-    changes: dict[str, Any] = {}
-    reasons = []
-    for channel, delay in pooled_delays(each).items():
-        field = f"{channel}_delay_s"
-        if field in (given or {}) or not is_told(channel, delay):
-            continue
-        value = round(delay.value, _DIGITS)
-        count = sum(channel in found for found in each)
-        shown = "the recording shows" if len(own) == 1 else f"{count} of {len(own)} recordings show"
-        text = (
-            f"{CHANNELS[channel]} late by {1e3 * value:.3g} ± {1e3 * delay.error:.2g} ms against "
-            f"the joints, as {shown}"
-        )
-        changes[field] = value
-        reasons.append(Reason(field=field, value=value, text=text))
-    return replace(processing, **changes, reasons=(*processing.reasons, *reasons))
-
-
-def all_recordings(
-    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = (), gains: Any = None
-) -> tuple[Recording, ...]:
-    """Return recordings that are given as such, as data frames or by their files.
-
-    Messages call them `name`; `without_effort` and `gains` are as in `read_recording`.
-
-    Raises
-    ------
-    DataError
-        When there are none, or a file cannot be read.
-    """
-    kinds = (Recording, str, os.PathLike)
-    alone = isinstance(logs, kinds) or is_frame(logs)
-    given = tuple(logs) if isinstance(logs, Iterable) and not alone else (logs,)
-    if not given:
-        raise DataError(f"{name}: there are none; give at least one.")
-    for log in given:
-        if not (isinstance(log, kinds) or is_frame(log)):
-            raise DataError(
-                f"{name}: is or holds {type(log).__name__} {log!r:.80}; give a Recording, the path "
-                "of a log, a data frame, or a list of these."
-            )
-    found = as_gains(gains)
-    return tuple(_read(log, without_effort, found) for log in given)
-
-
-def _read(log: Any, without_effort: Sequence[str], gains: Any) -> Recording:
-    """Return one recording with its efforts as torques."""
-    if not isinstance(log, Recording):
-        read: Recording = read_recording(log, without_effort=without_effort, gains=gains)
-        return read
-    return log if gains is None else scaled(log, gains)
-
-
-def recordings(
-    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = (), gains: Any = None
-) -> tuple[Recording, ...]:
-    """Return recordings that can be fitted together; arguments are those of `all_recordings`.
-
-    Raises
-    ------
-    DataError
-        Beside that of `all_recordings`, when there are several and one of them has periods:
-        averages of different motions have no common covariance.
-    """
-    read = all_recordings(logs, name, without_effort=without_effort, gains=gains)
-    periodic = [number for number, log in enumerate(read, 1) if log.period is not None]
-    if len(read) > 1 and periodic:
-        raise DataError(
-            f"recording {periodic[0]} of {len(read)} has a period, and averages over periods "
-            "cannot be joined with other recordings: fit one periodic recording alone, or leave "
-            "its period out (period=None) so that it counts sample by sample."
-        )
-    return read
-
-
-def common_processing(
-    logs: Sequence[Recording], given: ProcessingOf = None
-) -> tuple[Processing, str | None]:
-    """Return one processing for recordings that are fitted together, and where it comes from.
-
-    Each recording has its own default, chosen from its rate and its motion
-    (`default_processing`). All are processed by that of the recording with the median cut-off, of
-    an even number the lower one of the middle two: one unusual recording then decides nothing, and
-    the choice is one that was made for a whole recording. With a floating base it is the higher
-    one: a cut-off made for standing filters a gait's own motion away, and what that does to rows
-    beside contacts is an error that no interval counts.
-
-    Returns
-    -------
-    Processing
-        For all of them.
-    str or None
-        The choice in words, where there was one.
-    """
-    floating = any(log.base is not None for log in logs)
-    return agreed([default_processing(log, given) for log in logs], floating=floating)
-
-
-def agreed(choices: Sequence[Processing], *, floating: bool) -> tuple[Processing, str | None]:
-    """Return the one of the recordings' processings that `common_processing` takes for all."""
-    if len(choices) == 1:
-        return choices[0], None
-    ranked = sorted(range(len(choices)), key=lambda i: (choices[i].cutoff_hz, i))
-    chosen = ranked[len(ranked) // 2 if floating else (len(ranked) - 1) // 2]
-    cutoffs = ", ".join(f"{each.cutoff_hz:.3g}" for each in choices)
-    return choices[chosen], (
-        f"the {len(choices)} recordings are processed alike, as suits recording {chosen + 1}, "
-        f"which has the median of their cut-offs ({cutoffs} Hz)"
-    )
-
-
-def chosen_processing(
-    logs: Sequence[Recording], given: ProcessingOf
-) -> tuple[Processing, str | None]:
-    """Return the given processing, or the common one with the given changes, and why.
-
-    Raises
-    ------
-    DataError
-        When a change names no setting, or its value is out of range.
-    """
-    if isinstance(given, Processing):
-        return given, None
-    common, why = common_processing(logs, given)
-    return with_changes(common, {} if given is None else given), why
-
-
 _NOT_PREDICTED = "how well it is predicted in motion is not shown; record it moving"
 
 
@@ -235,6 +74,10 @@ class Prepared:
     def __repr__(self) -> str:
         return f"Prepared({len(self.logs)} recordings of '{self.robot.name}', {self.samples!r})"
 
+    def without(self, joint: str) -> Prepared:
+        """Return these without the effort of one more joint."""
+        return replace(self, samples=without_efforts(self.samples, self.robot, [joint]))
+
     def others(
         self,
         logs: Logs,
@@ -254,14 +97,14 @@ class Prepared:
         processing : Processing, optional
             By default as these.
         accept : iterable of str, optional
-            As for `prepare_recordings`.
+            As for `prepare`.
         gains : DriveGains, path-like or (n,) array_like, optional
-            As for `prepare_recordings`.
+            As for `prepare`.
         """
         chosen = replace(processing or self.processing, covariance=None)
         if self.samples.judged is not self.samples:
             chosen = replace(chosen, contact_force_std=None)
-        found = prepare_recordings(
+        found = prepare(
             self.robot,
             logs,
             chosen,
@@ -278,7 +121,7 @@ class Prepared:
         return replace(found, findings=tuple(told))
 
 
-def prepare_recordings(
+def prepare(
     robot: RobotModel | str | os.PathLike[str],
     logs: Logs,
     processing: ProcessingOf = None,
@@ -319,29 +162,29 @@ def prepare_recordings(
         When a recording cannot be read, matched or processed, or is refused, they cannot be fitted
         together, a joint does not exist, or no joint is left.
     """
-    without = joints_without(without_effort)
-    columns = columns_without(robot_of(robot), without) if without else ()
-    read = recordings(logs, name, without_effort=columns, gains=gains)
-    robot = robot_of(robot, read)
+    robot, read = read_logs(robot, logs, name, without_effort=without_effort, gains=gains)
+    require_joint_covariance(read)
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
+    views = [LogView(given=log, asked=robot) for log in read]
+    without = joints_without(without_effort)
     findings: tuple[Finding, ...] = ()
     if accept is not None:
         with progress(1, f"inspecting the {name}"):
-            findings = inspected(robot, read, accept, without, name, total_mass)
-    without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept or ()))))
-    chosen, why = chosen_processing(read, processing)
+            findings = inspected(views, accept, without, name, total_mass)
+        without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept))))
+    chosen, why = chosen_processing(views, processing)
     if not isinstance(processing, Processing):
-        chosen = with_delays(robot, read, chosen, processing, without)
+        chosen = with_delays(views, chosen, processing, without)
     pieces = []
-    for number, log in enumerate(read, 1):
+    for number, view in enumerate(views, 1):
         try:
-            pieces.append(prepare(robot, log, chosen))
+            pieces.append(view.samples(chosen))
         except DataError as error:
-            if len(read) == 1:
+            if len(views) == 1:
                 raise
-            raise DataError(f"recording {number} of {len(read)}: {error}") from None
+            raise DataError(f"recording {number} of {len(views)}: {error}") from None
     samples = join_samples(pieces)
     if without:
         samples = without_efforts(samples, robot, without)
@@ -356,30 +199,100 @@ def prepare_recordings(
     )
 
 
+def read_logs(
+    robot: RobotModel | str | os.PathLike[str],
+    logs: Logs,
+    name: str = "log",
+    *,
+    without_effort: Iterable[str] = (),
+    gains: Any = None,
+) -> tuple[RobotModel, tuple[Recording, ...]]:
+    """Return a robot, and recordings that are given as such, as data frames or by their files.
+
+    Parameters
+    ----------
+    robot : RobotModel, name or path
+        The robot; loaded with a floating base where a recording has one.
+    logs : Recording, path or data frame, or a sequence of these
+        What was measured.
+    name : str, optional
+        What messages call them.
+    without_effort : iterable of str, optional
+        Joints of the robot whose efforts may lack.
+    gains : DriveGains, path-like or (n,) array_like, optional
+        Gains that make torques of efforts that are currents.
+
+    Raises
+    ------
+    DataError
+        When there are none, or a file cannot be read.
+    """
+    kinds = (Recording, str, os.PathLike)
+    alone = isinstance(logs, kinds) or is_frame(logs)
+    given = tuple(logs) if isinstance(logs, Iterable) and not alone else (logs,)
+    if not given:
+        raise DataError(f"{name}: there are none; give at least one.")
+    for log in given:
+        if not (isinstance(log, kinds) or is_frame(log)):
+            raise DataError(
+                f"{name}: is or holds {type(log).__name__} {log!r:.80}; give a Recording, the path "
+                "of a log, a data frame, or a list of these."
+            )
+    absent = columns_without(robot, without_effort)
+    known = as_gains(gains)
+    read = []
+    for log in given:
+        if not isinstance(log, Recording):
+            log = read_recording(log, without_effort=absent, gains=known)
+        elif known is not None:
+            log = scaled(log, known)
+        read.append(log)
+    return robot_of(robot, read), tuple(read)
+
+
+def columns_without(
+    robot: RobotModel | str | os.PathLike[str], joints: Iterable[str]
+) -> tuple[str, ...]:
+    """Return names of joints without effort, and their numbers from 1 for logs without names.
+
+    Raises
+    ------
+    DataError
+        When they are no names.
+    """
+    joints = joints_without(joints)
+    if not joints:
+        return ()
+    model = robot_of(robot)
+    own = model.joint_names[model.n_base :]
+    return (*joints, *(str(own.index(name) + 1) for name in joints if name in own))
+
+
+def require_joint_covariance(logs: Sequence[Recording]) -> None:
+    """Refuse several recordings of which one has periods.
+
+    Raises
+    ------
+    DataError
+        Averages of different motions have no common covariance.
+    """
+    periodic = [number for number, log in enumerate(logs, 1) if log.period is not None]
+    if len(logs) > 1 and periodic:
+        raise DataError(
+            f"recording {periodic[0]} of {len(logs)} has a period, and averages over periods "
+            "cannot be joined with other recordings: fit one periodic recording alone, or leave "
+            "its period out (period=None) so that it counts sample by sample."
+        )
+
+
 def inspected(
-    robot: RobotModel,
-    logs: Sequence[Recording],
+    views: Sequence[LogView],
     accept: Iterable[str] = (),
     without_effort: Sequence[str] = (),
     name: str = "log",
     total_mass: float | None = None,
 ) -> tuple[Finding, ...]:
-    """Return what is wrong with recordings of a robot.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    logs : sequence of Recording
-        What is to be used together.
-    accept : iterable of str, optional
-        Kinds of findings that do not refuse a recording.
-    without_effort : sequence of str, optional
-        Joints whose effort is not used: what is wrong with it does not matter.
-    name : str, optional
-        Messages name recordings of another argument than ``log`` by it.
-    total_mass : float, optional
-        What a robot with a floating base weighs, kg.
+    """Return what is wrong with recordings; arguments are those of `prepare`.
 
     Raises
     ------
@@ -389,10 +302,100 @@ def inspected(
     kinds = kinds_accepted(accept)
     called = "" if name == "log" else f"{name} recording"
     findings = inspect_recordings(
-        logs, robot, name=called, without_effort=without_effort, total_mass=total_mass
+        views, name=called, without_effort=without_effort, total_mass=total_mass
     )
     require_accepted(findings, kinds)
     return findings
+
+
+def chosen_processing(
+    logs: Sequence[Recording | LogView], given: ProcessingOf = None
+) -> tuple[Processing, str | None]:
+    """Return one processing for recordings that are fitted together, and where it comes from.
+
+    Each recording has its own default, chosen from its rate and its motion
+    (`default_processing`). All are processed by that of the recording with the median cut-off, of
+    an even number the lower one of the middle two: one unusual recording then decides nothing, and
+    the choice is one that was made for a whole recording. With a floating base it is the higher
+    one: a cut-off made for standing filters a gait's own motion away, and what that does to rows
+    beside contacts is an error that no interval counts.
+
+    Returns
+    -------
+    Processing
+        The given one, or the choice for all of them with the given changes.
+    str or None
+        The choice in words, where there was one.
+
+    Raises
+    ------
+    DataError
+        When a change names no setting, or its value is out of range.
+    """
+    if isinstance(given, Processing):
+        return given, None
+    views = [view_of(log) for log in logs]
+    floating = any(view.given.base is not None for view in views)
+    common, why = agreed([view.choice(given) for view in views], floating=floating)
+    return with_changes(common, {} if given is None else given), why
+
+
+def agreed(choices: Sequence[Processing], *, floating: bool) -> tuple[Processing, str | None]:
+    """Return the one of the recordings' processings that `chosen_processing` takes for all."""
+    if len(choices) == 1:
+        return choices[0], None
+    ranked = sorted(range(len(choices)), key=lambda i: (choices[i].cutoff_hz, i))
+    chosen = ranked[len(ranked) // 2 if floating else (len(ranked) - 1) // 2]
+    cutoffs = ", ".join(f"{each.cutoff_hz:.3g}" for each in choices)
+    return choices[chosen], (
+        f"the {len(choices)} recordings are processed alike, as suits recording {chosen + 1}, "
+        f"which has the median of their cut-offs ({cutoffs} Hz)"
+    )
+
+
+def with_delays(
+    views: Sequence[LogView],
+    processing: Processing,
+    given: Mapping[str, Any] | None = None,
+    unused: Collection[str] = (),
+) -> Processing:
+    """Return a processing that takes late channels of recordings with a base on time.
+
+    Parameters
+    ----------
+    views : sequence of LogView
+        What is to be processed alike; their sensors are the same, and so are the delays.
+    processing : Processing
+        Chosen for them.
+    given : mapping, optional
+        Settings that stand as they are.
+    unused : collection of str, optional
+        Joints whose efforts say nothing.
+
+    Returns
+    -------
+    Processing
+        With a reason for each delay that was found.
+    """
+    each = [view.delays(unused) for view in views if view.given.base is not None]
+    changes: dict[str, Any] = {}
+    reasons = []
+    for channel, delay in pooled_delays(each).items():
+        field = f"{channel}_delay_s"
+        if field in (given or {}) or not is_told(channel, delay):
+            continue
+        value = round(delay.value, _DIGITS)
+        count = sum(channel in found for found in each)
+        shown = (
+            "the recording shows" if len(each) == 1 else f"{count} of {len(each)} recordings show"
+        )
+        text = (
+            f"{CHANNELS[channel]} late by {1e3 * value:.3g} ± {1e3 * delay.error:.2g} ms against "
+            f"the joints, as {shown}"
+        )
+        changes[field] = value
+        reasons.append(Reason(field=field, value=value, text=text))
+    return replace(processing, **changes, reasons=(*processing.reasons, *reasons))
 
 
 def joints_without(given: Any) -> tuple[str, ...]:
@@ -409,20 +412,6 @@ def joints_without(given: Any) -> tuple[str, ...]:
     if not all(isinstance(name, str) for name in names):
         raise DataError(f"without_effort: is {given!r:.80}; give names of joints.")
     return names
-
-
-def columns_without(robot: RobotModel, joints: Iterable[str]) -> tuple[str, ...]:
-    """Return names of joints without effort, and their numbers from 1 for logs without names.
-
-    Raises
-    ------
-    DataError
-        When they are no names.
-    """
-    joints = joints_without(joints)
-    own = robot.joint_names[robot.n_base :]
-    known = [str(own.index(name) + 1) for name in joints if name in own]
-    return (*joints, *known)
 
 
 def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) -> Samples:
@@ -479,12 +468,12 @@ def as_pieces(given: object) -> tuple[Piece, ...]:
     return pieces
 
 
-def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -> Samples:
+def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None = None) -> Samples:
     """Return the samples of a piece: read, matched to the robot and processed where need be."""
     if isinstance(piece, Samples):
         return piece
     log = piece if isinstance(piece, Recording) else read_recording(piece)
-    return prepare(robot, log, processing)
+    return LogView(given=log, asked=robot).samples(processing)
 
 
 def all_samples(robot: RobotModel, given: object, processing: Processing | None) -> Samples:
@@ -497,7 +486,7 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
     given : Samples, Recording or path, or a sequence of these
         The pieces.
     processing : Processing, optional
-        Of recordings and files; by default `common_processing`.
+        Of recordings and files; by default `chosen_processing`.
 
     Raises
     ------
@@ -506,13 +495,13 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
     """
     if isinstance(given, Samples):
         return given
-    read = [
+    pieces: list[Any] = [
         piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
         for piece in as_pieces(given)
     ]
-    logs = [piece for piece in read if isinstance(piece, Recording)]
+    views = [LogView(given=piece, asked=robot) for piece in pieces if isinstance(piece, Recording)]
     why = None
-    if processing is None and logs:
-        processing, why = common_processing(logs)
-    samples = join_samples([samples_of(robot, piece, processing) for piece in read])
+    if processing is None and views:
+        processing, why = chosen_processing(views)
+    samples = join_samples([samples_of(robot, piece, processing) for piece in pieces])
     return samples if why is None else replace(samples, notes=(*samples.notes, why))
