@@ -156,7 +156,6 @@ FACES = ("sdpid.cli", "sdpid.workflow")
 USED_TWICE = {
     "Choice",
     "Finding",
-    "Gains",
     "Law",
     "Loop",
     "Measure",

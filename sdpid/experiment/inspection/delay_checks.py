@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.corrections import friction
 from sdpid.experiment.inspection.delays.dynamic import orthonormal
 from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
@@ -17,7 +16,7 @@ from sdpid.experiment.inspection.delays.find import (
 )
 from sdpid.experiment.inspection.delays.kinematic import block_error, pooled
 from sdpid.experiment.inspection.kinds import Finding, found
-from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.inspection.rows import Rows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.delays.on_time import CHANNELS
 from sdpid.experiment.recording.rest import moving

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from sdpid.experiment.inspection.corrections import (
-    CorrectedLog,
+from sdpid.experiment.inspection.explain import (
     Correction,
     CorrectionStep,
+    ExplainedLog,
     described,
     misfit,
-    placeholders,
 )
 from sdpid.experiment.inspection.kinds import (
     KINDS,
@@ -28,6 +26,7 @@ from sdpid.experiment.inspection.kinds import (
     words,
 )
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
+from sdpid.robot.model.model import RobotModel
 
 KINDS.update(
     effort_small=left_out(
@@ -126,6 +125,13 @@ _NAMED = 3
 _CARRIES = 0.05
 
 
+def placeholders(robot: RobotModel) -> bool:
+    """Return whether most bodies of a description are alike: made up, not measured."""
+    bodies = robot.prior[robot.prior[:, 0] > 0.0]
+    _, counts = np.unique(bodies[:, [0, 4, 6, 9]].round(9), axis=0, return_counts=True)
+    return len(bodies) > 2 and 2 * int(counts.max()) > len(bodies)
+
+
 @check_of_efforts
 def of_another_size(subject: Subject) -> Iterator[Finding]:
     """Find joints whose effort is far below what the description's bodies need, mean included.
@@ -134,22 +140,23 @@ def of_another_size(subject: Subject) -> Iterator[Finding]:
     where half of the joints are such, where a joint's scale is known, or where what makes the
     efforts follow from the motion makes them large enough.
     """
-    log, rows = subject.corrected, subject.low_passed
-    if log is None or rows is None or subject.fixed is None or placeholders(log.robot):
+    log, rows, robot = subject.corrected, subject.low_passed, subject.fixed
+    if log is None or rows is None or robot is None or placeholders(robot):
         return
-    given = replace(log, rows=rows, gravity=subject.fixed.gravity)
-    need, has = (np.sqrt(np.mean(each**2, axis=0)) for each in (given.rigid, rows.effort))
+    rigid = robot.described_efforts(rows.position, rows.velocity, rows.acceleration)
+    need, has, needs, gives = (
+        np.sqrt(np.mean(each**2, axis=0))
+        for each in (rigid, rows.effort, log.rigid, log.signals["effort"])
+    )
     small = rows.usable & (need > _SCALE * has)
     if not small.any() or 2 * small.sum() >= rows.usable.sum():
         return
-    mended = np.mean(log.rigid**2, axis=0) <= _SCALE**2 * np.mean(log.rows.effort**2, axis=0)
     told = {finding.joint for finding in scales(subject)}
-    for j in np.flatnonzero(small & ~mended):
-        name, ratio = log.joint_names[j], need[j] / has[j]
+    for j in np.flatnonzero(small & (needs > _SCALE * gives)):
+        name, ratio = robot.joint_names[j], need[j] / has[j]
         if not told & {name, None}:
             numbers = {"effort": has[j], "needed": need[j], "ratio": ratio, "limit": _SCALE}
-            unit = "N" if log.robot.slides[j] else "N.m"
-            yield found("effort_small", name, unit=unit, **numbers)
+            yield found("effort_small", name, unit="N" if robot.slides[j] else "N.m", **numbers)
 
 
 @check_of_efforts
@@ -189,18 +196,17 @@ def wrong_channels(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    order = np.arange(len(log.joint_names))
+    # Several orders of columns, one after another, are one.
+    order, ordered = np.arange(len(log.usable)), False
     for step in log.steps:
         if step.change.kind == "joint_order":
             order = order[np.array(step.change.value, dtype=np.intp)]
-    ordered = False
     for step in log.steps:
         change = step.change
         if change.kind == "joint_order":
             if ordered:
                 continue
-            change = replace(change, value=tuple(float(i) for i in order))
-            ordered = True
+            ordered, change = True, change._replace(value=tuple(order.tolist()))
         yield _finding(log, step, change)
 
 
@@ -214,39 +220,26 @@ def scales(subject: Subject) -> Iterator[Finding]:
     gains, names, made_up = log.gains, log.joint_names, placeholders(log.robot)
     sizes, shows = np.abs(gains.gain), np.flatnonzero(gains.shows)
     limits = {"least": 1.0 / _SCALE, "limit": _SCALE}
+    need = "what the description's bodies need"
     if not 1.0 / _SCALE < common < _SCALE:
         each = ", ".join(f"{names[j]} {sizes[j]:.3g}" for j in shows)
-        yield found(
-            "effort_scale",
-            None,
-            "warning" if made_up else "refuse",
-            whose=f"efforts are {common:.3g}",
-            of=f"what the description's bodies need ({each})",
-            unit=_unit(common),
-            remedy=_scale_remedy(common),
-            scale=common,
-            **limits,
-        )
+        fields = {"whose": f"efforts are {common:.3g}", "of": f"{need} ({each})", "scale": common}
+        fields |= _unit(common)
+        yield found("effort_scale", None, "warning" if made_up else None, **fields, **limits)
     for j in shows:
         ratio = sizes[j] / common
         if 1.0 / _SCALE < ratio < _SCALE or abs(gains.correlation[j]) < _FOLLOWS:
             continue
         far = not 1.0 / _FAR_SCALE < ratio < _FAR_SCALE
-        yield found(
-            "effort_scale",
-            names[j],
-            "refuse" if far and not made_up else "warning",
-            whose=f"effort of {names[j]} is {sizes[j]:.3g}",
-            of=(
-                f"what the description's bodies need, {ratio:.3g} times as much as at the other "
-                "joints"
-            ),
-            unit=_unit(ratio),
-            remedy=_scale_remedy(ratio),
-            scale=sizes[j],
-            ratio=ratio,
-            **limits,
-        )
+        fields = {
+            "whose": f"effort of {names[j]} is {sizes[j]:.3g}",
+            "of": f"{need}, {ratio:.3g} times as much as at the other joints",
+            "scale": sizes[j],
+            "ratio": ratio,
+            **_unit(ratio),
+        }
+        minor = made_up or not far
+        yield found("effort_scale", names[j], "warning" if minor else None, **fields, **limits)
 
 
 @check_of_efforts
@@ -255,29 +248,28 @@ def unlike_the_description(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    size = log.borne
     mended = {finding.joint for finding in scales(subject)}
-    for j in np.flatnonzero((size > _CARRIES * size.max(initial=0.0)) & (log.left > _UNLIKE)):
-        name = log.joint_names[j]
-        if name not in mended:
-            left = min(float(log.left[j]), 1.0)
-            yield found("effort_unlike_description", name, unexplained=left, limit=_UNLIKE)
+    carries = log.borne > _CARRIES * log.borne.max(initial=0.0)
+    for j in np.flatnonzero(carries & (log.left > _UNLIKE)):
+        if log.joint_names[j] not in mended:
+            numbers = {"unexplained": min(float(log.left[j]), 1.0), "limit": _UNLIKE}
+            yield found("effort_unlike_description", log.joint_names[j], **numbers)
 
 
-def _finding(log: CorrectedLog, step: CorrectionStep, change: Correction) -> Finding:
+def _finding(log: ExplainedLog, step: CorrectionStep, change: Correction) -> Finding:
     """Return the finding of one change that makes the efforts follow from the motion."""
-    names, usable = log.joint_names, log.rows.usable
-    joint = None if change.joint is None else names[change.joint]
-    if change.joint is None:
+    joint, usable = change.joint, log.usable
+    if joint is None:
         before, after = (float(np.mean(each[usable])) for each in (step.before, step.after))
         of = f"the efforts' variance (mean of {np.count_nonzero(usable)} joints)"
     else:
         worst = int(np.argmax(np.log(step.before + 0.01) - np.log(step.after + 0.01)))
         before, after = float(step.before[worst]), float(step.after[worst])
-        own = worst == change.joint and change.kind == "effort_sign"
-        of = "its variance" if own else f"the variance of the effort of {names[worst]}"
-    what = words(change.kind, mended="", **_fields(change, log))
-    same = [words(each.kind, mended="", **_fields(each, log)) for each in step.alike]
+        own = worst == joint and change.kind == "effort_sign"
+        of = "its variance" if own else f"the variance of the effort of {log.joint_names[worst]}"
+    what, *same = (
+        words(each.kind, mended="", **_fields(each, log)) for each in (change, *step.alike)
+    )
     others = [each for each in dict.fromkeys(same) if each != what][:3]
     also = f"; as good: {', or '.join(others)}" if others else ""
     mended = (
@@ -288,7 +280,7 @@ def _finding(log: CorrectedLog, step: CorrectionStep, change: Correction) -> Fin
     sure = change.kind in ("effort_sign", "position_sign") or not placeholders(log.robot)
     return found(
         change.kind,
-        joint,
+        None if joint is None else log.joint_names[joint],
         None if sure else "warning",
         mended=mended,
         gained=misfit(step.before) - misfit(step.after),
@@ -298,40 +290,35 @@ def _finding(log: CorrectedLog, step: CorrectionStep, change: Correction) -> Fin
     )
 
 
-def _fields(change: Correction, log: CorrectedLog) -> dict[str, Any]:
+def _fields(change: Correction, log: ExplainedLog) -> dict[str, Any]:
     """Return what words of a change are filled with."""
-    names, value = log.joint_names, change.value
-    if change.kind == "feet_exchanged":
-        return {"feet": exchanged(log.feet, value)}
-    if change.kind in ("joint_order", "effort_order"):
+    kind, joint, value = change
+    names = log.joint_names
+    if kind == "feet_exchanged" and log.contacts is not None:
+        return {"feet": exchanged(log.contacts.frames, value)}
+    if kind in ("joint_order", "effort_order"):
         # Column k holds the joint whose place it takes when the order is put right.
         return {"held": ", ".join(names[list(value).index(k)] for k in range(len(names)))}
-    if change.kind == "gravity_direction":
+    if kind == "gravity_direction":
         return {"gravity": f"({', '.join(f'{each:.3g}' for each in value)})"}
-    fields = {
-        "of": "all joints" if change.joint is None else names[change.joint],
-        "its": "the signs of all efforts" if change.joint is None else "its sign",
-        "seen": "",
-    }
-    return {**fields, "add": value[0]} if change.kind == "position_zero" else fields
+    of, its = "all joints", "the signs of all efforts"
+    if joint is not None:
+        of, its = names[joint], "its sign"
+    return {"of": of, "its": its, "seen": "", **({"add": value[0]} if value else {})}
 
 
-def _unit(scale: float) -> str:
-    """Return which unit makes efforts so many times too large."""
-    for factor, unit in _UNITS.items():
-        if 1.0 / _UNIT_SLACK < scale / factor < _UNIT_SLACK:
-            return f"{unit} instead of N·m"
+def _unit(scale: float) -> dict[str, str]:
+    """Return which unit makes efforts so many times too large, and how to give it."""
+    near = (u for f, u in _UNITS.items() if 1.0 / _UNIT_SLACK < scale / f < _UNIT_SLACK)
+    unit, remedy = next(near, ""), "give the unit: units={'effort': 'mN.m'} (--unit effort=mN.m)"
+    if not unit.startswith("N·mm"):
+        remedy = (
+            "give N·m per unit of effort of each joint, torque constant times gear ratio: "
+            f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here; for currents 'sdpid "
+            "gains' estimates it"
+        )
+    if unit:
+        return {"unit": f"{unit} instead of N·m", "remedy": remedy}
     if scale < 1.0:
-        return "currents (A), torques of the motors before their gears, or another unit"
-    return "another unit"
-
-
-def _scale_remedy(scale: float) -> str:
-    """Return how to give the unit of the efforts."""
-    if 1.0 / _UNIT_SLACK < scale / 1000.0 < _UNIT_SLACK:
-        return "give the unit: units={'effort': 'mN.m'} (--unit effort=mN.m)"
-    return (
-        "give N·m per unit of effort of each joint, torque constant times gear ratio: "
-        f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here; for currents 'sdpid gains' "
-        "estimates it"
-    )
+        unit = "currents (A), torques of the motors before their gears, or "
+    return {"unit": f"{unit}another unit", "remedy": remedy}

@@ -18,7 +18,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, rotation_matrices
 from sdpid.experiment.inspection.block_fit import BlockSums
-from sdpid.experiment.inspection.floating_log import FloatingLog
+from sdpid.experiment.inspection.explain import ExplainedLog
 from sdpid.experiment.inspection.kinds import Finding, Severity, exchanged, found
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.recording.floating.contacts import Contacts
@@ -99,13 +99,13 @@ def missing_forces(subject: Subject) -> Iterator[Finding]:
         yield found("forces_missing", None, severity, down=down, limit=_OFTEN, **fields)
 
 
-def explained_log(subject: Subject) -> FloatingLog | None:
+def explained_log(subject: Subject) -> ExplainedLog | None:
     """Return the rows of a recording whose efforts are N·m, and explained as they are.
 
     Wrong flags are no matter of efforts.
     """
     log = subject.corrected
-    if not isinstance(log, FloatingLog):
+    if log is None or log.contacts is None:
         return None
     if any(step.change.kind not in _OF_FLAGS for step in log.steps):
         return None

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.corrections import described
 from sdpid.experiment.inspection.delays.kinematic import block_error
+from sdpid.experiment.inspection.explain import described
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, refuse
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.experiment.inspection.subject import Subject

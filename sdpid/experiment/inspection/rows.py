@@ -6,9 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import correlated
 from sdpid.experiment.processing.motion import band, spectrum
@@ -50,8 +49,6 @@ class Rows:
         The recorded velocity, where there is one.
     usable : ndarray of bool, shape (n,)
         Which joints move on their own and have an effort.
-    motion_hz : float
-        Frequency below which 95 % of the motion lies.
     step : float
         Sampling step of the recording, s.
     """
@@ -62,10 +59,19 @@ class Rows:
     sign: Array
     effort: Array
     effort_rate: Array
-    usable: NDArray[np.bool_]
-    motion_hz: float
+    usable: Mask
     step: float
     recorded_velocity: Array | None = None
+
+
+def friction(rows: Rows, j: int) -> tuple[Array, Array, Array]:
+    """Return the columns of Coulomb and viscous friction and of a rotor's inertia of a joint."""
+    return rows.sign[:, j], rows.velocity[:, j], rows.acceleration[:, j]
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """Return the smooth sign of a velocity, as dry friction has it."""
+    return np.asarray(np.tanh(velocity / _WIDTH))
 
 
 def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Rows | None:
@@ -78,55 +84,49 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     without : collection of str
         Joints whose effort says nothing.
     """
-    longest = max(pieces, key=lambda piece: piece.n_samples)
     try:
-        grids = [(piece, make_grid(piece)) for piece in pieces]
+        grids = [make_grid(piece) for piece in pieces]
     except DataError:
         return None
     low = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
     high = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
     moves = moving(low, high)
-    motion = _motion(longest, dict(grids)[longest], moves)
+    longest, grid = max(zip(pieces, grids, strict=True), key=lambda each: each[0].n_samples)
+    motion = _motion(longest, grid, moves)
     if motion is None:
         return None
     cutoff = max(_PASS * motion, _LEAST_PASS)
-    parts = [part for each in grids if (part := _filtered(*each, cutoff)) is not None]
+    filtered = [_filtered(piece, grid, cutoff) for piece, grid in zip(pieces, grids, strict=True)]
+    parts = [part for part in filtered if part]
     if not parts:
         return None
     stride = -(-sum(len(part["effort"]) for part in parts) // _ROWS)
     signals = {name: np.concatenate([part[name][::stride] for part in parts]) for name in parts[0]}
-    has_effort = np.ptp(signals["effort"], axis=0) > 0.0
     known = np.array([name not in without for name in longest.names])
-    return Rows(
-        **signals,
-        usable=moves & has_effort & known,
-        motion_hz=motion,
-        step=longest.step,
-    )
+    usable = moves & known & (np.ptp(signals["effort"], axis=0) > 0.0)
+    return Rows(**signals, usable=usable, step=longest.step)
 
 
-def _motion(log: Recording, grid: Grid, moves: NDArray[np.bool_]) -> float | None:
+def _motion(log: Recording, grid: Grid, moves: Mask) -> float | None:
     """Return the frequency below which 95 % of the motion lies, the median over joints."""
     count = max(1, int(1.0 / (grid.step * _RATE_OF_MOTION)))
     if min(grid.count, _READ) < _LEAST_MEANS * count:
         return None
-    found = []
-    for j in np.flatnonzero(moves):
-        position = _averaged(log.position[:, j], grid, count)
-        seen = band(*spectrum(position, 1.0 / (grid.step * count), len(position)))
-        if seen is not None:
-            found.append(seen[1])
-    return float(np.median(found)) if found else None
+    means = [_averaged(log.position[:, j], grid, count) for j in np.flatnonzero(moves)]
+    rate = 1.0 / (grid.step * count)
+    bands = [band(*spectrum(position, rate, len(position))) for position in means]
+    tops = [each[1] for each in bands if each is not None]
+    return float(np.median(tops)) if tops else None
 
 
-def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | None:
-    """Return the signals of `Rows` of a piece, (samples, n) each; None if it is too short."""
+def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
+    """Return the signals of `Rows` of a piece, (samples, n) each; none if it is too short."""
     count = max(1, int(1.0 / (grid.step * _SAMPLES * cutoff)))
     step = count * grid.step
     width = max(_GAUSSIAN / (cutoff * step), 1.0)
     edge = int(_REACH * width) + 1
     if min(grid.count, _READ) // count < 3 * edge:
-        return None
+        return {}
 
     def channels(table: Array) -> Array:
         return np.column_stack([_averaged(table[:, j], grid, count) for j in range(log.n)])
@@ -136,12 +136,11 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array] | N
 
     position, effort = channels(log.position), channels(log.effort)
     # The sign changes fast: it is taken of a velocity that is filtered less, and then filtered.
-    sign = np.tanh(smooth(position, 1, 0.25) / _WIDTH)
     signals = {
         "position": smooth(position, 0),
         "velocity": smooth(position, 1),
         "acceleration": smooth(position, 2),
-        "sign": smooth(sign, 0),
+        "sign": smooth(smooth_sign(smooth(position, 1, 0.25)), 0),
         "effort": smooth(effort, 0),
         "effort_rate": smooth(effort, 1),
     }

@@ -11,9 +11,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
-from sdpid.experiment.inspection.corrections import CorrectedLog, corrected, searched
 from sdpid.experiment.inspection.delays.kinematic import Standing
-from sdpid.experiment.inspection.floating_log import floating_log
+from sdpid.experiment.inspection.explain import ExplainedLog, corrected, floating_log, searched
 from sdpid.experiment.inspection.kinds import Finding, Severity
 from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.inspection.view import LogView
@@ -152,7 +151,7 @@ class Subject:
             return None
 
     @cached_property
-    def corrected(self) -> CorrectedLog | None:
+    def corrected(self) -> ExplainedLog | None:
         """The changes that make efforts follow from motion; None without masses to compare with."""
         if self.robot is None or self.closed:
             return None

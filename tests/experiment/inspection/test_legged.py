@@ -21,7 +21,7 @@ from sdpid.experiment.inspection import (
 from sdpid.experiment.inspection.delays.dynamic import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.find import channel_delays
 from sdpid.experiment.inspection.delays.kinematic import lag
-from sdpid.experiment.inspection.floating_log import FloatingLog, floating_log
+from sdpid.experiment.inspection.explain import ExplainedLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
@@ -450,13 +450,13 @@ def test_joints_that_bear_little_are_compared_with_their_own_efforts() -> None:
     ankle = rows.joint_names.index("leg_left_6_joint")
     # Friction is most of what an ankle in the air needs, and explains it.
     assert rows.shares[ankle] > 0.5
-    assert rows.left[rows.rows.usable].max() < 0.1
+    assert rows.left[rows.usable].max() < 0.1
     effort = np.array(hang.effort)
     effort[:, ankle] = 3.0 * np.roll(effort[:, ankle], 700) * np.sin(9.0 * hang.time)
     assert compared(replace(hang, effort=effort)).left[ankle] > 0.6
 
 
-def compared(recording: Recording) -> FloatingLog:
+def compared(recording: Recording) -> ExplainedLog:
     model = robot("talos_reduced")
     samples = Subject(view=LogView(given=recording, asked=model)).samples
     assert samples is not None

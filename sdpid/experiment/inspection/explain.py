@@ -1,0 +1,610 @@
+"""`ExplainedLog`: what of efforts the description explains, on any base, and what must be changed.
+
+On a fixed base each joint has an equation of its own, ``effort = gain·described + friction``. On a
+floating base rows are projected onto what the contacts that are down leave free. A leg that stands
+has no equation of its own then: its joints' efforts are seen through the weight of the robot. So
+all joints are fitted at once, ``described = gain·effort − friction``, with no gain for the rows of
+the base, which fix the scale.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations, permutations, product
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.experiment.inspection.delays.kinematic import block_error
+from sdpid.experiment.inspection.rows import Rows, smooth_sign
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.rest import moving
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.model import RobotModel
+
+# A change counts where it lowers the misfit by this much: the unexplained share of a joint falls to
+# a seventh. Of 22 good recordings of six arms no change lowers it by more than 0.9; the changes
+# that mend a log lower it by 2.5 to 30, but for joints that carry next to nothing.
+NEEDED = 2.0
+# The search goes on from this many of the best changes, so that the first of two need not be best.
+_KEPT = 4
+# No more changes than this are tried in a row on a floating base, where each round takes a second.
+_MOST_STEPS = 3
+# Changes whose misfits are this close cannot be told apart: as much is gained by chance.
+_ALIKE = 0.9
+# One row in so many is compared on a fixed base: some eighty changes are tried on every log. On a
+# floating one so many in all: with 4 feet down 6 equations each.
+_THINNED, _ROWS = 2, 120
+# Positions that never pass this (rad) are not tried as degrees: 3 degrees are no motion.
+_LEAST_DEGREES = math.pi
+# A joint's zero may be a quarter or half a turn away from the description's.
+_QUARTERS = (0.5 * math.pi, -0.5 * math.pi, math.pi)
+# Efforts of real arms are this many times those of the description's bodies, friction taken away:
+# 0.7 to 2.3 for the joints that carry something, of 17 recordings of six arms with and without
+# loads.
+GAINS = (0.3, 3.0)
+# A joint on a fixed base shows the scale of its efforts where the description's bodies make at
+# least this share of the effort they make in the joint that carries most, and what friction does
+# not explain follows them with this correlation; on a floating base where the standard error of its
+# gain is below this share of it.
+_CARRIES, _FOLLOWS, _KNOWN = 0.05, 0.7, 0.2
+# This share of an effort stays unexplained by the description where all is well: with 0.01 the
+# slightly eccentric last link of one simulated good log of 48 seemed turned by half a turn.
+_FLOOR = 0.03
+# On a floating base nothing is looked for with so little unexplained: 15 % off the description
+# leave up to 0.06 of a joint, and what is wrong 0.2 or more.
+_FINE = 0.1
+# The base's force weighs in the fit by this share of the weight, its torque at this many meters.
+_WEIGHT_SHARE, _ARM = 0.1, 0.1
+# A contact's direction below this share of the strongest is another one's repetition.
+_RANK = 1e-6
+# Rows of a base that is held are 0 but for rounding.
+_HELD = 1e-6
+# A joint whose bodies ask for less than this share of what they ask for at the strongest is not
+# compared: noise of its torque is larger. Fingers are at 0.003, the least joint of a quadruped that
+# stands at 0.017.
+_ASKS = 0.005
+# Orders of more legs are not tried. Of more joints only those that are not explained, or not
+# compared, are exchanged in pairs: of forty there are 800 pairs, of positions and of efforts.
+_MOST_LEGS, _MANY = 4, 20
+
+_STATES = ("position", "velocity", "acceleration")
+_MOVED = (*_STATES, "sign")
+# The signals that a change concerns.
+_CHANGED = {
+    "effort_sign": ("effort",),
+    "effort_order": ("effort",),
+    "position_sign": _MOVED,
+    "position_zero": ("position",),
+    "position_in_degrees": _STATES,
+    "axis_sign": (*_MOVED, "effort"),
+    "joint_order": (*_MOVED, "effort"),
+}
+
+
+class Correction(NamedTuple):
+    """One change of a log.
+
+    Of the columns of a joint, or of all where that is None. `kind` is ``"effort_sign"``,
+    ``"position_sign"`` (which turns velocities too), ``"axis_sign"`` (both), ``"position_zero"``,
+    ``"position_in_degrees"``, ``"joint_order"``, ``"effort_order"``, ``"gravity_direction"``,
+    ``"feet_exchanged"`` (of which foot each has the flags) or ``"flags_unlike_motion"`` (feet are
+    down throughout). `value` is the angle to be added in rad, the direction of gravity, or the
+    columns in their right order.
+    """
+
+    kind: str
+    joint: int | None = None
+    value: tuple[float, ...] = ()
+
+
+class CorrectionStep(NamedTuple):
+    """A change, what does as well, and shares (n,) that are unexplained without it, and with it."""
+
+    change: Correction
+    alike: tuple[Correction, ...]
+    before: Array
+    after: Array
+
+
+class EffortGains(NamedTuple):
+    """How many times the description's efforts the measured ones are, (n,) each.
+
+    With the correlation by which they follow once friction is taken away, and whether the joint
+    shows it.
+    """
+
+    gain: Array
+    correlation: Array
+    shows: Mask
+
+    @property
+    def common(self) -> float | None:
+        """The median of the gains that are known, by size; None where there is none."""
+        return float(np.median(np.abs(self.gain[self.shows]))) if self.shows.any() else None
+
+
+def described(robot: RobotModel | None) -> bool:
+    """Return whether a robot's description has masses to compare with."""
+    return robot is not None and robot.n_base == 0 and bool(np.any(robot.prior[:, 0] > 0.0))
+
+
+def misfit(shares: Array) -> float:
+    """Return how badly all joints are explained: the sum of the logarithms of their shares.
+
+    Halving the unexplained share of one joint lowers it by 0.7; shares far below 1 % count alike,
+    since few descriptions are better.
+    """
+    return float(np.sum(np.log(shares + _FLOOR)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExplainedLog:
+    """Rows of a log after some changes.
+
+    Attributes
+    ----------
+    robot : RobotModel
+    signals : dict of str to (K, n) ndarray
+        ``"position"``, ``"velocity"``, ``"acceleration"``, ``"sign"`` (of the velocity, smooth) and
+        ``"effort"`` of the n joints.
+    usable : ndarray of bool, shape (n,)
+        Which joints are compared.
+    gravity : ndarray, shape (3,)
+        After the changes, m/s².
+    base : tuple of ndarray
+        Pose, velocity and acceleration of a floating base, (K, 7), (K, 6), (K, 6); else empty.
+    contacts : ContactSamples or None
+        Of a floating base.
+    scale : float
+        How many times too large the efforts are taken to be.
+    steps : tuple of CorrectionStep
+        The changes.
+    rigid : ndarray, shape (K, n) or (K, 6 + n)
+        Efforts of the description's bodies, without contacts.
+    free : ndarray, shape (K, 6 + n, 6 + n)
+        Of a floating base, the way from efforts to rows in their units that contacts leave free.
+    """
+
+    robot: RobotModel
+    signals: dict[str, Array]
+    usable: Mask
+    gravity: Array
+    base: tuple[Array, ...] = ()
+    contacts: ContactSamples | None = None
+    scale: float = 1.0
+    steps: tuple[CorrectionStep, ...] = ()
+    rigid: Array = field(default_factory=lambda: np.zeros(0))
+    free: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n joints."""
+        return self.robot.joint_names[self.robot.n_base :]
+
+    def moved(self) -> ExplainedLog:
+        """Return the log with what its motion needs, and what its contacts leave free."""
+        states = [self.signals[name] for name in _STATES]
+        if self.base:
+            states = [np.hstack(each) for each in zip(self.base, states, strict=True)]
+        rigid = self.robot.described_efforts(*states, gravity=self.gravity)
+        if self.contacts is None:
+            return replace(self, rigid=rigid)
+        own = float(np.median(self.signals["effort"][:, self.usable].std(axis=0)))
+        weight = self.robot.prior[:, 0].sum() * float(np.linalg.norm(self.gravity))
+        # What errors of rows are measured in, N or N·m; of all joints alike.
+        unit = np.full(rigid.shape[1], max(own, 1e-9) / self.scale)
+        unit[:3] = _WEIGHT_SHARE * weight
+        unit[3:6] = _ARM * unit[:3]
+        J = contact_jacobians(self.robot, states[0], self.contacts.frames, self.contacts.offset)
+        parts = [
+            J[:, i, : TRANSMITS[kind]] * self.contacts.down[:, i, None, None]
+            for i, kind in enumerate(self.contacts.kind)
+        ]
+        U, s, _ = np.linalg.svd(
+            np.swapaxes(np.concatenate(parts, axis=1) / unit, 1, 2), full_matrices=False
+        )
+        U = U * (s > _RANK * np.maximum(s[:, :1], 1e-300))[:, None, :]
+        free = np.eye(len(unit)) - U @ np.swapaxes(U, 1, 2)
+        return replace(self, rigid=rigid, free=free / unit)
+
+    @cached_property
+    def equations(self) -> tuple[tuple[list[int], Array, Array], ...]:
+        """Joints that are fitted together, their columns (K, m, 4j), and what is due (K, m).
+
+        The columns are those of gains, dry and viscous friction, and rotor inertias.
+        """
+        s = self.signals
+        if self.contacts is not None:
+            joints = self.free[:, :, self.robot.n_base :] * self.usable
+            parts = (s["effort"], -s["sign"], -s["velocity"], -s["acceleration"])
+            columns = np.concatenate([joints * part[:, None] for part in parts], axis=2)
+            due = np.einsum("kij,kj->ki", self.free, self.rigid)
+            return ((list(range(len(self.usable))), columns, due),)
+        parts = (self.rigid, s["sign"], s["velocity"], s["acceleration"])
+        columns = np.stack([part - part.mean(axis=0) for part in parts], axis=2)
+        due = s["effort"] - s["effort"].mean(axis=0)
+        compared = np.flatnonzero(self.usable).tolist()
+        return tuple(([j], columns[:, [j]], due[:, [j]]) for j in compared)
+
+    @cached_property
+    def shares(self) -> Array:
+        """Shares that a sensible model leaves of what is due, (n,).
+
+        Sensible: gains of 0.3 to 3, times `scale`; friction that takes power; a rotor inertia that
+        is not negative; on a fixed base an offset. They may pass 1, where the description is in
+        the way. Joints that are not usable have 1.
+        """
+        shares = np.ones(len(self.usable))
+        for joints, columns, due in self.equations:
+            left = due - columns @ self._sensible(columns, due)
+            shares[joints] = _share(left, due, self.usable[joints])
+        return shares
+
+    def _sensible(self, columns: Array, due: Array) -> Array:
+        """Return the coefficients of a sensible model."""
+        scale = self.scale if self.contacts is None else 1.0 / self.scale
+        return _bounded_fit(columns, due, (GAINS[0] * scale, GAINS[1] * scale))
+
+    @cached_property
+    def freely(self) -> tuple[Array, Array, Array]:
+        """Gains and friction of any size and sign, their standard errors, and what they leave.
+
+        On a floating base.
+        """
+        ((_, columns, due),) = self.equations
+        fitted, errors = _fitted(columns, due)
+        return fitted, errors, _share(due - columns @ fitted, due, self.usable)
+
+    @cached_property
+    def left(self) -> Array:
+        """Shares that are unexplained with any gains, or of the effort itself, (n,).
+
+        What a joint on a floating base bears may be little against its friction.
+        """
+        if self.contacts is None:
+            return self.shares
+        ((joints, columns, due),) = self.equations
+        fitted, n = self._sensible(columns, due), len(joints)
+        of_effort = _share(due - columns @ fitted, columns[..., :n] @ fitted[:n], self.usable)
+        return np.asarray(np.minimum(np.minimum(self.shares, self.freely[2]), of_effort))
+
+    @cached_property
+    def gains(self) -> EffortGains:
+        """How many times the description's efforts the measured ones are."""
+        n = len(self.usable)
+        if self.contacts is not None:
+            fitted, errors, left = self.freely
+            gain = np.where(fitted[:n] == 0.0, np.inf, fitted[:n])
+            shows = self.usable & (errors[:n] < _KNOWN * np.abs(gain)) & np.isfinite(gain)
+            follows = np.sqrt(np.clip(1.0 - left, 0.0, 1.0)) * np.sign(gain)
+            return EffortGains(1.0 / gain, follows, shows)
+        gain, correlation = np.zeros((2, n))
+        for (j,), columns, due in self.equations:
+            basis, _ = np.linalg.qr(columns[:, 0, 1:])
+            x, y = (each - basis @ (basis.T @ each) for each in (columns[:, 0, 0], due[:, 0]))
+            xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+            if xx * yy > 0.0:
+                gain[j], correlation[j] = xy / xx, xy / np.sqrt(xx * yy)
+        shows = (self.borne > _CARRIES * self.borne.max()) & (np.abs(correlation) > _FOLLOWS)
+        return EffortGains(gain, correlation, shows)
+
+    @property
+    def borne(self) -> Array:
+        """What each joint bears of the bodies, (n,), to be compared; on a floating base alike."""
+        return self.usable * (self.rigid.std(axis=0) if self.contacts is None else 1.0)
+
+    @property
+    def explained(self) -> bool:
+        """Whether no change has enough to gain.
+
+        On a floating base joints of another scale are told by their gains.
+        """
+        usable = self.usable
+        if self.contacts is None:
+            return misfit(self.shares) - misfit(np.zeros(len(usable))) < NEEDED
+        if np.max(self.shares[usable]) < _FINE:
+            return True
+        known = self.gains
+        scaled = bool(known.shows[usable].all() and (known.gain[usable] > 0.0).all())
+        return scaled and bool(np.max(self.freely[2][usable]) < _FINE)
+
+    @property
+    def bears_base(self) -> bool:
+        """Whether rows show the base's weight: where something holds it, they do not."""
+        ((_, _, due),) = self.equations
+        return bool(np.sum(due[:, :6] ** 2) > _HELD * np.sum(due**2))
+
+    def carried(self) -> tuple[float, float]:
+        """Return the mass that the efforts carry, of the description's, and its standard error."""
+        ((joints, columns, due),) = self.equations
+        gain, others = np.split(columns, [len(joints)], axis=2)
+        fitted, errors = _fitted(np.dstack([gain.sum(axis=2), others]), due)
+        return 1.0 / float(fitted[0]), float(errors[0] / fitted[0] ** 2)
+
+    def changed(self, change: Correction) -> ExplainedLog:
+        """Return the log with one more change."""
+        kind, joint, value = change
+        if kind == "gravity_direction":
+            return replace(self, gravity=np.array(value)).moved()
+        order = np.array(value, dtype=np.intp)
+        if kind not in _CHANGED:
+            assert self.contacts is not None
+            down = self.contacts.down
+            if kind == "feet_exchanged":
+                down = down[:, order]
+            else:
+                down = np.broadcast_to(down.any(axis=0), down.shape)
+            return replace(self, contacts=replace(self.contacts, down=down)).moved()
+        signals, columns = dict(self.signals), slice(None) if joint is None else joint
+        for name in _CHANGED[kind]:
+            values = signals[name].copy()
+            if kind.endswith("_order"):
+                values = values[:, order]
+            elif kind == "position_zero":
+                values[:, columns] += value[0]
+            elif kind == "position_in_degrees":
+                values = np.radians(values)
+            else:
+                values[:, columns] *= -1.0
+            signals[name] = values
+        usable = self.usable[order] if kind == "joint_order" else self.usable
+        log = replace(self, signals=signals, usable=usable)
+        return log if _CHANGED[kind] == ("effort",) else log.moved()
+
+    def changes(self) -> Iterator[Correction]:
+        """Yield every change that is tried, the likeliest of those that do the same first."""
+        n, usable = len(self.usable), np.flatnonzero(self.usable).tolist()
+        for kind in ("effort_sign", "position_sign", "axis_sign"):
+            if n > 1:
+                yield Correction(kind)
+            yield from (Correction(kind, j) for j in usable)
+        if np.abs(self.signals["position"]).max() > _LEAST_DEGREES:
+            yield Correction("position_in_degrees")
+        if self.contacts is not None:
+            down = self.contacts.down
+            if 2 <= self.contacts.n <= _MOST_LEGS and (down != down[:, :1]).any():
+                for order in [*permutations(range(self.contacts.n))][1:]:
+                    yield Correction("feet_exchanged", value=order)
+            if (down.any(axis=0) != down.all(axis=0)).any():
+                yield Correction("flags_unlike_motion")
+        orders = list(self._orders())
+        yield from (Correction("joint_order", value=order) for order in orders)
+        orders = orders if self.base else [self._assigned()]
+        yield from (Correction("effort_order", value=o) for o in orders if o != tuple(range(n)))
+        for angle in _QUARTERS:
+            yield from (Correction("position_zero", j, (angle,)) for j in range(n))
+        # On a floating base the world's axes are those of the orientation, which is checked.
+        for axis, sign in () if self.base else product(range(3), (1.0, -1.0)):
+            gravity = np.zeros(3)
+            gravity[axis] = sign * float(np.linalg.norm(self.gravity))
+            if not np.allclose(gravity, self.gravity, atol=1e-3):
+                yield Correction("gravity_direction", value=tuple(gravity.tolist()))
+
+    def _orders(self) -> Iterator[tuple[int, ...]]:
+        """Yield orders of all columns that are tried.
+
+        Those of whole legs; two exchanged; backwards; one joint on; and back from the alphabet's
+        order, in which ROS drivers publish joints.
+        """
+        names, n = self.joint_names, len(self.usable)
+        same = list(range(n))
+        legs = [] if self.contacts is None else list(_leg_orders(self.robot))
+        by_alphabet = sorted(same, key=names.__getitem__)
+        orders = {tuple(np.argsort(by_alphabet).tolist()), tuple(reversed(same))}
+        orders |= {tuple(np.roll(same, shift).tolist()) for shift in (1, -1)}
+        # Of many joints those that are explained are not exchanged.
+        poor = ~self.usable | (self.shares > _FINE)
+        some = self.contacts is not None and n > _MANY
+        for i, j in combinations(np.flatnonzero(poor).tolist() if some else same, 2):
+            order = list(same)
+            order[i], order[j] = j, i
+            orders.add(tuple(order))
+        yield from legs
+        yield from sorted(orders - {tuple(same), *legs})
+
+    def _assigned(self) -> tuple[int, ...]:
+        """Return the effort columns that explain the joints' motion best, one each."""
+        from scipy.optimize import linear_sum_assignment
+
+        n, joints = len(self.usable), np.arange(len(self.usable))
+        cost = np.zeros((n, n))
+        for shift in range(n):
+            order = (joints + shift) % n
+            moved = self.changed(Correction("effort_order", value=tuple(order.tolist())))
+            cost[joints, order] = np.log(moved.shares + 0.01)
+        cost[~self.usable] = 0.0
+        cost[~self.usable, np.flatnonzero(~self.usable)] = -100.0
+        return tuple(int(j) for j in linear_sum_assignment(cost)[1])
+
+    @property
+    def price(self) -> float:
+        """The misfit, and what changes and another scale have to gain."""
+        return misfit(self.shares) + NEEDED * (len(self.steps) + (self.scale != 1.0))
+
+    def mended(self) -> ExplainedLog:
+        """Return the log with the changes that lower its price."""
+        best, kept = self, [self]
+        for _ in range(_MOST_STEPS if self.base else 2 * len(self.usable)):
+            if best.explained:
+                break
+            kept = sorted(
+                (child for log in kept for child in log._children()), key=attrgetter("price")
+            )[:_KEPT]
+            if not kept[0].price < best.price:
+                break
+            best = kept[0]
+        return best
+
+    def _children(self) -> list[ExplainedLog]:
+        """Return the logs that one more change makes, the best ones."""
+        # Of forty joints a thousand logs are compared: all at once they would take all memory.
+        listed = [(change, self.changed(change).shares) for change in self.changes()]
+        misfits = {change: misfit(shares) for change, shares in listed}
+        tried = sorted(listed, key=lambda each: misfits[each[0]])
+        # Of those that do as well as the best the likeliest counts.
+        near = misfits[tried[0][0]] + _ALIKE
+        likeliest = next(each for each in listed if misfits[each[0]] < near)
+        tried = [likeliest, *(each for each in tried if each is not likeliest)]
+        children = []
+        for change, shares in tried[:_KEPT]:
+            near = misfits[change] + _ALIKE
+            alike = tuple(each for each, _ in tried if each is not change and misfits[each] < near)
+            step = CorrectionStep(change, alike, self.shares, shares)
+            children.append(replace(self.changed(change), steps=(*self.steps, step)))
+        return children
+
+
+def searched(log: ExplainedLog) -> ExplainedLog:
+    """Change a log as little as makes its efforts follow from its motion.
+
+    Every change has to lower the misfit by `NEEDED`.
+    """
+    if log.explained:
+        return log
+    common = log.gains.common or 1.0
+    if GAINS[0] < common < GAINS[1]:
+        return log.mended()
+    rescaled = replace(log, scale=common).moved()
+    if rescaled.explained:
+        return rescaled  # one change of the unit of all
+    return min((log.mended(), rescaled.mended()), key=attrgetter("price"))
+
+
+def corrected(robot: RobotModel, rows: Rows) -> ExplainedLog | None:
+    """Return rows of a log with a fixed base after changes; None where nothing can be compared."""
+    if not described(robot) or not rows.usable.any():
+        return None
+    signals = {name: getattr(rows, name)[::_THINNED] for name in (*_MOVED, "effort")}
+    log = ExplainedLog(robot=robot, signals=signals, usable=rows.usable, gravity=robot.gravity)
+    return searched(log.moved())
+
+
+def floating_log(
+    robot: RobotModel, samples: Samples, without: Collection[str] = ()
+) -> ExplainedLog | None:
+    """Return rows of samples with a floating base; None where nothing can be compared.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        On a floating base.
+    samples : Samples
+        Of one recording.
+    without : collection of str
+        Joints whose effort says nothing.
+    """
+    contacts, base = samples.contacts, robot.n_base
+    if contacts is None or not robot.prior[:, 0].sum() > 0.0:
+        return None
+    some = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
+    pose, position = np.split(samples.position, [base + 1], axis=1)
+    rates = (samples.velocity[some], samples.acceleration[some])
+    velocity, acceleration = (each[:, base:] for each in rates)
+    effort = samples.effort[some, base:]
+    known = np.array([name not in without for name in robot.joint_names[base:]])
+    usable = moving(position.min(axis=0), position.max(axis=0)) & known
+    usable &= np.ptp(effort, axis=0) > 0.0
+    if not usable.any():
+        return None
+    signals = {
+        "position": position[some],
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "sign": smooth_sign(velocity),
+        "effort": effort,
+    }
+    log = ExplainedLog(
+        robot=robot,
+        signals=signals,
+        usable=usable,
+        gravity=robot.gravity,
+        base=(pose[some], *(each[:, :base] for each in rates)),
+        contacts=contacts.picked(some),
+    ).moved()
+    asked = np.sqrt(np.mean(log.equations[0][2][:, base:] ** 2, axis=0))
+    usable = usable & (asked > _ASKS * asked.max())
+    return replace(log, usable=usable).moved() if usable.any() else None
+
+
+def _leg_orders(robot: RobotModel) -> Iterator[tuple[int, ...]]:
+    """Yield orders in which legs, or the joints of all legs, are exchanged."""
+    parents = list(robot.pin_model.parents)
+    # Joints that hang on the base one after another, counted from 0 behind it.
+    first: dict[int, int] = {}
+    legs: dict[int, list[int]] = {}
+    for joint in range(2, len(parents)):
+        first[joint] = joint if parents[joint] == 1 else first[parents[joint]]
+        legs.setdefault(first[joint], []).append(joint - 2)
+    for size in dict.fromkeys(map(len, legs.values())):
+        alike = np.array([leg for leg in legs.values() if len(leg) == size])
+        if not 1 < len(alike) <= _MOST_LEGS:
+            continue
+        # All first joints of legs, then all second ones; and the way back.
+        by_joint = np.arange(alike.size).reshape(alike.shape).T.ravel()
+        ways: Iterable[Array] = (
+            *(alike[list(each)].ravel() for each in permutations(range(len(alike)))),
+            *(alike.ravel()[by_joint], alike.ravel()[np.argsort(by_joint)]),
+            alike[:, ::-1].ravel(),
+        )
+        for way in ways:
+            order = np.arange(len(first))
+            order[alike.ravel()] = way
+            if (order != np.arange(len(first))).any():
+                yield tuple(order.tolist())
+
+
+def _share(left: Array, of: Array, usable: Mask) -> Array:
+    """Return the shares that are left of the squares of the last columns, those of joints."""
+    n = len(usable)
+    power = np.sum(of[:, -n:] ** 2, axis=0)
+    share = np.sum(left[:, -n:] ** 2, axis=0) / np.where(power > 0.0, power, 1.0)
+    return np.where(usable & (power > 0.0), share, 1.0)
+
+
+def _scaled(columns: Array) -> tuple[Array, Array]:
+    """Return columns (K, m, p) as a matrix of unit columns, and their sizes."""
+    A = columns.reshape(-1, columns.shape[2])
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0.0] = 1.0
+    return A / size, size
+
+
+def _fitted(columns: Array, due: Array) -> tuple[Array, Array]:
+    """Return least squares of rows (K, m, p), and standard errors from blocks of samples."""
+    A, size = _scaled(columns)
+    inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
+    fitted = inverse @ (A.T @ due.ravel())
+    scores = (A * (due.ravel() - A @ fitted)[:, None]).reshape(*due.shape, -1).sum(axis=1)
+    errors = np.array([block_error(each, 1.0) for each in (scores @ inverse).T])
+    return fitted / size, errors / size
+
+
+def _bounded_fit(columns: Array, due: Array, gains: tuple[float, float]) -> Array:
+    """Return least squares with gains in bounds, and friction and inertia that are not negative."""
+    from scipy.optimize import nnls
+
+    n = columns.shape[2] // 4
+    A, size = _scaled(columns)
+    # A root of the normal equations is exact enough for shares, and several times faster than QR.
+    values, vectors = np.linalg.eigh(A.T @ A)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    factor, rhs = (vectors * root).T, (vectors.T @ (A.T @ due.ravel())) / root
+    low, high = np.zeros(4 * n), np.full(4 * n, np.inf)
+    low[:n], high[:n] = (limit * size[:n] for limit in gains)
+    fitted, open_ = low.copy(), np.ones(4 * n, dtype=np.bool_)
+    for _ in range(n + 1):
+        fixed = factor[:, ~open_] @ fitted[~open_] + factor[:, open_] @ low[open_]
+        fitted[open_] = low[open_] + nnls(factor[:, open_], rhs - fixed)[0]
+        over = open_ & (fitted > high)
+        if not over.any():
+            break
+        fitted[over] = high[over]
+        open_ &= ~over
+    return np.asarray(fitted / size)
