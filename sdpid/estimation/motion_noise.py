@@ -3,9 +3,9 @@
 **Noise** in positions enters the columns of the regression: least squares makes what multiplies
 accelerations too small, by the share of noise in their power, and friction near reversals, too.
 Noise of the same strength once more moves the fit as much again [cook1994]_. It is added to a copy
-of each recording and taken off another, and both are processed and fitted like the first: what is
-proportional to the noise cancels in their mean, and what is left beside the fit is its bias, but
-for terms of fourth order.
+of each recording, which is processed like the first; processing is linear, so that samples with the
+noise taken off are the first ones' reflection. Both are fitted: what is proportional to the noise
+cancels in their mean, and what is left beside the fit is its bias, but for terms of fourth order.
 
 **Landings.** There joint speeds jump within a sample: differences of positions give another
 acceleration than that of the sampled effort, and within the filter's memory the robot moves on. The
@@ -106,19 +106,18 @@ def with_motion_bias(
     """
     rows = problem.require_rows_here("bias by noise in the motion")
     rng = generator(seed)
-    pairs = tuple(zip(*(twins(log, rng) for log in logs), strict=True))
-    noisy = [_processed(problem, pair, processing) for pair in pairs]
-    for samples in noisy:
-        if not np.array_equal(samples.effort, problem.samples.effort):
-            raise DataError(
-                "bias by noise in the motion: the problem's samples are not those of the "
-                f"recordings ({problem.n_samples} and {samples.n_samples} samples, or other "
-                "efforts); give what it was built of, and how it was processed."
-            )
-    mask = problem.samples.mask
-    fit, bias = _fits(problem, [_of(problem, rows, replace(each, mask=mask)) for each in noisy])
+    noisier = [with_noise(log, rng) for log in logs]
+    samples = _processed(problem, noisier, processing)
+    if not np.array_equal(samples.effort, problem.samples.effort):
+        raise DataError(
+            "bias by noise in the motion: the problem's samples are not those of the "
+            f"recordings ({problem.n_samples} and {samples.n_samples} samples, or other "
+            "efforts); give what it was built of, and how it was processed."
+        )
+    noisy = _with_and_without(problem.samples, samples)
+    fit, bias = _fits(problem, [_of(problem, rows, each) for each in noisy])
     found: dict[str, Array | None] = {"motion": bias}
-    name, others = _others(problem, logs, pairs, noisy, processing)
+    name, others = _others(problem, logs, noisier, noisy, processing)
     if others:
         apart, *moved = (_of(problem, rows, each) for each in others)
         fit_apart, bias_apart = _fits(apart, moved)
@@ -131,7 +130,7 @@ def with_motion_bias(
 def _others(
     problem: Problem,
     logs: Sequence[Recording],
-    pairs: Sequence[Sequence[Recording]],
+    noisier: Sequence[Recording],
     noisy: Sequence[Samples],
     processing: Processing,
 ) -> tuple[str, list[Samples]]:
@@ -143,16 +142,32 @@ def _others(
         return "filter", []
     faster = replace(processing, cutoff_hz=_FASTER * processing.cutoff_hz)
     try:
-        others = [_processed(problem, each, faster) for each in (logs, *pairs)]
+        plain, more = (_processed(problem, each, faster) for each in (logs, noisier))
     except DataError:
         # The rate of a recording allows no such cut-off.
         return "filter", []
-    return "filter", [replace(each, mask=others[0].mask) for each in others]
+    return "filter", [plain, *_with_and_without(plain, more)]
 
 
 def _processed(problem: Problem, logs: Sequence[Recording], processing: Processing) -> Samples:
     """Return the samples of all recordings."""
     return prepare(problem.robot, logs, processing).samples
+
+
+def _with_and_without(samples: Samples, noisier: Samples) -> list[Samples]:
+    """Return samples with noise in their motion, and with the same noise taken off."""
+    reflected: dict[str, Any] = {
+        name: 2.0 * getattr(samples, name) - getattr(noisier, name)
+        for name in ("position", "velocity", "acceleration")
+    }
+    if samples.position.shape[1] > samples.n:
+        reflected["position"][:, 3:7] = unit(reflected["position"][:, 3:7])
+    if samples.wide is not None and noisier.wide is not None:
+        reflected["wide"] = tuple(
+            mine.moving(2.0 * mine.velocity - more.velocity)
+            for mine, more in zip(samples.wide, noisier.wide, strict=True)
+        )
+    return [replace(noisier, mask=samples.mask), replace(samples, **reflected)]
 
 
 def _fits(problem: Problem, noisy: Sequence[Problem]) -> tuple[Array, Array]:
@@ -168,8 +183,8 @@ def _of(problem: Problem, rows: RowSource, samples: Samples) -> Problem:
     return replace(problem, A=A, rhs=rhs, rows=own)
 
 
-def twins(log: Recording, rng: np.random.Generator) -> tuple[Recording, Recording]:
-    """Return a recording with white noise added to its motion, and with the same taken off.
+def with_noise(log: Recording, rng: np.random.Generator) -> Recording:
+    """Return a recording with white noise added to its motion.
 
     It is as strong as the recording's own, of two estimates the lower one: landings fill the whole
     spectrum of an accelerometer, but little of the time; encoders of coarse steps do not change for
@@ -183,28 +198,20 @@ def twins(log: Recording, rng: np.random.Generator) -> tuple[Recording, Recordin
         return np.asarray(level * rng.standard_normal(signals.shape))
 
     base, imu = log.base, None if log.base is None else log.base.imu
-    noise = [
+    drawn: list[dict[str, Any]] = [
         {
-            name: like(np.asarray(value))
+            name: np.asarray(value) + like(np.asarray(value))
             for name in names
             if (value := getattr(owner, name, None)) is not None
         }
         for owner, names in zip((log, base, imu), _NOISY, strict=True)
     ]
-
-    def moved(sign: float) -> Recording:
-        own: dict[str, Any]
-        own, of_base, of_imu = (
-            {name: getattr(owner, name) + sign * each for name, each in drawn.items()}
-            for owner, drawn in zip((log, base, imu), noise, strict=True)
-        )
-        if base is not None:
-            of_base["orientation"] = unit(of_base["orientation"])
-            sensed = None if imu is None else replace(imu, **of_imu)
-            own["base"] = replace(base, imu=sensed, **of_base)
-        return replace(log, **own)
-
-    return moved(1.0), moved(-1.0)
+    moved, of_base, of_imu = drawn
+    if base is not None:
+        of_base["orientation"] = unit(of_base["orientation"])
+        sensed = None if imu is None else replace(imu, **of_imu)
+        moved["base"] = replace(base, imu=sensed, **of_base)
+    return replace(log, **moved)
 
 
 def landings_used(problem: Problem, logs: Sequence[Recording], processing: Processing) -> bool:

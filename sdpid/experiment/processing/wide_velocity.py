@@ -74,6 +74,10 @@ class WideVelocity:
             _found=OrderedDict(),
         )
 
+    def moving(self, velocity: Array) -> WideVelocity:
+        """Return that of other velocities (M, n) at the same samples."""
+        return replace(self, velocity=frozen_view(velocity), _found=OrderedDict())
+
 
 def filtered(
     wides: Sequence[WideVelocity],
