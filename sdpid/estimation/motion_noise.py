@@ -164,7 +164,7 @@ def _with_and_without(samples: Samples, noisier: Samples) -> list[Samples]:
         reflected["position"][:, 3:7] = unit(reflected["position"][:, 3:7])
     if samples.wide is not None and noisier.wide is not None:
         reflected["wide"] = tuple(
-            mine.moving(2.0 * mine.velocity - more.velocity)
+            replace(mine, velocity=2.0 * mine.velocity - more.velocity)
             for mine, more in zip(samples.wide, noisier.wide, strict=True)
         )
     return [replace(noisier, mask=samples.mask), replace(samples, **reflected)]

@@ -55,7 +55,9 @@ class WideVelocity:
     first: int
     stride: int
     count: int
-    _found: OrderedDict[Hashable, Array] = field(default_factory=OrderedDict, repr=False)
+    _found: OrderedDict[Hashable, Array] = field(
+        default_factory=OrderedDict, repr=False, init=False
+    )
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields without the results kept."""
@@ -71,12 +73,7 @@ class WideVelocity:
             velocity=self.velocity[low:high],
             first=self.first + self.stride * start - low,
             count=stop - start,
-            _found=OrderedDict(),
         )
-
-    def moving(self, velocity: Array) -> WideVelocity:
-        """Return that of other velocities (M, n) at the same samples."""
-        return replace(self, velocity=frozen_view(velocity), _found=OrderedDict())
 
 
 def filtered(
