@@ -17,13 +17,13 @@ from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
 from sdpid.verifier.reading import REFUSED, listed, parse, read_bytes, shown
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
-from sdpid.workflow.replay.links import told
+from sdpid.workflow.replay.compare import Link, told
 from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS, TABLES, check_numbers
 
 if TYPE_CHECKING:
     from sdpid.experiment.preparation.prepare import Logs
     from sdpid.robot.model.model import RobotModel
-    from sdpid.workflow.replay.links import Link, Replay
+    from sdpid.workflow.replay.replay import Replay
 
 # Links that show a cost and a base matrix to be those of a robot and its log.
 _OF_ROWS = {"log", "robot", "base parameters", "rows"}

@@ -21,9 +21,8 @@ from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelEr
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.robot.friction.terms import Coulomb
 from sdpid.workflow.replay import given as given_to_it
-from sdpid.workflow.replay.cost import distance
-from sdpid.workflow.replay.links import Replay
-from sdpid.workflow.replay.replay import replay
+from sdpid.workflow.replay.compare import distance
+from sdpid.workflow.replay.replay import Replay, replay
 from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.refusals import refuses

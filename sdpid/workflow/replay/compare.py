@@ -1,24 +1,34 @@
-"""Compare what a folder holds with what was made again, value by value."""
+"""Compare what a folder holds with what was made again, value by value, and tell it in links."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Container, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain
-from sdpid.verifier.reading import MalformedError, shown
+from sdpid.errors import MissingExtraError, SdpidError
+from sdpid.verifier.reading import REFUSED, MalformedError, shown
 
 # What is made again on another processor is rounded otherwise: of honest runs costs differ by 1e-13
 # of their size, by 6e-9 where the motion excites badly. One changed sample of 15,000 makes 6e-5.
 LIMIT = 1e-6
 
 # Differences of one file that are told one by one; more say no more.
-MOST = 5
+_MOST = 5
+
+# Directions that the rows show less than this, in columns of size one, count as if they were shown
+# that well: rounding alone would be larger than they are.
+_WEAK = 1e-7
+
+# No weighted row is larger, and squares of what is are no doubles.
+_HUGE = 1e100
 
 # Bodies follow from the parameters without a sum over rows.
 _DIGITS = 1e-12
@@ -44,6 +54,64 @@ _NAMED, _OPEN = re.compile(r'name="([^"]*)"'), re.compile(r'([\w:]+)="[^"]*$')
 
 _BODY = re.compile("<inertial [^>]*>")
 _ATTRIBUTE = re.compile(r'([a-z]+)="([^"]*)"')
+
+
+State = Literal["made again", "not made again", "not checked"]
+
+# A, rhs and floor of a cost ‖A·base − rhs‖² + floor.
+Cost: TypeAlias = tuple[Array, Array, float]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link from a log to a file.
+
+    Attributes
+    ----------
+    name : str
+        Log, robot, samples, base parameters, contacts, problem, weights, rows, choice, intervals,
+        or the names of files.
+    state : {"made again", "not made again", "not checked"}
+        What was found.
+    text : str
+        Why, with the numbers.
+    """
+
+    name: str
+    state: State
+    text: str
+
+
+def told(links: Iterable[Link], state: State) -> tuple[str, ...]:
+    """Return the sentences of the links with a state."""
+    return tuple(f"{each.name}: {each.text}" for each in links if each.state == state)
+
+
+def by_file(found: Iterable[Link]) -> list[Link]:
+    """Return links of which those that say the same have all their names in one."""
+    names: dict[tuple[State, str], list[str]] = {}
+    for each in found:
+        names.setdefault((each.state, each.text), []).append(each.name)
+    return [Link(", ".join(own), state, text) for (state, text), own in names.items()]
+
+
+def checked(name: str, check: Callable[[], Iterable[str]], said: str) -> list[Link]:
+    """Return the links of a file: what is wrong, or what is said where nothing is."""
+    try:
+        wrong = list(check())
+    except MissingExtraError as missing:
+        return [Link(name, "not checked", f"what it holds ({missing})")]
+    except SdpidError as cause:
+        wrong = [f"cannot be written again: {cause}"]
+    except (OSError, *REFUSED) as cause:
+        known = isinstance(cause, MalformedError)
+        what = str(cause) if known else f"{type(cause).__name__} {shown(str(cause))}"
+        wrong = [f"cannot be compared: {what}"]
+    if not wrong:
+        return [Link(name, "made again", said)]
+    if len(wrong) > _MOST:
+        wrong[_MOST:] = [f"{len(wrong) - _MOST} other differences"]
+    return [Link(name, "not made again", each) for each in wrong]
 
 
 def differences(
@@ -250,3 +318,31 @@ def _short(value: Any) -> str:
     if _is_number(value) or type(value) is bool or value is None:
         return f"{value!r:.40}"
     return shown(value if type(value) is str else repr(value))[:80]
+
+
+def distance(given: Cost, made: Cost) -> float:
+    """Return by which share a cost differs from one that was made again, for all parameters.
+
+    Both are quadratic in (base, 1). The one that was made again is the squared length of some
+    coordinates of these; in the same coordinates the difference is a symmetric matrix, whose
+    spectral norm this is. It is scaled by what was made again: a forged cost has no say in it.
+
+    Returns
+    -------
+    float
+        Infinite where a number of the given cost is none, or no row's.
+    """
+    # The rows whose product with (base, −1) has the cost as its square.
+    own, R = (
+        np.block([[A, rhs[:, None]], [np.zeros(A.shape[1]), np.sqrt(floor)]])
+        for A, rhs, floor in (given, made)
+    )
+    if own.shape != R.shape or not np.all(np.abs(own) < _HUGE):
+        return np.inf
+    size = np.linalg.norm(R, axis=0)
+    size[size == 0.0] = 1.0
+    _, values, axes = np.linalg.svd(R / size)
+    values = np.maximum(values, max(_WEAK * values[0], np.finfo(float).tiny))
+    coordinates = axes.T / values / size[:, None]
+    one, two = own @ coordinates, R @ coordinates
+    return float(np.linalg.norm(one.T @ one - two.T @ two, 2))

@@ -1,14 +1,16 @@
-"""Logs and robot that a folder of results is held against."""
+"""A folder of results, and the logs and the robot that it is held against."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sdpid.assurance.recipe.inputs import log_entry, recording_digest
-from sdpid.assurance.recipe.recipe import RobotRecipe
+from sdpid.assurance.recipe.recipe import Recipe, RobotRecipe
 from sdpid.errors import CertificateError, DataError, ModelError
 from sdpid.experiment.preparation.prepare import Logs
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -20,10 +22,82 @@ from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.reading import REFUSED, shown
-from sdpid.workflow.replay.folder import Sealed
-from sdpid.workflow.replay.links import Link, State
+from sdpid.verifier import certificate, manifest
+from sdpid.verifier.folder import CERTIFICATE
+from sdpid.verifier.reading import REFUSED, read_bytes, shown
+from sdpid.workflow.replay.compare import Link, State
 from sdpid.workflow.replay.numbers import URDF
+
+
+@dataclass(frozen=True, eq=False)
+class Sealed:
+    """The parts of a results folder that say how it was made.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder.
+    files : tuple of str
+        Names of the files that the manifest lists.
+    logs : tuple of dict
+        Name, bytes and SHA-256 of each log, in order.
+    robot : dict or None
+        The same of the robot's description; None where the manifest names none.
+    recipe : Recipe
+        How rows are made of the logs.
+    data : dict
+        The certificate.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    logs: tuple[dict[str, Any], ...]
+    robot: dict[str, Any] | None
+    recipe: Recipe
+    data: dict[str, Any]
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike[str]) -> Sealed:
+        """Read manifest.json and certificate.json.
+
+        Raises
+        ------
+        CertificateError
+            When a file is missing or damaged, or the manifest has no recipe.
+        """
+        whole = Path(folder)
+        if not whole.is_dir():
+            raise CertificateError(
+                f"{folder}: is no folder; a log is checked against the whole folder that "
+                "'sdpid identify' wrote."
+            )
+        where = whole / manifest.NAME
+        sealed, data = _read(where, manifest.load), _read(whole / CERTIFICATE, certificate.load)
+        if sealed["recipe"] is None:
+            raise CertificateError(
+                f"{where}: has no recipe, so that the rows cannot be made again from the log: the "
+                "run was not one of 'identify', or had friction terms of a class of its own."
+            )
+        recipe = Recipe.from_dict(sealed["recipe"])
+        logs, robots = (
+            tuple(entry for entry in sealed["inputs"] if entry["role"] == role)
+            for role in ("log", "robot")
+        )
+        if len(logs) != len(recipe.reading):
+            raise CertificateError(
+                f"{where}: names {len(logs)} logs and how {len(recipe.reading)} are read."
+            )
+        return cls(whole, tuple(sealed["files"]), logs, next(iter(robots), None), recipe, data)
+
+
+def _read(path: Path, load: Callable[[bytes], dict[str, Any]]) -> dict[str, Any]:
+    """Return the object in a JSON file."""
+    try:
+        return load(read_bytes(path))
+    except OSError as cause:
+        raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
+    except REFUSED as cause:
+        raise CertificateError(f"{path}: {cause}.") from None
 
 
 def several(logs: Logs) -> list[Any]:
@@ -113,22 +187,21 @@ def find_robot(
     are, number for number, those that the manifest names; so has a robot that a catalog names.
     """
     recipe = sealed.recipe.robot
-    if given is not None:
-        loaded = isinstance(given, RobotModel)
-        robot = given if isinstance(given, RobotModel) else load_robot(given, **recipe.arguments)
-        name = "the given robot" if loaded else shown(str(given))
-        return robot, _judged(sealed, robot, name), False
-    if (ours := _of_folder(sealed)) is not None:
+    if isinstance(given, RobotModel):
+        return given, _judged(sealed, given, "the given robot"), False
+    if given is None and (ours := _of_folder(sealed)) is not None:
         text = (
             f"the kinematics of {URDF} in the folder are, number for number, those that the "
             f"manifest names (SHA-256 {recipe.kinematics}){_taken(recipe)}"
         )
         return ours, Link("robot", "made again", text), True
-    if recipe.catalog and recipe.source is not None and _installed(recipe.source):
-        robot = load_robot(recipe.source, **recipe.arguments)
-        return robot, _judged(sealed, robot, shown(recipe.source)), False
+    if given is None and recipe.catalog and recipe.source and _installed(recipe.source):
+        given = recipe.source
+    if given is not None:
+        robot = load_robot(given, **recipe.arguments)
+        return robot, _judged(sealed, robot, shown(str(given))), False
     named = "" if recipe.source is None else f" {shown(recipe.source)}"
-    how = "the model in Python (robot=)" if recipe.source is None else f"{named.strip()} (--robot)"
+    how = f"{named.strip()} (--robot)" if named else "the model in Python (robot=)"
     text = f"the robot's description{named} is not in the folder: give {how}"
     return None, Link("robot", "not made again", text), False
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from sdpid.verifier.bound import Proof
 from sdpid.verifier.exact import product
-from sdpid.verifier.reading import REFUSED, MalformedError, items, numbers, parse, read_bytes, shown
-from sdpid.workflow.replay.compare import MOST, differences, read_table
-from sdpid.workflow.replay.links import Link, State, by_file
+from sdpid.verifier.reading import REFUSED, MalformedError, items, numbers, parse, read_bytes
+from sdpid.workflow.replay.compare import Link, by_file, checked, differences, read_table
 
 RESULT, PARAMETERS = "result.json", "parameters.json"
 TABLES = {"parameters.csv": "standard", "base_parameters.csv": "base"}
@@ -22,74 +22,6 @@ _ROUNDING = Fraction(1e-9)
 
 # Robots, which result.json lists.
 ROBOTS = URDF, MJCF = "identified.urdf", "identified.xml"
-
-
-class Certified:
-    """What a certificate that was checked states, in the form in which other files repeat it.
-
-    Attributes
-    ----------
-    standard, base : mapping of str to float, or None
-        The parameters by name. Base parameters are the doubles nearest to B·theta.
-    """
-
-    def __init__(self, data: Mapping[str, Any], holds: bool) -> None:
-        self.data, self.proof, self.holds = data, Proof(dict(data)), holds
-        origin, theta = data["origin"], data["theta"]
-        self.standard = self.base = None
-        if theta is not None:
-            nearest = map(float, product(data["problem"]["base_matrix"], theta))
-            self.standard = dict(zip(origin["theta_names"], map(float, theta), strict=True))
-            self.base = dict(zip(origin["base_names"], nearest, strict=True))
-
-    def check(self, name: str, content: bytes) -> Iterator[str]:
-        """Yield what in a file is not as the certificate has it."""
-        if name in TABLES:
-            yield from self._table(content, getattr(self, TABLES[name]))
-            return
-        data, claims, origin = parse(content), self.data["claims"], self.data["origin"]
-        wanted = {"certificate": self.data["sha256"], "cost_at_most": claims["cost"]}
-        if name == RESULT:
-            wanted |= {key: claims[key] for key in ("lower_bound", "gap")}
-            found = {key: data[f"{key}_parameters"] for key in ("standard", "base")}
-            if data["certified"] is not False and not self.holds:
-                yield "it says 'certified', and the certificate does not hold"
-        else:
-            wanted |= {key: origin[key] for key in ("robot", "joints", "weighting")}
-            wanted["consistency"] = self.data["problem"]["consistency"]
-            wanted["links"] = {str(k): link for k, link in enumerate(origin["links"], 1)}
-            found = {key: _values(data[key], key) for key in ("standard", "base")}
-        wanted |= {"standard": self.standard, "base": self.base}
-        yield from differences(
-            {**{key: data[key] for key in wanted if key not in found}, **found}, wanted, within=0.0
-        )
-        if (cost := self._cost()) is not None:
-            off = abs(Fraction(numbers(data["cost"])) - cost)
-            if off > _ROUNDING * max(cost, self.proof.scale):
-                yield f"cost is {data['cost']!r}, that of the certified parameters {float(cost)!r}"
-
-    def _cost(self) -> Fraction | None:
-        """Return the compressed cost of theta."""
-        return None if self.proof.theta is None or self.proof.broken else self.proof.cost
-
-    def _table(self, content: bytes, wanted: Mapping[str, float] | None) -> Iterator[str]:
-        """Yield which values of a table are not the certificate's, as they are written."""
-        header, *rows = read_table(content)
-        name, value = header.index("parameter"), header.index("value")
-        found = {row[name]: row[value] for row in rows}
-        texts = (
-            dict.fromkeys(found, "") if wanted is None else {k: repr(x) for k, x in wanted.items()}
-        )
-        yield from differences(found, texts)
-
-
-def _values(given: Any, key: str) -> dict[str, Any] | None:
-    """Return the values of parameters by name."""
-    if given is None:
-        return None
-    if type(given) is not dict:
-        raise MalformedError(f"{key} is no object")
-    return {name: given[name]["value"] for name in given}
 
 
 def check_numbers(
@@ -108,40 +40,82 @@ def check_numbers(
     holds : bool
         Whether it proves what it claims.
     """
-    certified, found = Certified(data, holds), list[Link]()
-
-    def add(name: str, state: State, *texts: str) -> None:
-        found.extend(Link(name, state, each) for each in texts)
-
+    found, written, proof = list[Link](), list[str](), Proof(dict(data))
     try:
-        written = [
-            e["file"] for e in items(parse(read_bytes(folder / RESULT))["exports"], "exports")
-        ]
-    except (OSError, *REFUSED) as cause:
-        written = []
-        add(RESULT, "not made again", f"the robots it names cannot be read: {reason(cause)}")
+        exports = items(parse(read_bytes(folder / RESULT))["exports"], "exports")
+        written = [each["file"] for each in exports]
+    except (OSError, *REFUSED):
+        # Told below, where the file is compared; no robot that is there is of it.
+        pass
+    parameters: dict[str, dict[str, float] | None] = {"standard": None, "base": None}
+    if data["theta"] is not None:
+        # Base parameters are the doubles nearest to B·theta.
+        nearest = product(data["problem"]["base_matrix"], data["theta"])
+        for kind, names, values in (
+            ("standard", "theta_names", data["theta"]),
+            ("base", "base_names", nearest),
+        ):
+            parameters[kind] = dict(zip(data["origin"][names], map(float, values), strict=True))
+    said = "the numbers are the certificate's, to the last digit"
     for name in (RESULT, PARAMETERS, *TABLES, *ROBOTS):
         if name not in files:
             if name not in ROBOTS or name in written or (folder / name).exists():
-                add(name, "not made again", "it is a result, and not sealed")
-        elif name in ROBOTS:
-            if name not in written:
-                add(name, "not made again", f"{RESULT} does not name it among what was written")
-        else:
-            try:
-                wrong = list(certified.check(name, read_bytes(folder / name)))
-            except (OSError, *REFUSED) as cause:
-                wrong = [f"cannot be read: {reason(cause)}"]
-            add(name, "not made again", *wrong[:MOST])
-            if len(wrong) > MOST:
-                add(name, "not made again", f"{len(wrong) - MOST} other differences")
-            if not wrong:
-                add(name, "made again", "the numbers are the certificate's, to the last digit")
+                found.append(Link(name, "not made again", "it is a result, and not sealed"))
+        elif name in TABLES:
+            check = partial(_of_table, folder / name, parameters[TABLES[name]])
+            found += checked(name, check, said)
+        elif name not in ROBOTS:
+            check = partial(_of_json, folder / name, data, proof, parameters, holds)
+            found += checked(name, check, said)
+        elif name not in written:
+            text = f"{RESULT} does not name it among what was written"
+            found.append(Link(name, "not made again", text))
     return by_file(found)
 
 
-def reason(cause: BaseException) -> str:
-    """Return why something cannot be read; what is no message of ours is shown as a name."""
-    if isinstance(cause, MalformedError):
-        return str(cause)
-    return f"{type(cause).__name__} {shown(str(cause))}"
+def _of_table(path: Path, wanted: Mapping[str, float] | None) -> Iterator[str]:
+    """Yield which values of a table are not the certificate's, as they are written."""
+    header, *rows = read_table(read_bytes(path))
+    name, value = header.index("parameter"), header.index("value")
+    found = {row[name]: row[value] for row in rows}
+    blank = dict.fromkeys(found, "")
+    texts = blank if wanted is None else {key: repr(x) for key, x in wanted.items()}
+    yield from differences(found, texts)
+
+
+def _of_json(
+    path: Path,
+    certificate: Mapping[str, Any],
+    proof: Proof,
+    parameters: Mapping[str, Any],
+    holds: bool,
+) -> Iterator[str]:
+    """Yield what in a file is not as the certificate has it."""
+    data, claims, origin = parse(read_bytes(path)), certificate["claims"], certificate["origin"]
+    wanted = {"certificate": certificate["sha256"], "cost_at_most": claims["cost"]}
+    if path.name == RESULT:
+        wanted |= {key: claims[key] for key in ("lower_bound", "gap")}
+        own = {key: data[f"{key}_parameters"] for key in parameters}
+        if data["certified"] is not False and not holds:
+            yield "it says 'certified', and the certificate does not hold"
+    else:
+        wanted |= {key: origin[key] for key in ("robot", "joints", "weighting")}
+        wanted["consistency"] = certificate["problem"]["consistency"]
+        wanted["links"] = {str(k): link for k, link in enumerate(origin["links"], 1)}
+        own = {key: _values(data[key], key) for key in parameters}
+    found = {key: data[key] for key in wanted} | own
+    yield from differences(found, wanted | dict(parameters), within=0.0)
+    if proof.theta is not None and not proof.broken:
+        off = abs(Fraction(numbers(data["cost"])) - proof.cost)
+        if off > _ROUNDING * max(proof.cost, proof.scale):
+            cost = float(proof.cost)
+            yield f"cost is {data['cost']!r}, that of the certified parameters {cost!r}"
+
+
+def _values(given: Any, key: str) -> dict[str, Any] | None:
+    """Return the values of parameters by name."""
+    if given is None:
+        return None
+    if type(given) is not dict:
+        raise MalformedError(f"{key} is no object")
+    return {name: given[name]["value"] for name in given}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,14 @@ from sdpid._common.progress import progress
 from sdpid._common.tables import changed
 from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
+from sdpid.assurance.certificate.certificate import problem_dict
 from sdpid.assurance.certificate.rows_digest import rows_digest
+from sdpid.assurance.recipe.stated import StatedProblem, in_words
 from sdpid.errors import DataError, MissingExtraError, SdpidError
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.duality.bound import cost_scale
+from sdpid.estimation.prior.friction import with_friction_max
+from sdpid.estimation.prior.prior import described_pairs
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.nearest_to_prior import distance_to_reference
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -26,14 +30,9 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import REFUSED, shown
 from sdpid.workflow.identify import with_motion_bias_of
-from sdpid.workflow.replay.compare import LIMIT, differences
-from sdpid.workflow.replay.contacts import places
-from sdpid.workflow.replay.cost import distance
-from sdpid.workflow.replay.folder import Sealed
-from sdpid.workflow.replay.given import find_robot, log_links, read_log, several
-from sdpid.workflow.replay.links import Link, Replay, State
+from sdpid.workflow.replay.compare import LIMIT, Link, State, differences, distance, told
+from sdpid.workflow.replay.given import Sealed, find_robot, log_links, read_log, several
 from sdpid.workflow.replay.numbers import URDF
-from sdpid.workflow.replay.stated import other_demands, told
 from sdpid.workflow.replay.written import Files, check_friction
 
 # Links of what the caller gives: what cannot be read there is bad input, and no finding.
@@ -52,6 +51,44 @@ _NEAREST = 0.05
 # types were at 2e-8 at most, with entropic priors at 4e-7; a gap of 1e-6 alone allows 1e-3, 0.2 kg
 # at a UR10's first link.
 _CHEAPEST = 1e-5
+
+# What is compared as a cost, and by its effect on it.
+_COST = ("A", "rhs", "floor", "base_matrix")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What a log and a robot show of a folder of results, link by link.
+
+    Attributes
+    ----------
+    links : tuple of Link
+        From the log to the files.
+    distance : float or None
+        The cost of the rows is within this share of the certificate's, for all parameters; None
+        where there are no rows.
+    gap : float or None
+        The certificate's gap with this distance; None without either.
+    roles : tuple of str
+        Inputs of the run that were compared: the log, and the robot's description where it was at
+        hand.
+    """
+
+    links: tuple[Link, ...]
+    distance: float | None = None
+    gap: float | None = None
+    roles: tuple[str, ...] = ("log",)
+
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What was not made again, for want of something, in words."""
+        return told(self.links, "not checked")
+
+    @property
+    def complete(self) -> set[str]:
+        """Names of the links that were made again, all that was said of them."""
+        wrong = {each.name for each in self.links if each.state == "not made again"}
+        return {each.name for each in self.links if each.state == "made again"} - wrong
 
 
 @one_thread
@@ -86,8 +123,8 @@ def replay(
     MissingExtraError
         When a package is missing that the log's format needs.
     """
-    run, given = _Replaying(Sealed.read(folder)), several(logs)
-    steps: dict[str, Callable[[], None]] = {
+    run, given = _Run(Sealed.read(folder)), several(logs)
+    steps: dict[str, Callable[[], Iterable[Link]]] = {
         "log": lambda: run.read(given),
         "robot": lambda: run.find(robot),
         "samples": run.prepare,
@@ -98,101 +135,103 @@ def replay(
         "choice": run.compare_choice,
         "files": run.write,
     }
+    links, broken = list[Link](), ""
     with progress(len(steps), "running the recipe again") as advance:
         for name, step in steps.items():
-            if run.broken:
-                run.say(name, "not checked", f"needs the link '{run.broken}'")
-            else:
-                run.take(name, step)
+            if broken:
+                links.append(Link(name, "not checked", f"needs the link '{broken}'"))
+            elif wrong := _failure(name, step, links):
+                links.append(Link(name, "not made again", wrong))
+                broken = name
             advance(1)
-    return Replay(links=tuple(run.links), distance=run.distance, gap=run.gap, roles=run.roles)
+    shown_links = tuple(replace(link, text=printable(link.text)) for link in links)
+    return Replay(links=shown_links, distance=run.distance, gap=run.gap, roles=run.roles)
 
 
-@dataclass(eq=False)
-class _Replaying:
-    """The links so far, and what later ones need of earlier ones."""
+class _BrokenError(Exception):
+    """A link without which those that follow cannot be checked."""
 
-    sealed: Sealed
-    links: list[Link] = field(default_factory=list)
-    roles: tuple[str, ...] = ("log",)
-    broken: str = ""
-    logs: list[Recording] = field(default_factory=list)
-    robot: RobotModel | None = None
-    prepared: Prepared | None = None
-    problem: Problem | None = None
-    of_folder: bool = False
-    stated: bool = True
-    distance: float | None = None
-    gap: float | None = None
 
-    def say(self, name: str, state: State, text: str, *, stop: bool = False) -> None:
-        """Add a link; `stop` where those that follow cannot be checked."""
-        self.links.append(Link(name, state, printable(text)))
-        if stop:
-            self.broken = name
-
-    def judge(self, name: str, wrong: list[str], text: str, *, stop: bool = False) -> None:
-        """Add a link that was made again unless something is wrong."""
-        state: State = "not made again" if wrong else "made again"
-        self.say(name, state, "; ".join(wrong) or text, stop=stop and bool(wrong))
-
-    def take(self, name: str, step: Callable[[], None]) -> None:
-        """Take a step; what cannot be done is a finding, but of what was given."""
-        try:
-            step()
-        except MissingExtraError:
+def _failure(name: str, step: Callable[[], Iterable[Link]], links: list[Link]) -> str | None:
+    """Add the links of a step; return why it cannot be taken, unless what was given is at fault."""
+    try:
+        for link in step():
+            links.append(link)
+    except MissingExtraError:
+        raise
+    except _BrokenError as cause:
+        return str(cause)
+    except SdpidError as cause:
+        if name in _GIVEN:
             raise
-        except SdpidError as cause:
-            if name in _GIVEN:
-                raise
-            # What is wrong; what to record or to set otherwise is no help here.
-            self.say(name, "not made again", str(cause).split(";")[0].rstrip("."), stop=True)
-        except REFUSED as cause:
-            # Numbers of a manifest may be any: infinite, of other shapes, singular.
-            text = f"cannot be made again: {type(cause).__name__}, {str(cause)[:200]}"
-            self.say(name, "not made again", shown(text)[1:-1], stop=True)
+        # What is wrong; what to record or to set otherwise is no help here.
+        return str(cause).split(";")[0].rstrip(".")
+    except REFUSED as cause:
+        # Numbers of a manifest may be any: infinite, of other shapes, singular.
+        text = f"cannot be made again: {type(cause).__name__}, {str(cause)[:200]}"
+        return shown(text)[1:-1]
+    return None
 
-    def read(self, given: list[Any]) -> None:
+
+def _judged(name: str, wrong: Iterable[str], text: str) -> Link:
+    """Return a link that was made again unless something is wrong."""
+    found = "; ".join(wrong)
+    state: State = "not made again" if found else "made again"
+    return Link(name, state, found or text)
+
+
+class _Run:
+    """The run of a folder, made again step by step: each yields links, and needs those before."""
+
+    logs: list[Recording]
+    robot: RobotModel
+    of_folder: bool
+    prepared: Prepared
+    problem: Problem
+
+    def __init__(self, sealed: Sealed) -> None:
+        self.sealed, self.recipe, self.data = sealed, sealed.recipe, sealed.data
+        self.asked = sealed.recipe.problem
+        self.roles: tuple[str, ...] = ("log",)
+        self.distance: float | None = None
+        self.gap: float | None = None
+
+    def read(self, given: list[Any]) -> Iterator[Link]:
         """Read the logs as the recipe says, and compare their SHA-256."""
-        entries, reading = self.sealed.logs, self.sealed.recipe.reading
+        entries = self.sealed.logs
         if len(given) != len(entries):
             names = ", ".join(shown(each["name"] or "in memory") for each in entries)
-            text = f"{len(given)} are given, the result is of {len(entries)}: {names}"
-            self.say("log", "not made again", text, stop=True)
-            return
-        self.logs = [read_log(log, how) for log, how in zip(given, reading, strict=True)]
-        for link in log_links(self.sealed, self.logs):
-            self.say(link.name, link.state, link.text)
+            raise _BrokenError(f"{len(given)} are given, the result is of {len(entries)}: {names}")
+        how = zip(given, self.recipe.reading, strict=True)
+        self.logs = [read_log(log, reading) for log, reading in how]
+        yield from log_links(self.sealed, self.logs)
 
-    def find(self, robot: RobotModel | str | os.PathLike[str] | None) -> None:
+    def find(self, given: RobotModel | str | os.PathLike[str] | None) -> Iterator[Link]:
         """Find the robot."""
-        self.robot, link, self.of_folder = find_robot(self.sealed, robot)
-        if self.robot is not None and self.robot.source is not None and not self.of_folder:
+        robot, link, self.of_folder = find_robot(self.sealed, given)
+        if robot is None:
+            raise _BrokenError(link.text)
+        if robot.source is not None and not self.of_folder:
             self.roles = ("log", "robot")
-        asked = self.sealed.recipe.problem
-        bodies = None if asked is None or asked.prior is None else asked.prior.bodies
-        if self.robot is not None and self.of_folder and bodies is not None:
-            # Those that the run's description had, unless others were given.
-            self.robot = replace(self.robot, prior=frozen(bodies))
-        self.say(link.name, link.state, link.text, stop=self.robot is None)
+        bodies = None if self.asked is None or self.asked.prior is None else self.asked.prior.bodies
+        # Those that the run's description had, unless others were given.
+        own = self.of_folder and bodies is not None
+        self.robot = replace(robot, prior=frozen(bodies)) if own else robot
+        yield link
 
-    def prepare(self) -> None:
+    def prepare(self) -> Iterator[Link]:
         """Process the logs as the recipe says."""
-        recipe, robot = self.sealed.recipe, self.robot
-        assert robot is not None
         self.prepared = prepare(
-            robot, self.logs, recipe.processing, without_effort=recipe.without_effort
+            self.robot, self.logs, self.recipe.processing, without_effort=self.recipe.without_effort
         )
+        yield from ()
 
-    def build(self) -> None:
+    def build(self) -> Iterator[Link]:
         """Build the problem as the recipe says, and compare samples and demands."""
-        recipe, prepared, robot = self.sealed.recipe, self.prepared, self.robot
-        assert prepared is not None
-        assert robot is not None
-        asked = recipe.problem
-        problem = build_problem(
-            robot,
-            prepared.samples,
+        recipe, asked, origin = self.recipe, self.asked, self.data["origin"]
+        problem = self.problem = build_problem(
+            self.robot,
+            self.prepared.samples,
             friction=recipe.friction,
             weighting=recipe.weighting,
             consistency="pseudo_inertia" if asked is None else asked.consistency,
@@ -200,38 +239,30 @@ class _Replaying:
             prior=None if asked is None else asked.prior,
             check_excitation=False,
         )
-        self.problem, self.stated = problem, asked is not None
-        self.judge("samples", list(self._other_samples(problem)), self._used(problem))
+        wrong, own = [], (problem.n_samples, problem.n_rows)
+        if own != (stated := (origin["samples"], origin["rows"])):
+            wrong.append(
+                f"{own[0]} samples and {own[1]} rows come out of the log, the certificate is of "
+                f"{stated[0]} and {stated[1]}"
+            )
+        yield _judged("samples", wrong, self._used())
         if problem.samples.contacts is not None:
-            self.say("contacts", "made again", "; ".join(places(problem)))
+            yield Link("contacts", "made again", "; ".join(_places(problem)))
         if asked is None:
             text = (
                 "the recipe does not state what was asked of the parameters, so that bounds, "
                 "margin, rows, cones and prior may be any: conditions of a class of your own stand "
                 "in no file"
             )
-            self.say("problem", "not made again", text)
-            return
-        names = self.sealed.data["origin"]["theta_names"]
-        if list(problem.base.theta_names) != names:
-            # The next link names them.
-            return
-        wrong = list(other_demands(self.sealed.data["problem"], problem))
-        text = f"bounds, margin and prior are those of {told(self.sealed, asked, problem)}"
-        self.judge("problem", wrong, text)
+            yield Link("problem", "not made again", text)
+        elif list(problem.base.theta_names) == origin["theta_names"]:
+            # Other names are told by the next link.
+            text = f"bounds, margin and prior are those of {_demanded(self.sealed, asked, problem)}"
+            yield _judged("problem", _other_demands(self.data["problem"], problem), text)
 
-    def _other_samples(self, problem: Problem) -> Iterator[str]:
-        """Yield that there are other samples or rows than the certificate says."""
-        origin, own = self.sealed.data["origin"], (problem.n_samples, problem.n_rows)
-        if own != (stated := (origin["samples"], origin["rows"])):
-            yield (
-                f"{own[0]} samples and {own[1]} rows come out of the log, the certificate is of "
-                f"{stated[0]} and {stated[1]}"
-            )
-
-    def _used(self, problem: Problem) -> str:
+    def _used(self) -> str:
         """Return how much of the logs is used, and how, in words."""
-        recipe, samples = self.sealed.recipe, problem.samples
+        recipe, problem, samples = self.recipe, self.problem, self.problem.samples
         logged = sum(len(log.time) for log in self.logs)
         rows = int(np.count_nonzero(samples.used))
         text = (
@@ -247,58 +278,49 @@ class _Replaying:
         if recipe.force_scale != 1.0:
             text += f", with covariances of measured forces times {recipe.force_scale!r}"
         # Another processor may round the last digits of a filter otherwise.
-        same = rows_digest(problem) == self.sealed.data["origin"]["rows_sha256"]
+        same = rows_digest(problem) == self.data["origin"]["rows_sha256"]
         digits = "number for number those" if same else "not in every digit those"
         return f"{text}; {digits} of the run"
 
-    def compare_base(self) -> None:
+    def compare_base(self) -> Iterator[Link]:
         """Compare base parameters with the certificate's."""
-        problem, recipe, data = self.problem, self.sealed.recipe, self.sealed.data
-        assert problem is not None
-        base, robot = problem.base, problem.robot
-        found: dict[str, Any] = {
-            "links": robot.link_names,
-            "joints": robot.joint_names,
+        problem, base, origin = self.problem, self.problem.base, self.data["origin"]
+        own: dict[str, Any] = {
+            "links": problem.robot.link_names,
+            "joints": problem.robot.joint_names,
             "theta_names": base.theta_names,
             "base_names": base.names,
-            "weighting": recipe.weighting,
+            "weighting": self.recipe.weighting,
         }
         if not problem.origin.constant:
-            found["loss"] = problem.origin.meaning
-        for name, value in found.items():
-            if (list(value) if isinstance(value, tuple) else value) != data["origin"][name]:
-                text = f"{name} of the certificate are others than those of robot and recipe"
-                self.say("base parameters", "not made again", text, stop=True)
-                return
-        B = np.array(data["problem"]["base_matrix"], dtype=np.float64)
+            own["loss"] = problem.origin.meaning
+        for name, value in own.items():
+            if (list(value) if isinstance(value, tuple) else value) != origin[name]:
+                raise _BrokenError(
+                    f"{name} of the certificate are others than those of robot and recipe"
+                )
+        terms = []
+        for term in self.recipe.friction:
+            if (bodies := getattr(term, "bodies", None)) is None:
+                terms.append(repr(term))
+            else:
+                same = np.array_equal(bodies, self.robot.prior)
+                whose = "the description's bodies" if same else "bodies that the recipe states"
+                terms.append(f"{type(term).__name__} of {whose}")
+        B = np.array(self.data["problem"]["base_matrix"], dtype=np.float64)
         off = float(np.abs(B - base.matrix).max(initial=0.0))
-        terms = ", ".join(self._terms()) or "none"
-        text = (
-            f"{base.count} base parameters of {len(base.theta_names)}, friction and effects "
-            f"{terms}; the matrix is the certificate's to within {off:.3g}"
-        )
         wrong = []
         if not off <= _REGROUPED * np.abs(base.matrix).max(initial=0.0):
             wrong = [f"the matrix is not the certificate's: entries differ by up to {off:.3g}"]
-        self.judge("base parameters", wrong, text)
+        text = (
+            f"{base.count} base parameters of {len(base.theta_names)}, friction and effects "
+            f"{', '.join(terms) or 'none'}; the matrix is the certificate's to within {off:.3g}"
+        )
+        yield _judged("base parameters", wrong, text)
 
-    def _terms(self) -> Iterator[str]:
-        """Yield the terms with their settings, and whether bodies in them are the description's."""
-        assert self.robot is not None
-        for term in self.sealed.recipe.friction:
-            bodies = getattr(term, "bodies", None)
-            if bodies is None:
-                yield repr(term)
-            elif np.array_equal(bodies, self.robot.prior):
-                yield f"{type(term).__name__} of the description's bodies"
-            else:
-                yield f"{type(term).__name__} of bodies that the recipe states"
-
-    def compare_weights(self) -> None:
+    def compare_weights(self) -> Iterator[Link]:
         """Compare the covariance of efforts with the one that the recipe names."""
-        problem, recipe = self.problem, self.sealed.recipe
-        assert problem is not None
-        sigma, wrong = problem.sigma, []
+        recipe, sigma, wrong = self.recipe, self.problem.sigma, []
         if recipe.sigma is not None and sigma.shape == recipe.sigma.shape:
             size = np.sqrt(np.diagonal(sigma))
             off = float(np.abs((recipe.sigma - sigma) / np.outer(size, size)).max(initial=0.0))
@@ -306,51 +328,43 @@ class _Replaying:
                 wrong.append(f"the recipe's covariance of efforts is off by {off:.3g} of its size")
         elif recipe.sigma is not None:
             wrong.append("the recipe's covariance of efforts is of other joints")
-        scale = getattr(problem.rows, "force_scale", 1.0)
+        scale = getattr(self.problem.rows, "force_scale", 1.0)
         wrong += differences(recipe.force_scale, scale, where="the scale of measured forces")
-        text = f"by the weighting '{recipe.weighting}' {_weights(sigma)}"
-        self.judge("weights", wrong, text)
+        yield _judged("weights", wrong, f"by the weighting '{recipe.weighting}' {_weights(sigma)}")
 
-    def compare_rows(self) -> None:
+    def compare_rows(self) -> Iterator[Link]:
         """Compare the cost of the rows with the certificate's, for all parameters."""
-        problem, data = self.problem, self.sealed.data
-        assert problem is not None
-        given, claims = data["problem"], data["claims"]
+        problem, given, claimed = self.problem, self.data["problem"], self.data["claims"]["gap"]
         rhs = np.array(given["rhs"], dtype=np.float64)
         A = np.array(given["A"], dtype=np.float64).reshape(len(rhs), -1)
         off = distance((A, rhs, float(given["floor"])), (problem.A, problem.rhs, problem.floor))
         self.distance = off
         if not off <= LIMIT:
-            text = (
+            raise _BrokenError(
                 "A, rhs and floor of the certificate are not of the rows of this log: the costs "
                 f"differ by up to {off:.3g} of themselves (limit {LIMIT:g})"
             )
-            self.say("rows", "not made again", text, stop=True)
-            return
         text = (
             "for all parameters, the cost of the rows is the certificate's to within "
             f"{off:.3g} of itself (limit {LIMIT:g})"
         )
-        if claims["gap"] is not None:
+        if claimed is not None:
             # Cost and bound are off by this share, each its own way.
-            self.gap = claims["gap"] + 2.0 * off
+            self.gap = claimed + 2.0 * off
             text += f"; with it the gap is at most {self.gap:.10g}"
-        self.say("rows", "made again", text)
+        yield Link("rows", "made again", text)
 
-    def compare_choice(self) -> None:
+    def compare_choice(self) -> Iterator[Link]:
         """Compare the parameters with those that are chosen: cheapest, or of these the nearest."""
-        problem, data = self.problem, self.sealed.data
-        assert problem is not None
-        if not self.stated:
+        problem = self.problem
+        if self.asked is None:
             return
         which = "which of the parameters that cost the same were chosen"
-        if problem.prior is None and problem.consistency == "none":
-            self.say("choice", "not checked", f"{which}: links may be any")
+        if problem.prior is None and (problem.consistency == "none" or self.of_folder):
+            why = "links may be any" if problem.consistency == "none" else "give --robot"
+            yield Link("choice", "not checked", f"{which}: {why}")
             return
-        if problem.prior is None and self.of_folder:
-            self.say("choice", "not checked", f"{which}: give --robot")
-            return
-        theta, best = np.array(data["theta"], dtype=np.float64), solve_sdp(problem)
+        theta, best = np.array(self.data["theta"], dtype=np.float64), solve_sdp(problem)
         there = np.array(best.theta)
         if problem.prior is not None:
             terms = (term.curvature_rows(there) for term in problem.prior.terms)
@@ -365,35 +379,118 @@ class _Replaying:
             )
             same = own <= (1.0 + _NEAREST) * least
         wrong = [] if same else [f"the parameters are not those {wanted}"]
-        self.judge("choice", wrong, f"solved for again, the parameters are those {wanted}")
+        yield _judged("choice", wrong, f"solved for again, the parameters are those {wanted}")
 
-    def write(self) -> None:
+    def write(self) -> Iterator[Link]:
         """Write the files again and compare them."""
         problem, sealed, prepared = self.problem, self.sealed, self.prepared
-        assert problem is not None
-        assert prepared is not None
-        if sealed.data["theta"] is None:
+        if self.data["theta"] is None:
             raise DataError("the certificate has no parameters")
-        found = check_friction(sealed, problem.robot.n_base)
-        if self.stated:
+        yield from check_friction(sealed, problem.robot.n_base)
+        if self.asked is not None:
             # Words for base parameters have digits of the matrix, which has been compared.
-            B = frozen(np.array(sealed.data["problem"]["base_matrix"]))
+            B = frozen(np.array(self.data["problem"]["base_matrix"]))
             base = replace(problem.base, matrix=B)
-            whole = replace(problem, base=base).with_origin(profiled=sealed.recipe.profiled or ())
-            found += Files(
+            whole = replace(problem, base=base).with_origin(profiled=self.recipe.profiled or ())
+            yield from Files(
                 sealed,
                 whole,
                 lambda each: with_motion_bias_of(each, prepared)[0],
                 described=not self.of_folder,
             ).check()
-        for link in found:
-            self.say(link.name, link.state, link.text)
         if self.of_folder and URDF in sealed.files:
             text = (
                 "joints, places, limits and shapes, and what the description had in place of a "
                 "prior: none is given (--robot)"
             )
-            self.say(URDF, "not checked", text)
+            yield Link(URDF, "not checked", text)
+
+
+def _places(problem: Problem) -> Iterator[str]:
+    """Yield where contacts are on their links, and how often they are closed, in words."""
+    model: Any = problem.robot.pin_model
+    contacts = problem.samples.contacts
+    assert contacts is not None
+
+    def place(name: str) -> str:
+        frame = model.frames[model.getFrameId(name)]
+        where = ", ".join(f"{each:.6g}" for each in frame.placement.translation)
+        return f"({where}) m of joint {shown(model.names[frame.parentJoint])}"
+
+    for k, (name, own, against) in enumerate(
+        zip(contacts.names, contacts.frames, contacts.against, strict=True)
+    ):
+        count = int(np.count_nonzero(contacts.down[:, k]))
+        where = f"{contacts.kind[k]} {shown(name)} at {place(own)}"
+        if against is None:
+            beside = ", ".join(f"{each:.6g}" for each in contacts.offset[k])
+            where += f", and ({beside}) m from there in the world's axes"
+        else:
+            where += f" and {place(against)}"
+        yield f"{where}, closed in {count} samples"
+    if contacts.widened_s is not None:
+        yield f"flags are widened by {contacts.widened_s:.6g} s on either side"
+    measured = "no forces are" if contacts.force_covariance is None else "forces are"
+    yield f"{measured} measured"
+
+
+def _other_demands(given: Mapping[str, Any], problem: Problem) -> Iterator[str]:
+    """Yield what of the certificate's problem is not as stated: its cost aside."""
+    for key, wanted in problem_dict(problem).items():
+        found, within, where = given.get(key), LIMIT, ""
+        if key in _COST:
+            continue
+        if key in ("lower", "upper"):
+            # The same in all digits.
+            names, within, where = problem.base.theta_names, 0.0, f"the {key} bound of"
+            found, wanted = (dict(zip(names, each, strict=True)) for each in (given[key], wanted))
+        else:
+            found, wanted = {key: found}, {key: wanted}
+        wrong = list(differences(found, wanted, within=within, where=where))
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        yield from (f"{each}{more}" for each in wrong[:1])
+
+
+def _demanded(sealed: Sealed, stated: StatedProblem, problem: Problem) -> str:
+    """Return what is asked, and what of it is not what `sdpid identify` asks of this robot."""
+    robot, constraints, prior = problem.robot, stated.constraints, stated.prior
+    entry, own = sealed.robot, robot.source
+    described = entry is not None and own is not None and own.sha256 == entry["sha256"]
+    numbers = (
+        f"{stated.consistency}, margin {constraints.margin!r} kg.m2, masses from "
+        f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
+        f"{constraints.theta_max!r}, of friction to {constraints.friction_max!r}"
+    )
+    if not constraints.friction_nonnegative:
+        numbers += ", friction may be negative"
+    if described:
+        default = with_friction_max(Constraints.of_size(robot), problem.require_rows("bounds"))
+        values = {
+            each.name: getattr(default, each.name)
+            for each in fields(Constraints)
+            if each.name != "others"
+        }
+        others = [
+            f"{name} {value!r}"
+            for name, value in values.items()
+            if getattr(constraints, name) != value
+        ]
+        numbers += (
+            f"; by default {', '.join(others)}" if others else ", the defaults for this robot"
+        )
+    said = f"the recipe ({numbers}"
+    if constraints.others:
+        said += f"; conditions: {in_words(constraints.others)}"
+    if prior is None:
+        return said + "; no prior)"
+    same = described and prior.bodies is not None and np.array_equal(prior.bodies, robot.prior)
+    towards = "the description's bodies" if same else "bodies that the recipe states"
+    said = f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards}"
+    if not prior.friction:
+        said += ", none about friction"
+    if prior.alike:
+        said += f"; {described_pairs(prior.alike, prior.within)}"
+    return said + ")"
 
 
 def _weights(sigma: Array) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,7 +16,6 @@ from sdpid._common.tables import Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS, hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
-from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
@@ -32,17 +31,18 @@ from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.model.digest import close
 from sdpid.verifier import certificate
 from sdpid.verifier.exact import product
-from sdpid.verifier.reading import REFUSED, parse, read_bytes, text
+from sdpid.verifier.reading import parse, read_bytes, text
 from sdpid.workflow.replay.compare import (
     LIMIT,
-    MOST,
+    Link,
+    by_file,
+    checked,
     differences,
     table_differences,
     text_differences,
 )
-from sdpid.workflow.replay.folder import Sealed
-from sdpid.workflow.replay.links import Link, by_file
-from sdpid.workflow.replay.numbers import MJCF, PARAMETERS, RESULT, URDF, reason
+from sdpid.workflow.replay.given import Sealed
+from sdpid.workflow.replay.numbers import MJCF, PARAMETERS, RESULT, URDF
 
 # Descriptions of robots may be larger than proofs.
 _LARGEST = 64 * 2**20
@@ -100,6 +100,10 @@ class Files:
     def _parameters(self) -> dict[str, Any]:
         return parse(read_bytes(self.sealed.folder / PARAMETERS))
 
+    @cached_property
+    def _result(self) -> dict[str, Any]:
+        return parse(read_bytes(self.sealed.folder / RESULT))
+
     @property
     def _method(self) -> Method | None:
         """How the intervals were made that the folder has."""
@@ -117,90 +121,83 @@ class Files:
         return confidence_intervals(self.estimate, method=self._method, level=level)
 
     @property
-    def _told(self) -> str:
-        """How intervals were made, and what counts as chosen by the data."""
-        if self._method is None:
-            return "none"
-        chosen = ", ".join(each.name for each in self.problem.origin.profiled) or "nothing"
-        level = self._parameters["interval_level"]
-        return f"{self._method} at {level!r}; of friction terms the data chose {chosen}"
-
-    @property
     def _of_width(self) -> float:
         """How near ends of intervals are to those that were made again, in widths."""
         return 0.0 if self._method in (None, "gauss_markov") else _SOLVED
 
     def check(self) -> list[Link]:
         """Return whether each file is as written again."""
-        checks: dict[str, Callable[[str], Iterator[str]]] = {
-            PARAMETERS: self._of_parameters,
-            RESULT: self._of_result,
-            "parameters.csv": lambda name: self._of_table(
-                name, theta_table(self.estimate, self.intervals)
-            ),
-            "base_parameters.csv": lambda name: self._of_table(
-                name, base_table(self.estimate, self.wls, self.intervals)
-            ),
-            URDF: lambda name: self._of_robot(name, write_urdf),
-            MJCF: lambda name: self._of_robot(name, self._write_mjcf),
-        }
-        near = f"{LIMIT:g} of the numbers of a row"
+        robot = (
+            "written again from the description and the parameters, it is the same: numbers "
+            f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter"
+        )
+        near, method = f"{LIMIT:g} of the numbers of a row", "none"
         if self._of_width:
             near += f", ends of intervals to {self._of_width:g} of their width"
-        texts = {
-            URDF: "written again from the description and the parameters, it is the same: numbers "
-            f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter",
-            RESULT: "errors in training and on blocks held out, of the unconstrained fit too, and "
-            f"intervals are those of these rows, to {near}",
-        }
-        texts[MJCF] = texts[URDF]
-        other = (
-            f"written again from parameters and rows, with intervals ({self._told}), "
-            "standard errors and shares, it is the same, "
-            f"to {near}"
+        if self._method is not None:
+            chosen = ", ".join(each.name for each in self.problem.origin.profiled) or "nothing"
+            level = self._parameters["interval_level"]
+            method = f"{self._method} at {level!r}; of friction terms the data chose {chosen}"
+        result = (
+            "errors in training and on blocks held out, of the unconstrained fit too, and "
+            f"intervals are those of these rows, to {near}"
         )
+        other = (
+            f"written again from parameters and rows, with intervals ({method}), "
+            f"standard errors and shares, it is the same, to {near}"
+        )
+        checks: dict[str, tuple[Callable[[], Iterator[str]], str]] = {
+            PARAMETERS: (self._of_parameters, other),
+            RESULT: (self._of_result, result),
+            "parameters.csv": (self._of_theta, other),
+            "base_parameters.csv": (self._of_base, other),
+            URDF: (partial(self._of_robot, URDF, write_urdf), robot),
+            MJCF: (partial(self._of_robot, MJCF, self._write_mjcf), robot),
+        }
         # Certificates of this version come with recipes that say it.
         old = self.sealed.data["version"] < certificate.VERSION
-        found, unsaid = [], self.sealed.recipe.profiled is None and old
-        for name, check in checks.items():
+        found, unsaid = list[Link](), self.sealed.recipe.profiled is None and old
+        for name, (check, said) in checks.items():
             if name not in self.sealed.files:
                 continue
             if unsaid and name not in (URDF, MJCF):
                 text = "intervals: the recipe does not say which numbers of terms the data chose"
                 found.append(Link(name, "not checked", text))
-                continue
-            if name == MJCF and not self.described and self._lumped:
+            elif name == MJCF and not self.described and self._lumped:
                 # Of the folder's URDF they have none any more.
                 text = "what it holds: bodies fixed to links stand in the description (--robot)"
                 found.append(Link(name, "not checked", text))
-                continue
-            found += checked(name, check, texts.get(name, other))
+            else:
+                found += checked(name, check, said)
         return by_file(found)
 
+    def _of_theta(self) -> Iterator[str]:
+        return self._of_table("parameters.csv", theta_table(self.estimate, self.intervals))
+
+    def _of_base(self) -> Iterator[str]:
+        table = base_table(self.estimate, self.wls, self.intervals)
+        return self._of_table("base_parameters.csv", table)
+
     def _of_table(self, name: str, table: Table) -> Iterator[str]:
-        return table_differences(
-            self._read(name), table, of_width=self._of_width, without=self._without
-        )
+        content = read_bytes(self.sealed.folder / name)
+        return table_differences(content, table, of_width=self._of_width, without=self._aside)
 
     @property
-    def _without(self) -> tuple[str, ...]:
+    def _aside(self) -> tuple[str, ...]:
         """What cannot be made again: shares without prior and description."""
         known = self.described or self.problem.prior is not None
         return () if known else ("shares", "data", "physics", "prior")
 
-    def _of_parameters(self, name: str) -> Iterator[str]:
+    def _of_parameters(self) -> Iterator[str]:
         made = parameters_dict(self.estimate, intervals=self.intervals)
-        found, wanted = (
-            {key: value for key, value in each.items() if key not in _OF_THE_RUN}
-            for each in (self._parameters, made)
-        )
-        for entry in (*found["standard"].values(), *wanted["standard"].values()):
-            for key in {*entry} & {*self._without}:
-                del entry[key]
+        found, wanted = (_without(each, *_OF_THE_RUN) for each in (self._parameters, made))
+        for each in (found, wanted):
+            standard = each["standard"].items()
+            each["standard"] = {key: _without(own, *self._aside) for key, own in standard}
         return differences(found, wanted, of_width=self._of_width)
 
-    def _of_result(self, name: str) -> Iterator[str]:
-        data, intervals = parse(self._read(name)), self.intervals
+    def _of_result(self) -> Iterator[str]:
+        data, intervals = self._result, self.intervals
         made = plain_dict(
             {
                 "training": validate(self.estimate).to_dict(),
@@ -218,9 +215,9 @@ class Files:
             for key in ("blocks", OURS, LEAST_SQUARES):
                 found[f"held_out {key}"] = data["held_out"][key]
                 made[f"held_out {key}"] = again.get(key)
-        for each in (found["intervals"], made["intervals"]):
-            for key in _OF_INTERVALS if each is not None else ():
-                del each[key]
+        for each in (found, made):
+            if each["intervals"] is not None:
+                each["intervals"] = _without(each["intervals"], *_OF_INTERVALS)
         return differences(found, made, of_width=self._of_width)
 
     def _write_mjcf(self, estimate: Estimate, *, target: Path) -> ExportReport:
@@ -236,43 +233,21 @@ class Files:
             report = write(self.estimate, target=path).to_dict()
             found, wanted = (decode_xml(each, name) for each in (content, path.read_bytes()))
         yield from text_differences(found, wanted)
-        entries = [each for each in self._exports if each["file"] == name]
-        for each in (*entries, report):
-            # Of a recording that is not here; and of a description, which may not be.
-            for key in ("validation", *(() if self.described else ("lumped",))):
-                del each[key]
-        yield from differences(entries, [report], where=f"its entry in {RESULT}")
-
-    @property
-    def _exports(self) -> list[dict[str, Any]]:
-        """What result.json says of the robots that were written."""
-        found: list[dict[str, Any]] = parse(self._read(RESULT))["exports"]
-        return found
+        # Of a recording that is not here; and of a description, which may not be.
+        aside = ("validation",) if self.described else ("validation", "lumped")
+        entries = [each for each in self._result["exports"] if each["file"] == name]
+        own, made = ([_without(e, *aside) for e in each] for each in (entries, [report]))
+        yield from differences(own, made, where=f"its entry in {RESULT}")
 
     @property
     def _lumped(self) -> bool:
         """Whether the folder says that links took over the bodies fixed to them."""
-        return any(each["lumped"] for each in self._exports)
-
-    def _read(self, name: str) -> bytes:
-        return read_bytes(self.sealed.folder / name)
+        return any(each["lumped"] for each in self._result["exports"])
 
 
-def checked(name: str, check: Callable[[str], Iterator[str]], said: str) -> list[Link]:
-    """Return the links of a file: what is wrong, or what is said where nothing is."""
-    try:
-        wrong = list(check(name))
-    except MissingExtraError as missing:
-        return [Link(name, "not checked", f"what it holds ({missing})")]
-    except SdpidError as cause:
-        wrong = [f"cannot be written again: {cause}"]
-    except (OSError, *REFUSED) as cause:
-        wrong = [f"cannot be compared: {reason(cause)}"]
-    if not wrong:
-        return [Link(name, "made again", said)]
-    if len(wrong) > MOST:
-        wrong[MOST:] = [f"{len(wrong) - MOST} other differences"]
-    return [Link(name, "not made again", each) for each in wrong]
+def _without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Return values by name, some left out."""
+    return {name: value for name, value in values.items() if name not in names}
 
 
 def check_friction(sealed: Sealed, first: int) -> list[Link]:
@@ -289,7 +264,7 @@ def check_friction(sealed: Sealed, first: int) -> list[Link]:
     return by_file(
         link
         for name in names
-        for link in checked(name, lambda n: _friction(sealed, first, n), said)
+        for link in checked(name, partial(_friction, sealed, first, name), said)
     )
 
 
