@@ -123,7 +123,7 @@ def replay(
     MissingExtraError
         When a package is missing that the log's format needs.
     """
-    run, given = _Run(Sealed.read(folder)), several(logs)
+    run, given = _Rerun(Sealed.read(folder)), several(logs)
     steps: dict[str, Callable[[], Iterable[Link]]] = {
         "log": lambda: run.read(given),
         "robot": lambda: run.find(robot),
@@ -180,7 +180,7 @@ def _judged(name: str, wrong: Iterable[str], text: str) -> Link:
     return Link(name, state, found or text)
 
 
-class _Run:
+class _Rerun:
     """The run of a folder, made again step by step: each yields links, and needs those before."""
 
     logs: list[Recording]
