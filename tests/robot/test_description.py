@@ -500,9 +500,10 @@ def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
     refuses(ModelError, words, sdpid.load_robot, ARM.replace(*change))
 
 
-def test_a_root_is_refused() -> None:
+def test_a_root_is_that_of_the_file() -> None:
     with pytest.raises(ModelError, match="an MJCF says itself whether its base floats"):
         sdpid.load_robot(ARM, root="free_flyer")
+    assert sdpid.load_robot(FLOATING, root="free_flyer").free_flyer
 
 
 def test_a_file_that_includes_itself_ends_nothing_but_a_child(tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ def load_robot(
         * path or text of a URDF, an MJCF (extra ``sim``) or a xacro file (extra ``xacro``);
         * a model.
     root : {"free_flyer"}, optional
-        Let the base float; its link is then identified too. An MJCF says so itself.
+        Let the base float; its link is then identified too. An MJCF says so itself, and is
+        refused where it says otherwise.
     gravity : sequence of 3 floats, optional
         Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's or the MJCF's own.
     xacro_args : mapping, optional
@@ -99,14 +100,14 @@ def load_robot(
             passive=tuple(stated),
             assembled=tuple(stated.values()),
         )
-    if root is not None:
-        raise ModelError(
-            f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
-            "its first body a <freejoint/>."
-        )
     mjcf = pinocchio_from_mjcf(found.text, found.path, found.what)
     loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
     robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
+    if root is not None and not robot.free_flyer:
+        raise ModelError(
+            f"{found.what}: an MJCF says itself whether its base floats, and this one's is fixed; "
+            "give its first body a <freejoint/>, or leave root out."
+        )
     # Joints that no actuator moves have none at all in most files: a loop tells that they matter.
     passive = tuple(name for name in mjcf.passive if loops and name in robot.joint_names)
     # Where the file's joints are zero its loops are closed.

@@ -47,12 +47,8 @@ def robot_of(robot: RobotModel | str | os.PathLike[str], logs: Sequence[object] 
     """
     if isinstance(robot, RobotModel):
         return robot
-    loaded = load_robot(robot)
     floats = any(isinstance(log, Recording) and log.base is not None for log in logs)
-    if not floats or loaded.free_flyer:
-        return loaded
-    # An MJCF refuses: it says itself whether its base floats.
-    return load_robot(robot, root="free_flyer")
+    return load_robot(robot, root="free_flyer" if floats else None)
 
 
 def require_its_base(robot: RobotModel, log: Recording) -> None:
