@@ -15,15 +15,13 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import (
     base_checks,
-    channels,
+    channel_checks,
     delay_checks,
     dynamics_checks,
-    effort_checks,
     feet_checks,
     force_checks,
     imu_checks,
     motion_checks,
-    time_checks,
 )
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, note, refuse
@@ -38,7 +36,7 @@ from sdpid.robot.model.model import RobotModel
 
 # Importing a file of checks adds them to the lists. A new check is a function in one of these.
 _ = (
-    *(time_checks, motion_checks, effort_checks, delay_checks, dynamics_checks),
+    *(motion_checks, channel_checks, delay_checks, dynamics_checks),
     *(base_checks, imu_checks, feet_checks, force_checks),
 )
 KINDS.update(
@@ -208,10 +206,10 @@ def _looked_at(
     """Return one recording as checks see it, and its findings, what is to be refused first."""
     findings = [*_about_names(view)]
     subject = Subject(view=view, without=without, total_mass=total_mass)
-    findings += effort_checks.silent(subject)
+    findings += channel_checks.silent(subject)
     subject = _less(subject, findings)
     # What a wrong row makes of other channels, and of other joints, is not told.
-    wrong, subject = channels.wrong_channels(subject)
+    wrong, subject = channel_checks.wrong_channels(subject)
     findings += wrong
     for each in CHECKS:
         findings += each(subject)

@@ -1,24 +1,42 @@
-"""Checks of positions, velocities and references: units, jumps, rest, directions, other motion."""
+"""Checks of time stamps, positions, velocities and references."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.errors import DataError
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import ROWS, taken
+from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
 from sdpid.experiment.recording.velocities import velocity_fit
 
 KINDS.update(
+    time_stamps=refuse("{why}", final=True),
+    continued=note("{note}"),
+    units=note("{note}"),
+    recording=note("{note}"),
+    time_unit=refuse("{seen}", "{remedy}", hides=("speed",), spoils=True),
+    jitter=note(
+        "time stamps jitter by {jitter:.3g %} of a step of {step:.4g} s (rms), limit {limit:g %}",
+        "stamp samples where they are measured",
+    ),
+    lost_samples=warning(
+        "{lost} of {all} samples ({share:.3g %}) are missing between the others, limit {limit:g %}",
+        "log with a larger buffer, or at a lower rate",
+    ),
+    repeated_rows=warning(
+        "{rows} of {all} rows ({share:.3g %}) repeat the row before in every position and effort, "
+        "limit {limit:g %}: the log is written faster than the robot measures",
+        "remove the repeated rows, or log at the robot's rate",
+    ),
     time_scale=refuse(
         "velocities of all joints are {scale:.3g} times the rate of their positions, limit "
         "{least:.2g} to {limit:g}: the time stamps count {scale:.3g} s for every second",
@@ -65,17 +83,39 @@ KINDS.update(
     ),
 )
 
+# What is looked at of longer recordings is this many rows from the middle.
+_COMPARED = 100_000
+# A row is repeated where no position and no effort changes. More repeats than these in a row are
+# rest; a logger that runs faster than the robot makes fewer, many times.
+_MOST_REPEATS, _REPEATED = 20, 0.02
+# Slower or faster, in Hz, no controller logs; stamps in ms that are read as seconds do, and stamps
+# in seconds that are read as ms. The fastest logs of drives have 20 kHz.
+_LEAST_RATE, _FASTEST_RATE = 2.0, 25e3
+# Logs of 5 kHz, too, whose stamps in ms are read as seconds: below this rate some joint must be
+# faster than this (rad/s, or m/s). Excitations reach fifty times as much.
+_SLOW_RATE, _LEAST_SPEED = 25.0, 0.02
+# Stamps that are off a regular clock by this part of a step jitter. More than this share of lost
+# samples is no accident.
+_JITTER, _LOST = 0.05, 0.05
+# Seconds in the units of stamps that may be read as seconds.
+_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
 _FASTEST = 40.0
 # An encoder that is read late repeats its position for less than this (s), and then catches up; one
 # of few digits for any time, and then changes by a step of about its usual size. Either took the
 # time since the last change.
 _STALE, _ROUNDED = 0.1, 1.5
+# A joint that moves less than this part of its way back moves in one direction.
+_BACK = 0.02
+# The whole robot rests below this speed (rad/s, or m/s). Rows at rest are masked by default, so a
+# recording that rests longer has less to say than its length promises.
+_RESTING, _LONGEST_REST = 0.005, 0.3
 # Two signals belong together when they correlate like this, and differ in their units when the
 # scale between them is off by this factor: filters explain less. On six simulated arms fits of a
 # reference to its own joint correlate by more than 0.999, to another one by less than 0.75.
-_CORRELATED = 0.9
-_SCALE = 1.3
+_CORRELATED, _SCALE = 0.9, 1.3
+_LIMITS = f"limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
 # Factors that one meets: the unit in the file instead of the one that was meant.
 _FACTORS = {
     180.0 / math.pi: "deg instead of rad",
@@ -89,11 +129,103 @@ _FACTOR_SLACK = 0.1
 # Where this share of the joints agrees this well on a scale that is off by this factor, it is the
 # time stamps that are wrong: of sound recordings it is off by 2 % at most.
 _CLOCK, _CLOSE, _MOST = 1.1, 0.05, 0.6
-# A joint that moves less than this part of its way back moves in one direction.
-_BACK = 0.02
-# The whole robot rests below this speed (rad/s, or m/s). Rows at rest are masked by default, so a
-# recording that rests longer has less to say than its length promises.
-_RESTING, _LONGEST_REST = 0.005, 0.3
+# References are compared as means over 1000 intervals.
+_INTERVALS, _LEAST_INTERVALS = 1000, 20
+# What is left between them once the effort that gravity and friction need is accounted for
+# (rad, or m).
+_OFFSET = 0.1
+# Positions do not come before their references (s); clocks and filters account for a few samples.
+_EARLIEST = -0.02
+
+
+@check
+def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
+    """Find gaps and stamps that came late, and angles that wrap."""
+    continued = subject.view.continued
+    if isinstance(continued, DataError):
+        yield found("time_stamps", why=str(continued))
+        return
+    for text in continued[1]:
+        yield found("continued", note=text)
+
+
+@check
+def units_of_time(subject: Subject) -> Iterator[Finding]:
+    """Say where the unit of time was inferred, and find rates of no robot's logger."""
+    log, rate = subject.log, subject.log.rate_hz
+    for text in log.notes:
+        if text.startswith("time:"):
+            remedy = f"where that is wrong, {_GIVE_UNIT}"
+            yield found("time_unit", None, "note", seen=text, remedy=remedy, rate=rate)
+        else:
+            # Else of who made the recording, such as a simulator.
+            yield found("units" if text.startswith("units:") else "recording", note=text)
+    cause, remedy = "the stamps may be in s, and were read as ms, us or ns", _GIVE_UNIT
+    if rate < _SLOW_RATE:
+        cause, remedy = _read_as_seconds(rate)
+    if not _LEAST_RATE <= rate <= _FASTEST_RATE:
+        seen = (
+            f"time: a sample every {log.step:.6g} s is a rate of {rate:.3g} Hz, limit "
+            f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: {cause}"
+        )
+        limit = _LEAST_RATE if rate < _LEAST_RATE else _FASTEST_RATE
+        yield found("time_unit", seen=seen, remedy=remedy, rate=rate, limit=limit)
+    elif rate < _SLOW_RATE and (rows := subject.low_passed) is not None:
+        speed = float(np.abs(rows.velocity).max())
+        seen = (
+            f"time: at {rate:.3g} Hz no joint is faster than {speed:.2g} rad/s, limit "
+            f"{_LEAST_SPEED:g} rad/s: {cause}"
+        )
+        numbers = {"rate": rate, "speed": speed, "limit": _LEAST_SPEED}
+        if speed < _LEAST_SPEED:
+            yield found("time_unit", seen=seen, remedy=remedy, **numbers)
+
+
+def _read_as_seconds(rate: float) -> tuple[str, str]:
+    """Return in which unit stamps are that make so low a rate as seconds, and how to give it."""
+    rates = {unit: rate / seconds for unit, seconds in _UNITS.items()}
+    likely = {unit: hz for unit, hz in rates.items() if _LEAST_RATE <= hz <= _FASTEST_RATE}
+    if not likely:
+        return "in no unit do the stamps make a rate of a robot", "give time stamps in s"
+    words = " or ".join(f"{unit} ({hz:.4g} Hz)" for unit, hz in likely.items())
+    units = [f"units={{'time': '{unit}'}} (--unit time={unit})" for unit in likely]
+    certain = "must be" if len(likely) == 1 else "may be"
+    return f"the stamps {certain} in {words}", f"give the unit: {' or '.join(units)}"
+
+
+@check
+def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
+    """Find stamps off a regular clock, and samples that were lost."""
+    log = subject.log
+    steps = np.diff(np.asarray(log.time[_middle(log)])) / log.step
+    jitter = float(np.sqrt(np.mean((steps - np.rint(steps)) ** 2)))
+    if jitter > _JITTER:
+        yield found("jitter", jitter=jitter, step=log.step, limit=_JITTER)
+    # Longer steps are gaps, at which the recording is split.
+    few = np.rint(steps[steps < MAX_GAP_STEPS])
+    lost = int(np.maximum(few - 1.0, 0.0).sum())
+    every = steps.size + lost
+    if lost / every > _LOST:
+        yield found("lost_samples", lost=lost, all=every, share=lost / every, limit=_LOST)
+
+
+@check
+def repeated_rows(subject: Subject) -> Iterator[Finding]:
+    """Find rows that repeat the row before, as loggers write that run faster than the robot."""
+    log, part = subject.log, _middle(subject.log)
+    values = np.hstack([np.asarray(log.position[part]), np.asarray(log.effort[part])])
+    changed = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
+    runs = np.diff(changed, prepend=-1, append=len(values) - 1) - 1
+    repeats = int(runs[runs <= _MOST_REPEATS].sum())
+    share = repeats / len(values)
+    if share > _REPEATED:
+        yield found("repeated_rows", rows=repeats, all=len(values), share=share, limit=_REPEATED)
+
+
+def _middle(log: Recording) -> slice:
+    """Return the rows that are looked at."""
+    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    return slice(begin, begin + _COMPARED)
 
 
 @check
@@ -109,22 +241,19 @@ def degrees(subject: Subject) -> Iterator[Finding]:
 @check
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
-    log = subject.log
     low, high = subject.position_range
-    reach = high - low
     jumps: dict[int, tuple[float, float, int]] = {}
     for first, piece in subject.pieces:
-        for j, speed, step, row in _fast_steps(first, piece):
-            jumps[j] = max(jumps.get(j, (0.0, 0.0, 0)), (speed, step, row))
-    for j, name in enumerate(log.names):
+        for j, jump in _fast_steps(first, piece):
+            jumps[j] = max(jumps.get(j, jump), jump)
+    for j, (name, reach) in enumerate(zip(subject.log.names, (high - low).tolist(), strict=True)):
         # A joint without a motor moves as far as its loop moves it: nobody can excite it.
-        if reach[j] < AT_REST and name not in subject.passive:
-            moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
-            yield found("joint_at_rest", name, moved=moved, range=reach[j], limit=AT_REST)
-            continue
-        speed, jump, row = jumps.get(j, (0.0, 0.0, 0))
-        if speed > _FASTEST:
-            numbers = {"jump": jump, "size": abs(jump), "row": row, "speed": speed}
+        if reach < AT_REST and name not in subject.passive:
+            moved = "never moves" if reach == 0.0 else f"moves by {reach:.3g} rad only"
+            yield found("joint_at_rest", name, moved=moved, range=reach, limit=AT_REST)
+        elif j in jumps:
+            speed, step, row = jumps[j]
+            numbers = {"jump": step, "size": abs(step), "row": row, "speed": speed}
             yield found("position_jumps", name, limit=_FASTEST, **numbers)
 
 
@@ -153,8 +282,8 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
         yield found("long_rest", share=resting, speed=_RESTING, limit=_LONGEST_REST)
 
 
-def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, float, int]]:
-    """Yield joint, speed, size and row, from 1, of its fastest step in blocks beyond the limit."""
+def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, tuple[float, float, int]]]:
+    """Yield joint, and speed, size and row, from 1, of its fastest step in blocks, if too fast."""
     for begin in range(0, piece.n_samples - 1, ROWS):
         stop = begin + ROWS + 1
         steps = np.diff(taken(piece.position, begin, stop), axis=0)
@@ -169,7 +298,9 @@ def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, floa
             late = (waited < _STALE) | (sizes <= _ROUNDED * np.median(sizes))
             speeds = sizes / np.where(late, waited, durations[rows])
             k = int(speeds.argmax())
-            yield j, float(speeds[k]), float(steps[rows[k], j]), first + begin + int(rows[k]) + 2
+            if speeds[k] > _FASTEST:
+                row = first + begin + int(rows[k]) + 2
+                yield j, (float(speeds[k]), float(steps[rows[k], j]), row)
 
 
 @check
@@ -191,10 +322,8 @@ def velocities(subject: Subject) -> Iterator[Finding]:
             continue
         what = "has the sign opposite to the rate of its position"
         if fit.scale > 0.0:
-            what = (
-                f"is {fit.scale:.3g} times the rate of its position{scale_in_words(fit.scale)}, "
-                f"limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
-            )
+            words = scale_in_words(fit.scale)
+            what = f"is {fit.scale:.3g} times the rate of its position{words}, {_LIMITS}"
         numbers = {"scale": fit.scale, "correlation": fit.correlation}
         yield found("velocity_scale", name, subject.about_velocity, what=what, **numbers)
 
@@ -205,120 +334,76 @@ def scale_in_words(scale: float) -> str:
     return f" ({known[0]})" if known else ""
 
 
-# References are compared on this many samples from the middle of a piece, as means over 1000
-# intervals.
-_COMPARED = 100_000
-_INTERVALS = 1000
-_LEAST_INTERVALS = 20
-# What is left between them once the effort that gravity and friction need is accounted for
-# (rad, or m).
-_OFFSET = 0.1
-# Positions do not come before their references (s); clocks and filters account for a few samples.
-_EARLIEST = -0.02
+@check
+def references(subject: Subject) -> Iterator[Finding]:
+    """Find references that the positions do not follow."""
+    log = subject.longest if subject.pieces else subject.log
+    if log.reference is None or not subject.pieces:
+        return
+    part = _middle(log)
+    tables = [taken(x, part.start, part.stop) for x in (log.position, log.effort, log.reference)]
+    stride = max(1, len(tables[0]) // _INTERVALS)
+    count = len(tables[0]) // stride
+    if count < _LEAST_INTERVALS:
+        return
+    position, effort, reference = (
+        table[: count * stride].reshape(count, stride, -1).mean(axis=1).T for table in tables
+    )
+    step, wrong, numbers = stride * log.step, {}, {}
+    for j in np.flatnonzero(moving(*subject.position_range)).tolist():
+        fit = _fit(position[j], effort[j], reference[j], step)
+        what = _unlike(fit)
+        if fit["correlation"] < _CORRELATED:
+            pairs = zip(position, effort, strict=True)
+            others = [_fit(*pair, reference[j], step)["correlation"] for pair in pairs]
+            best = int(np.argmax(others))
+            if others[best] > _CORRELATED:
+                what = f"is followed by {log.names[best]} (correlation {others[best]:.3g})"
+        if what:
+            wrong[log.names[j]], numbers[log.names[j]] = what, fit
+    if not wrong:
+        return
+    # Joints mostly share the defect: columns that are swapped, a unit, another signal.
+    told = "; of ".join(f"{name} {what}" for name, what in wrong.items())
+    if len(wrong) == 1:
+        ((name, fit),) = numbers.items()
+        yield found("reference_unlike", name, wrong=told, **fit)
+    else:
+        every = {f"{name}: {key}": x for name, fit in numbers.items() for key, x in fit.items()}
+        yield found("reference_unlike", wrong=told, **every)
 
-# Positions, references and efforts as means over intervals, and the intervals' length in s.
-_Means: TypeAlias = tuple[Array, Array, Array, float]
+
+def _unlike(fit: dict[str, float]) -> str:
+    """Return what is wrong with a joint's reference, in words; empty for nothing."""
+    scale, offset, lag = fit["scale"], fit["offset"], fit["lag"]
+    if fit["correlation"] < _CORRELATED:
+        return f"is not followed (correlation {fit['correlation']:.2f}, limit {_CORRELATED:g})"
+    if not 1.0 / _SCALE < scale < _SCALE:
+        return f"is {scale:.3g} times the position{scale_in_words(scale)}, {_LIMITS}"
+    if abs(offset) > _OFFSET:
+        return f"is {offset:.3g} rad off the position on average, limit {_OFFSET:g}"
+    if lag < _EARLIEST:
+        return f"comes {-lag:.3g} s after the motion, limit {-_EARLIEST:g}: it is no command"
+    return ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _ReferenceFit:
-    """A reference as scale × the position some time later, plus an offset.
+def _fit(position: Array, effort: Array, reference: Array, step: float) -> dict[str, float]:
+    """Fit a reference as scale × the position some time later, plus an offset.
 
     What a proportional controller lags behind for its effort is accounted for: a slow loop is no
     wrong reference.
     """
-
-    scale: float
-    offset: float
-    lag: float
-    correlation: float
-
-
-@check
-def references(subject: Subject) -> Iterator[Finding]:
-    """Find references that the positions do not follow."""
-    if subject.log.reference is None or not subject.pieces:
-        return
-    longest = subject.longest
-    means = _means(longest)
-    if means is None:
-        return
-    position, reference, effort, step = means
-    wrong: dict[str, tuple[str, _ReferenceFit]] = {}
-    for j in np.flatnonzero(moving(*subject.position_range)).tolist():
-        fit = _fit(position[:, j], reference[:, j], effort[:, j], step)
-        what = _wrong(fit, longest.names, j, means)
-        if what is not None:
-            wrong[longest.names[j]] = what, fit
-    if not wrong:
-        return
-    # Joints mostly share the defect: columns that are swapped, a unit, another signal.
-    alone = len(wrong) == 1
-    numbers = {
-        key if alone else f"{name}: {key}": value
-        for name, (_, fit) in wrong.items()
-        for key, value in vars(fit).items()
-    }
-    told = "; of ".join(f"{name} {what}" for name, (what, _) in wrong.items())
-    yield found("reference_unlike", next(iter(wrong)) if alone else None, wrong=told, **numbers)
-
-
-def _wrong(fit: _ReferenceFit, names: tuple[str, ...], j: int, means: _Means) -> str | None:
-    """Return what is wrong with a joint's reference, in words."""
-    if fit.correlation < _CORRELATED:
-        position, reference, effort, step = means
-        each = zip(position.T, effort.T, strict=True)
-        others = [_fit(q, reference[:, j], tau, step).correlation for q, tau in each]
-        best = int(np.argmax(others))
-        if others[best] > _CORRELATED:
-            return f"is followed by {names[best]} (correlation {others[best]:.3g})"
-        return f"is not followed (correlation {fit.correlation:.2f}, limit {_CORRELATED:g})"
-    if not 1.0 / _SCALE < fit.scale < _SCALE:
-        words = scale_in_words(fit.scale)
-        limits = f"limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
-        return f"is {fit.scale:.3g} times the position{words}, {limits}"
-    if abs(fit.offset) > _OFFSET:
-        return f"is {fit.offset:.3g} rad off the position on average, limit {_OFFSET:g}"
-    if fit.lag < _EARLIEST:
-        return f"comes {-fit.lag:.3g} s after the motion, limit {-_EARLIEST:g}: it is no command"
-    return None
-
-
-def _means(log: Recording) -> _Means | None:
-    """Return means of positions, references, efforts over intervals, and the intervals' length."""
-    assert log.reference is not None
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
-    given = (log.position, log.reference, log.effort)
-    tables = [taken(each, begin, begin + _COMPARED) for each in given]
-    stride = max(1, len(tables[0]) // _INTERVALS)
-    count = len(tables[0]) // stride
-    if count < _LEAST_INTERVALS:
-        return None
-    position, reference, effort = (
-        table[: count * stride].reshape(count, stride, -1).mean(axis=1) for table in tables
-    )
-    return position, reference, effort, stride * log.step
-
-
-def _fit(position: Array, reference: Array, effort: Array, step: float) -> _ReferenceFit:
-    """Fit a reference by the position, its rate, the effort and a constant."""
     rate = (position[2:] - position[:-2]) / (2.0 * step)
     position, reference = position[1:-1], reference[1:-1]
     mean = float(position.mean())
-    signals = (position - mean, rate, effort[1:-1], np.ones_like(rate))
-    columns = np.column_stack(signals)
+    columns = np.column_stack([position - mean, rate, effort[1:-1], np.ones_like(rate)])
     weights = np.linalg.lstsq(columns, reference)[0]
     scale, slope, _, level = weights.tolist()
-    return _ReferenceFit(
-        scale=scale,
-        offset=level - mean,
-        lag=slope / scale if scale != 0.0 else 0.0,
-        correlation=_correlation(columns @ weights, reference),
-    )
-
-
-def _correlation(a: Array, b: Array) -> float:
-    """Return the correlation of two signals, 0 where one is constant."""
-    a, b = a - a.mean(), b - b.mean()
+    a, b = (each - each.mean() for each in (columns @ weights, reference))
     size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0.0 else 0.0
+    return {
+        "scale": scale,
+        "offset": level - mean,
+        "lag": slope / scale if scale != 0.0 else 0.0,
+        "correlation": float(a @ b) / size if size > 0.0 else 0.0,
+    }

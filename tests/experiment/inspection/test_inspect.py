@@ -21,7 +21,7 @@ from sdpid.experiment.inspection.inspect import (
     require_accepted,
 )
 from sdpid.experiment.inspection.kinds import KINDS, Finding
-from sdpid.experiment.inspection.time_checks import _read_as_seconds
+from sdpid.experiment.inspection.motion_checks import _read_as_seconds
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.recording.recording import Recording, rows_of
@@ -295,6 +295,14 @@ def test_a_channel_clipped_at_both_ends_is_one_finding(log: Recording, robot: sd
     high, low = np.percentile(log.effort[:, JOINT], (95.0, 5.0))
     assert f"stays at {high:.5g} and at {low:.5g} in " in found.message
     assert 280 < found.numbers["rows"] <= 300  # single rows are no plateaus
+
+
+def test_a_joint_that_runs_at_one_speed_is_not_clipped():
+    phase = np.mod(0.4 * SLOW_T, 2.0) - 1.0
+    position = np.column_stack([0.5 * np.abs(phase), 0.3 * np.sin(3.0 * SLOW_T)])
+    velocity = np.column_stack([0.2 * np.sign(phase), 0.9 * np.cos(3.0 * SLOW_T)])
+    effort = np.random.default_rng(0).normal(size=position.shape)
+    assert not kinds(Recording(time=SLOW_T, position=position, velocity=velocity, effort=effort))
 
 
 def test_the_variance_is_the_joints_own(log: Recording, robot: sdpid.RobotModel):
@@ -619,17 +627,6 @@ def test_an_encoder_that_is_read_late_does_not_jump():
     swing = 0.5 * np.sin(2.0 * np.pi * t)[:, None]
     rounded = Recording(time=t, position=np.round(swing, 1), effort=swing)
     assert kinds(rounded) == [("position_coarse", "1")]
-
-
-def test_one_effort_far_beyond_all_others_is_named(slow: Recording):
-    effort = slow.effort.copy()
-    effort[444, 2] = 1e5
-    (finding,) = inspect_recording(replace(slow, effort=effort)).findings
-    assert (finding.kind, finding.joint, finding.numbers["row"]) == (
-        "effort_spike",
-        slow.names[2],
-        445.0,
-    )
 
 
 def test_a_gap_is_no_outlier(slow: Recording):

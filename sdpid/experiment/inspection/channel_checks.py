@@ -1,0 +1,415 @@
+"""Checks of single channels: values that stay, stand alone, are rounded, clipped or no signal.
+
+On 63 sound recordings (423 joints) the largest values were these shares of a rule's limit:
+effort_frozen 0, velocity_frozen 0.21, position_frozen 0.29, effort_spike 0.62, position_lone 0.2,
+position_coarse 0.30.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, refuse, warning
+from sdpid.experiment.inspection.subject import Subject, check
+from sdpid.experiment.recording.rest import moving
+from sdpid.experiment.recording.stored import ROWS, extremes, taken
+
+_STAYS = " of {joint} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
+_LEAVE = "leave those rows out"
+KINDS.update(
+    position_lone=refuse(
+        "position of {joint} is {off:.3g} rad off those before and after it at row {row}, limit "
+        "{limit:.2g} rad: a wrong sample",
+        "remove that sample: a gap of a few samples is interpolated",
+    ),
+    position_coarse=warning(
+        "position of {joint} has {values} different values (limit {limit}), {step:.2g} rad apart "
+        "(limit {step_limit:g} rad): it is rounded",
+        "log positions with all their digits",
+        spoils=True,
+    ),
+    position_frozen=refuse(
+        f"position{_STAYS}, while {{joint}} moves by {{moved:.2g}} rad, limit {{limit:.2g}}",
+        _LEAVE,
+    ),
+    velocity_frozen=warning(
+        f"velocity{_STAYS}, while {{joint}} leaves that speed by {{moved:.2g}} rad (limit "
+        "{limit:.2g} rad)",
+        f"{_LEAVE}, or the velocity (velocity=none)",
+        hides=("velocity_clipped",),
+    ),
+    effort_frozen=warning(
+        f"effort{_STAYS}, while {{joint}} moves by {{way:.2g}} rad",
+        f"{_LEAVE}, or the efforts of that joint (without_effort)",
+        hides=("effort_clipped",),
+    ),
+    effort_spike=warning(
+        "effort of {joint} is {off:.3g} off those before and after it at row {row}, limit "
+        "{limit:.2g}: an outlier",
+        "remove that sample",
+    ),
+    effort_silent=left_out(
+        "effort of {joint} is exactly 0 in {share:.3g %} of the rows in which it moves "
+        "(limit {limit:g %}): it was not measured there",
+    ),
+    effort_constant=warning(
+        "effort of {joint} never changes: it is {value:.4g} in every row",
+        "if it was not measured, leave it out (without_effort)",
+    ),
+    effort_clipped=warning(
+        "effort of {joint} stays at {at} in {rows} of {all} rows ({share:.2g %}, limit "
+        "{limit:g %}): it is clipped",
+        "leave those rows out, or move more gently: what the drive gave is unknown",
+    ),
+    velocity_clipped=warning(
+        "velocity of {joint} stays at {at} in {rows} of {all} rows ({share:.2g %}, limit "
+        "{limit:g %}): it is clipped",
+        "leave the velocity out (velocity=none): it is then had from the position",
+    ),
+)
+
+# A channel stays where it has one value for so long (s), in so many rows, and so many times as long
+# as usual: a slow bus holds every value.
+_LEAST_S, _LEAST_ROWS, _LONGER = 0.1, 5, 5.0
+# Shares of the joint's range. It moves during a run of equal efforts where it leaves the run's
+# chord by this: at constant speed simulated efforts without noise are constant too.
+_OFF_CHORD = 5e-4
+# And where it leaves the line that a velocity draws which stays.
+_OFF_LINE = 3e-3
+# What the velocity says that a position moves which stays, and what it jumps by at the end: one
+# that waits beside a stale velocity does not jump. Without a velocity it is the jump alone, as a
+# multiple of 99.9 % of all steps.
+_WAITED, _JUMPED, _STEPS = 0.02, 2.0, 99.9
+# Where it never moves on, the velocity must say so many times as much.
+_UNSEEN = 5.0
+# An effort stands alone where it is this many times as far from the median of four neighbors as
+# 99 % of all are, and as 99 % of all are from the median of all.
+_ALONE, _TALL, _PERCENTILE = 8.0, 4.0, 99.0
+# A position is wrong where it is off two neighbors that agree, and off the lines through two on
+# either side (a joint that is hit turns round at a corner), by this many times 99 % of all second
+# differences and by this (rad, or m).
+_OFF, _LEAST_OFF, _AGREE = 6.0, 2e-3, 0.5
+# A joint that moves by more than this (rad, or m) has this many different positions, or more, that
+# are less apart than this.
+_RANGE, _VALUES, _APART = 0.1, 50, 0.02
+# This share of their distances are whole multiples of one, as nearly as this.
+_ON_GRID, _CLOSE = 0.9, 0.05
+# Neighbors are at most so many usual steps apart, on average.
+_STEP = 2.0
+# Fewer rows do not show what is usual.
+_FEW_ROWS = 100
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointChannels:
+    """One joint's channels over some rows of a recording, and its range over all of them."""
+
+    rows: Indices
+    time: Array
+    position: Array
+    effort: Array
+    velocity: Array | None = None
+    reach: float
+    moves: bool
+
+    def near(self, rows: int) -> Mask:
+        """Return whether the rows so many further on follow without a gap."""
+        usual = float(np.median(np.diff(self.time)))
+        return np.asarray(self.time[rows:] - self.time[:-rows] < rows * _STEP * usual)
+
+    def off_line(self, rows: slice, speed: float | None = None) -> float:
+        """Return how far the position leaves a line of some speed, or its chord, over a run."""
+        time = self.time[rows] - self.time[rows.start]
+        way = self.position[rows] - self.position[rows.start]
+        return float(np.ptp(way - time * (way[-1] / time[-1] if speed is None else speed)))
+
+
+# How many times a rule's limit each row is, where runs of rows are alike, and numbers to tell.
+_Excess: TypeAlias = tuple[Array, dict[str, float]]
+_NONE: _Excess = (np.zeros(0), {})
+
+
+def _frozen(
+    joint: JointChannels, values: Array, limit: float, way: Callable[[slice], float]
+) -> _Excess:
+    """Return runs of equal values of a joint that moves, by how far it goes meanwhile."""
+    if not joint.moves:
+        return _NONE
+    time, excess, limit = joint.time, np.zeros(len(values)), limit * joint.reach
+    edges = np.flatnonzero((np.diff(values) != 0.0) | ~joint.near(1)) + 1
+    starts, stops = np.r_[0, edges], np.r_[edges, len(values)]
+    lasting = time[np.minimum(stops, len(time) - 1)] - time[starts]
+    stays = lasting >= max(_LEAST_S, _LONGER * float(np.median(lasting)))
+    for i in np.flatnonzero(stays & (stops - starts >= _LEAST_ROWS)).tolist():
+        rows = slice(int(starts[i]), int(stops[i]))
+        value = values[rows.start]
+        extreme = values is not joint.position and value in (values.min(), values.max())
+        # A channel that comes back to its largest or least value is clipped.
+        if not (extreme and np.count_nonzero(values[starts] == value) > 1):
+            excess[rows] = way(rows) / limit
+    return excess, {"limit": limit}
+
+
+def _effort_frozen(joint: JointChannels) -> _Excess:
+    return _frozen(joint, joint.effort, _OFF_CHORD, joint.off_line)
+
+
+def _velocity_frozen(joint: JointChannels) -> _Excess:
+    speeds = joint.velocity
+    if speeds is None:
+        return _NONE
+    return _frozen(joint, speeds, _OFF_LINE, lambda run: joint.off_line(run, speeds[run.start]))
+
+
+def _position_frozen(joint: JointChannels) -> _Excess:
+    velocity, jumps = joint.velocity, np.zeros(len(joint.position))
+    jumps[:-1] = np.abs(np.diff(joint.position)) * joint.near(1)
+    if not jumps.any():
+        return _NONE
+    usual = float(np.percentile(jumps[jumps > 0.0], _STEPS, method="lower"))
+
+    def waited(rows: slice) -> float:
+        jump = float(jumps[rows.stop - 1])
+        if velocity is None or jump >= _JUMPED * usual:
+            return jump if jump >= _JUMPED * usual else 0.0
+        way = abs(float(np.trapezoid(velocity[rows], joint.time[rows])))
+        return min(way, jump if jump > 0.0 else way / _UNSEEN)
+
+    return _frozen(joint, joint.position, _WAITED, waited)
+
+
+def _effort_spike(joint: JointChannels) -> _Excess:
+    effort = np.pad(joint.effort, 2, "reflect")
+    beside = np.stack([effort[:-4], effort[1:-3], effort[3:-1], effort[4:]])
+    off = np.abs(joint.effort - np.median(beside, axis=0))
+    off[2:-2] *= joint.near(4)
+    from_median = np.abs(joint.effort - np.median(joint.effort))
+    return _lone(off, off, _ALONE, _TALL * float(np.percentile(from_median, _PERCENTILE)))
+
+
+def _position_lone(joint: JointChannels) -> _Excess:
+    position = joint.position
+    off, step = np.zeros((2, len(position)))
+    off[1:-1] = np.abs(position[1:-1] - 0.5 * (position[:-2] + position[2:]))
+    step[1:-1] = np.abs(position[2:] - position[:-2])
+    alone = off.copy()
+    for order in (1, -1):
+        values, part = position[::order], alone[::order][2:]
+        np.minimum(part, np.abs(values[2:] - 2.0 * values[1:-1] + values[:-2]), out=part)
+    alone *= step < _AGREE * alone
+    alone[1:-1] *= joint.near(2)
+    return _lone(alone, off, _OFF, _LEAST_OFF)
+
+
+def _lone(alone: Array, off: Array, times: float, least: float) -> _Excess:
+    """Return rows whose value is alone: so many times as far off as others are, and so far."""
+    far = np.ones(len(off), dtype=np.bool_)
+    worst = int(alone.argmax())
+    far[max(0, worst - 5) : worst + 6] = False
+    limit = max(times * float(np.percentile(off[far], _PERCENTILE)), least)
+    return (alone / limit, {"limit": limit}) if limit > 0.0 else _NONE
+
+
+def _position_coarse(joint: JointChannels) -> _Excess:
+    values = np.unique(joint.position.round(9))
+    count, rows = len(values), len(joint.position)
+    if not 1 < count < rows / 2 or not values[-1] - values[0] > _RANGE:
+        return _NONE
+    gaps = np.diff(values)
+    apart = float(np.median(gaps))
+    # A motion that repeats itself has few values too, but not on a grid.
+    if not np.mean(np.abs(gaps / apart - np.rint(gaps / apart)) < _CLOSE) > _ON_GRID:
+        return _NONE
+    numbers = {"values": count, "limit": _VALUES, "step": apart, "step_limit": _APART}
+    return np.full(rows, max(_VALUES / count, apart / _APART)), numbers
+
+
+# In this order: what is far off hides the rest, and what is rounded stays and jumps.
+_RULES: dict[str, Callable[[JointChannels], _Excess]] = {
+    "position_lone": _position_lone,
+    "position_coarse": _position_coarse,
+    "position_frozen": _position_frozen,
+    "velocity_frozen": _velocity_frozen,
+    "effort_frozen": _effort_frozen,
+    "effort_spike": _effort_spike,
+}
+
+
+def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
+    """Return what is wrong with single channels, and the subject without the rows that are."""
+    findings: list[Finding] = []
+    wrong: list[slice] = []
+    rounded: set[str | None] = set()
+    for kind, rule in _RULES.items():
+        quantity = kind.split("_")[0]
+        skipped = {"position": rounded, "effort": subject.without}.get(quantity, set())
+        for j, name in enumerate(subject.log.names):
+            if name in skipped:
+                continue
+            runs = [run for joint in _parts(subject, j) for run in _runs(joint, kind, *rule(joint))]
+            if not runs:
+                continue
+            _, numbers = max(runs, key=lambda run: run[0])
+            severity = subject.about_velocity if quantity == "velocity" else None
+            told = found(kind, name, severity, **numbers)
+            if len(runs) > 1:
+                told = replace(told, message=f"{told.message}; {len(runs)} such in all")
+            findings.append(told)
+            if kind == "position_coarse":
+                rounded.add(name)
+            else:
+                wrong += [slice(numbers["row"] - 1, numbers["last"]) for _, numbers in runs]
+        if wrong and kind == "position_lone":
+            subject = replace(subject, left_out=tuple(wrong))
+    return findings, replace(subject, left_out=tuple(wrong)) if wrong else subject
+
+
+def _runs(
+    joint: JointChannels, kind: str, excess: Array, own: dict[str, float]
+) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield by how many times each run of rows passes a rule's limit, and numbers of it."""
+    edges = np.flatnonzero(np.diff(excess, prepend=0.0, append=0.0))
+    for start, stop in pairwise(edges.tolist()):
+        times, rows = float(excess[start]), slice(start, stop)
+        if times < 1.0:
+            continue
+        numbers = {"row": int(joint.rows[start]) + 1, "last": int(joint.rows[stop - 1]) + 1, **own}
+        if kind.endswith("_frozen"):
+            numbers |= {
+                "value": float(getattr(joint, kind.split("_")[0])[start]),
+                "begin": float(joint.time[start]),
+                "end": float(joint.time[stop - 1]),
+                "way": float(np.ptp(joint.position[rows])),
+                "moved": times * own["limit"],
+            }
+        elif kind != "position_coarse":
+            numbers["off"] = times * own["limit"]
+        yield times, numbers
+
+
+def _parts(subject: Subject, j: int) -> Iterator[JointChannels]:
+    """Yield a joint's channels: at once, or in parts of as many rows as are worked on at a time."""
+    low, high = subject.position_range
+    blocks = [
+        (first, piece, begin, min(begin + ROWS, piece.n_samples))
+        for first, piece in subject.pieces
+        for begin in range(0, piece.n_samples, ROWS)
+    ]
+    for group in [blocks] if subject.log.n_samples <= ROWS else [[block] for block in blocks]:
+        rows = [np.arange(first + begin, first + stop) for first, _, begin, stop in group]
+        if sum(map(len, rows)) < _FEW_ROWS:
+            continue
+        channels = {
+            name: np.concatenate(
+                [taken(getattr(piece, name)[:, j], begin, stop) for _, piece, begin, stop in group]
+            )
+            for name in ("position", "effort", "velocity")
+            if getattr(subject.log, name) is not None
+        }
+        time = np.concatenate([piece.time[begin:stop] for _, piece, begin, stop in group])
+        yield JointChannels(
+            rows=np.concatenate(rows),
+            time=time - subject.log.time[0],
+            **channels,
+            reach=float(high[j] - low[j]),
+            moves=bool(moving(low, high)[j]),
+        )
+
+
+# A joint whose effort is exactly zero in more than this share of the rows in which it moves has no
+# signal there; of 30 real recordings at most 0.1 %. Of so many rows, those count whose step is
+# more than this share of its 90th percentile.
+_ZERO, _SOME, _FAST, _MOST_STEPS = 0.5, 2000, 0.1, 90.0
+# Steps are taken from the row before to the row behind.
+_FEWEST = 3
+# A channel is clipped where it stays at its very largest value for this many samples in a row,
+# this many times or once for so many samples, and in this share of all rows.
+_PLATEAU, _PLATEAUS, _LONG, _CLIPPED = 5, 2, 20, 0.002
+# A clipped velocity is passed by the rate of the position by this factor; a robot that runs at one
+# speed is not clipped.
+_PASSED = 1.02
+# Of a signal in coarse steps the step below the largest is as long: clipped ones are this many
+# times as long there as on it.
+_AS_LONG = 3.0
+# Looked for among this many rows from the middle of the recording.
+_COMPARED = 200_000
+
+
+def silent(subject: Subject) -> list[Finding]:
+    """Find joints whose effort is zero while they move; not where that is so of all that move."""
+    log, told = subject.log, []
+    if log.n_samples < _FEWEST:
+        return []
+    rows = np.unique(np.linspace(1, log.n_samples - 2, _SOME).astype(np.intp))
+    steps = np.abs(log.position[rows + 1] - log.position[rows - 1])
+    moves = moving(*subject.position_range) & [name not in subject.passive for name in log.names]
+    for j in np.flatnonzero(moves):
+        fast = steps[:, j] > _FAST * np.percentile(steps[:, j], _MOST_STEPS)
+        share = float(np.mean(log.effort[rows[fast], j] == 0.0)) if fast.any() else 0.0
+        if share > _ZERO:
+            told.append(found("effort_silent", log.names[j], share=share, limit=_ZERO))
+    return told if len(told) < np.count_nonzero(moves) else []
+
+
+@check
+def signals(subject: Subject) -> Iterator[Finding]:
+    """Find efforts that never change."""
+    low, high = extremes(subject.log.effort)
+    for j, name in enumerate(subject.log.names):
+        # Without a motor a joint has none.
+        if name not in subject.passive and not high[j] > low[j]:
+            yield found("effort_constant", name, value=low[j])
+
+
+@check
+def clipped(subject: Subject) -> Iterator[Finding]:
+    """Find efforts and velocities that stop at a largest value while the joint moves."""
+    log, moves = subject.log, np.flatnonzero(moving(*subject.position_range)).tolist()
+    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    for quantity, severity in (("effort", None), ("velocity", subject.about_velocity)):
+        table = getattr(log, quantity)
+        for j in moves if table is not None else ():
+            values = np.asarray(table[begin : begin + _COMPARED, j])
+            limits = {float(values.max()), float(values.min())} - {0.0}
+            if quantity == "velocity":
+                limits = {limit for limit in limits if _passed(subject, j, limit)}
+            counts = {x: _plateaus(values, x) for x in sorted(limits, reverse=True)}
+            ends = {x: rows for x, rows in counts.items() if rows >= _CLIPPED * values.size}
+            if ends:
+                rows = sum(ends.values())
+                numbers = {"rows": rows, "all": values.size, "share": rows / values.size}
+                yield found(
+                    f"{quantity}_clipped",
+                    log.names[j],
+                    severity,
+                    at=" and at ".join(f"{limit:.5g}" for limit in ends),
+                    value=max(ends, key=abs),
+                    limit=_CLIPPED,
+                    **numbers,
+                )
+
+
+def _passed(subject: Subject, j: int, limit: float) -> bool:
+    """Return whether the rate of a joint's position goes beyond a largest or least velocity."""
+    rows = subject.low_passed
+    return rows is not None and bool(np.any(rows.velocity[:, j] / limit > _PASSED))
+
+
+def _plateaus(values: Array, limit: float) -> int:
+    """Return the number of rows in plateaus at the largest or least value, 0 if not clipped."""
+    edges = np.flatnonzero(np.diff((values == limit).astype(np.int8), prepend=0, append=0))
+    lengths = edges[1::2] - edges[::2]
+    lengths = lengths[lengths >= _PLATEAU]
+    if lengths.size < _PLATEAUS and lengths.max(initial=0) < _LONG:
+        return 0
+    others = values[values != limit]
+    # A coarse signal holds its last but one value as long as its last.
+    nearest = others[np.abs(others - limit).argmin()] if others.size else limit
+    beside = np.count_nonzero(others == nearest)
+    return int(lengths.sum()) if lengths.sum() >= _AS_LONG * beside else 0
