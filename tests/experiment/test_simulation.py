@@ -17,7 +17,6 @@ from sdpid._common.arrays import Array
 from sdpid.controllers import PD, PID, ComputedTorque, Controller, P, fit_controller
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.drives import load_drives
-from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.kernels import loops
@@ -329,23 +328,6 @@ def test_the_motion_is_that_of_scipy(law: Controller) -> None:
     assert np.abs(motion.effort - effort).max() < 1e-2 * np.abs(effort).max()
     residual = arm.inverse_dynamics(motion.position, motion.velocity, motion.acceleration)
     np.testing.assert_allclose(residual, motion.effort, atol=1e-9)
-
-
-def test_the_motion_is_that_of_the_plant_on_mujoco() -> None:
-    pytest.importorskip("mujoco")
-    robot = sdpid.load_robot("denso_vp6242")
-    theta = true_parameters("denso_vp6242")
-    theta[60:66] = 0.0  # MuJoCo's dry friction creeps
-    drives = load_drives("denso_vp6242")
-    trajectory = sdpid.paper_excitation("denso_vp6242", seed=0, periods=2, period=10.0)
-    log = sdpid.simulate(robot, trajectory, theta=theta, noise=False)
-    law = P(drives.proportional_gain, drives.velocity_gain)
-    arm = model_of(robot, ("coulomb", "viscous"), theta[60:], theta[:60])
-    motion = simulate_closed_loop(arm, trajectory, law)
-    last = slice(trajectory.lead_samples + 10_000, trajectory.lead_samples + 20_000)
-    # MuJoCo's integrated command leads by half of a sample.
-    off = np.abs(motion.position[last] - log.position[last]).max()
-    assert off < 2e-3 * np.ptp(log.position[last])
 
 
 class OwnController(Controller):

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from harness import Bench, Row
 
+from sdpid._common.arrays import Array
 from sdpid._common.extras import require
-from sdpid.experiment.plant.drives import load_drives
-from sdpid.experiment.plant.mujoco_model import build_mujoco
+from sdpid.experiment.plant.drives import Drives, load_drives
+from sdpid.experiment.plant.legged.model import add_bodies, set_options
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
@@ -24,8 +25,32 @@ from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 
 ROBOT, RATE_HZ = "denso_vp6242", 5000.0
+
+
+def _mujoco_arm(
+    mujoco: Any, robot: RobotModel, theta: Array, drives: Drives, timestep: float
+) -> Any:
+    """Return MuJoCo's model of an arm with its drives, which interpolate set-points."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = spec.compiler.balanceinertia = False
+    set_options(mujoco, spec, robot, timestep)
+    add_bodies(mujoco, spec, robot, theta[: 10 * robot.n_links].reshape(-1, 10))
+    gains = zip(robot.joint_names, drives.velocity_gain, drives.proportional_gain, strict=True)
+    for name, damping, proportional in gains:
+        actuator = spec.add_actuator(name=name, target=name)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0] = damping * proportional
+        actuator.biasprm[1], actuator.biasprm[2] = -damping * proportional, -damping
+    model = spec.compile()
+    model.dof_frictionloss[:], model.dof_damping[:] = theta[10 * robot.n_links :].reshape(2, -1)
+    model.dof_solref[:], model.dof_solimp[:, :2] = (2.0 * timestep, 1.0), 0.9999
+    return model
 
 
 def measure(bench: Bench) -> Iterator[Row]:
@@ -64,16 +89,16 @@ def measure(bench: Bench) -> Iterator[Row]:
             v = v + dt * a
             q = q + dt * v
 
-    plant = build_mujoco(robot, theta, drives, timestep=dt)
+    plant = _mujoco_arm(mujoco, robot, theta, drives, dt)
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.empty(mujoco.mj_stateSize(plant.model, kind))
-    held: Any = mujoco.MjData(plant.model)
-    held.qpos[plant.qpos], held.act[:] = told[0][0], told[0][0]
-    mujoco.mj_getState(plant.model, held, state, kind)
+    state = np.empty(mujoco.mj_stateSize(plant, kind))
+    held: Any = mujoco.MjData(plant)
+    held.qpos[:], held.act[:] = told[0][0], told[0][0]
+    mujoco.mj_getState(plant, held, state, kind)
     rates = np.diff(fine, axis=0, append=fine[-1:]) * RATE_HZ
 
     def engine() -> None:
-        rollout.rollout(plant.model, held, state[None], rates[None])
+        rollout.rollout(plant, held, state[None], rates[None])
 
     found = bench.seconds(
         held=ours,

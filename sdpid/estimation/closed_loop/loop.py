@@ -14,10 +14,9 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.closed_loop import Motion, simulate_closed_loop
+from sdpid.experiment.simulation.closed_loop import DesiredMotion, Motion, simulate_closed_loop
 from sdpid.experiment.simulation.fit_controller import fit_controller
 from sdpid.experiment.simulation.law import Controller
-from sdpid.experiment.simulation.reference import DesiredMotion
 from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.base_parameters import BaseParameters

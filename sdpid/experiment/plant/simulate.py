@@ -1,9 +1,11 @@
-"""Simulate a closed-loop experiment in MuJoCo: controller, drives, friction and sensors."""
+"""Simulate a closed-loop experiment with an arm: controller, drives, friction and sensors."""
 
 from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,18 +15,37 @@ from sdpid._common.files import read_regular
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.closed_loop import CHUNK, ExactMotion, MujocoPlant, fastest_pole
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.plant.default_plant import default_drives, default_parameters, follows
-from sdpid.experiment.plant.drives import Drives, load_drives, plant_folder
+from sdpid.experiment.plant.drives import (
+    Drives,
+    check_bodies,
+    default_drives,
+    default_parameters,
+    fastest_pole,
+    follows,
+    load_drives,
+    plant_folder,
+)
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
+from sdpid.experiment.simulation.controllers import P
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_robots
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
 # A loop whose state after a period is the one before it to this (rad, rad/s) has settled: a
 # thousandth of an encoder count, and far above the rounding of a period's steps.
 SETTLED = 1e-9
+# Samples that are simulated at once: enough to drown what a call costs, few enough for memory.
+_CHUNK = 10_000
+
+# Moves a robot along samples start … stop − 1 from a state (2, n), None for the trajectory's first,
+# to positions, velocities and efforts (3, K, n), and the state after them.
+Move: TypeAlias = Callable[[int, int, Array | None], tuple[Array, Array]]
 
 
 def true_parameters(folder: str | os.PathLike[str]) -> Array:
@@ -96,7 +117,7 @@ def simulate(
     noise : bool, optional
         Without it the same motion and torques are recorded without quantization and noise.
     exact : bool, optional
-        Follow the trajectory exactly, without a controller; MuJoCo is not needed.
+        Follow the trajectory exactly, without a controller.
     progress : bool, optional
         Show a progress bar; by default on a terminal.
 
@@ -111,8 +132,6 @@ def simulate(
         When joints do not match, theta has the wrong length, or the loop is unstable.
     ModelError
         When theta belongs to no real robot.
-    MissingExtraError
-        When MuJoCo is not installed (extra ``sim``).
 
     Examples
     --------
@@ -131,46 +150,33 @@ def simulate(
     if made_up and not exact:
         fastest, limit = fastest_pole(robot, trajectory, theta, drives)
         exact = fastest >= limit or not follows(robot, theta, drives, trajectory)
-    kind = ExactMotion if exact else MujocoPlant
-    plant: MujocoPlant | ExactMotion = kind(robot, trajectory, theta, drives, unmodeled)
-    notes = ("simulated without a controller: the robot follows its motion exactly",)
-    lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
-    settling = per_period if trajectory.closed else 0
+    if unmodeled and exact:
+        raise DataError(
+            f"simulate: '{robot.name}' follows its motion exactly, as asked, or for mimic joints "
+            "or large damping; unmodeled effects are not simulated."
+        )
+    if unmodeled and drives.unmodeled is None:
+        raise DataError("simulate: these drives have no unmodeled effects; set them.")
+    move = (
+        _follow(robot, trajectory, theta) if exact else controlled(robot, trajectory, theta, drives)
+    )
+    position, effort, reference = np.empty((3, trajectory.n_samples, robot.n))
+    row, scale, resolution = 0, drives.effort_scale, drives.resolution
+    settling = trajectory.samples_per_period if trajectory.closed else 0
     total = trajectory.n_samples + settling
-    position = np.empty((trajectory.n_samples, robot.n))
-    effort, reference = np.empty_like(position), np.empty_like(position)
-    row = 0
-    scale, resolution = plant.drives.effort_scale, plant.drives.resolution
-
-    def record(states: Array, first: int) -> None:
-        nonlocal row
-        count = states.shape[1]
-        reference[row : row + count] = trajectory.sample(first, first + count)[0]
-        for start in range(0, states.shape[1], CHUNK):
-            q, v, torque = states[:, start : start + CHUNK]
-            current = (torque + plant.extra_torque(q, v)) / scale
+    with progress_bar(total, "simulating", enabled=progress) as advance:
+        for first, (q, v, torque) in _parts(trajectory, settling, move, advance):
+            rows = slice(row, row + len(q))
+            row += len(q)
+            extra = drives.unmodeled.torque(q, v) if unmodeled and drives.unmodeled else 0.0
+            current = (torque + extra) / scale
             if noise:
                 q = np.rint(q / resolution) * resolution
-                current += plant.drives.current_noise * rng.standard_normal(current.shape)
-            position[row : row + len(q)] = q
-            effort[row : row + len(q)] = current * scale
-            row += len(q)
-
-    with progress_bar(total, "simulating", enabled=progress) as advance:
-        # Rest, connection and the settling period; the record begins within them.
-        record(plant.run(0, lead + settling, advance)[:, settling:], settling)
-        settled = False
-        for _ in range(trajectory.periods):
-            if settled:
-                advance(per_period)
-            else:
-                before = plant.state()
-                states = plant.run(lead, lead + per_period, advance)
-                settled = bool(np.abs(plant.state() - before).max() <= SETTLED)
-            record(states, lead)
-        end = trajectory.n_samples
-        record(plant.run(end - lead, end, advance), end - lead)
-    rate = trajectory.rate_hz
+                current += drives.current_noise * rng.standard_normal(current.shape)
+            position[rows], effort[rows] = q, current * scale
+            reference[rows] = trajectory.sample(first, first + len(q))[0]
+    rate, lead = trajectory.rate_hz, trajectory.lead_samples
+    notes = ("simulated without a controller: the robot follows its motion exactly",)
     return Recording(
         time=np.arange(trajectory.n_samples) / rate,
         position=position,
@@ -182,6 +188,99 @@ def simulate(
         periods=trajectory.periods if trajectory.closed else None,
         notes=notes if exact else (),
     )
+
+
+def controlled(robot: RobotModel, trajectory: Trajectory, theta: Array, drives: Drives) -> Move:
+    """Return what moves a robot in closed loop along samples of a trajectory.
+
+    Raises
+    ------
+    ModelError
+        When the base floats, a joint has no motor, or links are no bodies.
+    DataError
+        When the velocity loop is too fast for the sample rate.
+    """
+    instead = "On its legs, sdpid.simulate_legged simulates it."
+    require_fixed_robot(robot, "plant", instead=instead)
+    require_open_chain(robot, "plant")
+    check_bodies(robot, theta[: 10 * robot.n_links].reshape(-1, 10))
+    fastest, limit = fastest_pole(robot, trajectory, theta, drives)
+    if not fastest < limit:
+        raise DataError(
+            f"plant of '{robot.name}': the velocity loop's fastest pole is at {fastest:.4g}/s, "
+            f"too fast for a rate of {trajectory.rate_hz:g} Hz (limit {limit:.4g}/s); lower "
+            "velocity_gain or raise the sample rate."
+        )
+    arm = SimulatedArm.of(_model(robot, theta))
+    law = P(drives.proportional_gain, drives.velocity_gain)
+    rest = trajectory.sample(0, 1)[0][0]
+
+    def move(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
+        out = np.empty((3, stop - start, robot.n))
+        state = np.stack([rest, 0.0 * rest]) if state is None else state
+        for first in range(start, stop, _CHUNK):
+            last = min(first + _CHUNK, stop)
+            told = _held(trajectory, first, last + 1)
+            rate = trajectory.rate_hz
+            found = simulate_closed_loop(arm, told, law, rate_hz=rate, start=tuple(state))
+            if found.diverged is not None:
+                raise DataError(
+                    f"plant: the motion diverges {found.diverged:.3g} s after sample {first}: the "
+                    "loop is unstable; lower velocity_gain or proportional_gain."
+                )
+            states = np.stack([found.position, found.velocity, found.effort])
+            out[:, first - start : last - start], state = states[:, :-1], states[:2, -1]
+        return out, state
+
+    return move
+
+
+def _held(trajectory: Trajectory, start: int, stop: int) -> tuple[Array, ...]:
+    """Return positions, velocities and accelerations of samples; the end is held."""
+    states = np.stack(trajectory.sample(start, min(stop, trajectory.n_samples)))
+    if (missing := stop - trajectory.n_samples) > 0:
+        end = states[:, -1:] * np.array([1.0, 0.0, 0.0])[:, None, None]
+        states = np.concatenate([states, np.repeat(end, missing, axis=1)], axis=1)
+    return tuple(states)
+
+
+def _follow(robot: RobotModel, trajectory: Trajectory, theta: Array) -> Move:
+    """Return what follows a trajectory exactly; its state never changes."""
+    model = _model(robot, theta)
+    bodies = theta[: 10 * robot.n_links].reshape(-1, 10)
+
+    def move(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
+        q, v, a = trajectory.sample(start, stop)
+        effort = robot.inverse_dynamics(bodies, q, v, a) + model.friction(v)
+        return np.stack([q, v, effort]), np.zeros((2, robot.n))
+
+    return move
+
+
+def _parts(
+    trajectory: Trajectory, settling: int, move: Move, advance: Callable[[float], None]
+) -> Iterator[tuple[int, Array]]:
+    """Yield the record in parts: the first sample, and positions, velocities and efforts."""
+    lead, end, period = trajectory.lead_samples, trajectory.n_samples, trajectory.samples_per_period
+    # Rest, connection and the settling period; the record begins within them.
+    states, now = move(0, lead + settling, None)
+    advance(lead + settling)
+    yield settling, states[:, settling:]
+    settled = False
+    for _ in range(trajectory.periods):
+        if not settled:
+            before = now
+            states, now = move(lead, lead + period, before)
+            settled = bool(np.abs(now - before).max() <= SETTLED)
+        advance(period)
+        yield lead, states
+    yield end - lead, move(end - lead, end, now)[0]
+    advance(lead)
+
+
+def _model(robot: RobotModel, theta: Array) -> RobotDynamics:
+    terms = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
+    return RobotDynamics(robot=robot, terms=terms, theta=theta)
 
 
 def plant_parts(

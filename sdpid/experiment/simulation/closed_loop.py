@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,18 +13,110 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import ComputedTorque
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS
 from sdpid.experiment.simulation.law import Controller, Law
-from sdpid.experiment.simulation.reference import DesiredMotion, Reference
+from sdpid.experiment.trajectory.sampled import SampledCurve
+from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Longest step of the integrator (s) unless another is asked for: loops of industrial arms close
 # below 30 Hz, where steps of this length err by 1e-4 of the tracking error.
 LONGEST_STEP = 1e-3
+
+
+# What `simulate_closed_loop` takes.
+Reference = Any
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesiredMotion:
+    """A desired motion and the times at which it was sampled.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Times of the samples from zero on, s.
+    curve : SampledCurve
+        The motion between them.
+    """
+
+    time: Array
+    curve: SampledCurve
+
+    @classmethod
+    def of(cls, reference: Reference, n: int, rate_hz: float | None) -> DesiredMotion:
+        """Take a trajectory, a recording with a reference, positions, or all three derivatives.
+
+        A desired motion stays what it is.
+
+        Raises
+        ------
+        DataError
+            When shapes or joints do not fit, or the rate is missing.
+        """
+        if isinstance(reference, DesiredMotion):
+            found = reference
+        elif isinstance(reference, Trajectory):
+            rate = _rate(rate_hz or reference.rate_hz)
+            q, v, a = reference.sample()
+            own = np.arange(len(q)) / reference.rate_hz
+            curve = SampledCurve(time=own, position=q, velocity=v, acceleration=a)
+            time = np.arange(int(np.floor(own[-1] * rate * (1.0 + 1e-12))) + 1) / rate
+            found = cls(time=time, curve=curve)
+        elif isinstance(reference, Recording):
+            position = getattr(reference, "reference", None)
+            if position is None:
+                raise DataError(
+                    "reference: the recording has no commanded positions; give the trajectory, or "
+                    "read the log with its columns of commanded positions."
+                )
+            own = np.asarray(reference.time) - reference.time[0]
+            found = cls(time=own, curve=SampledCurve(time=own, position=np.asarray(position)))
+        else:
+            found = cls._of_arrays(reference, rate_hz)
+        if found.curve.n != n:
+            raise DataError(
+                f"reference: {found.curve.n} joints, the robot has {n}; give one column a joint."
+            )
+        return found
+
+    @classmethod
+    def _of_arrays(cls, reference: Any, rate_hz: float | None) -> DesiredMotion:
+        if rate_hz is None:
+            raise DataError("rate_hz: missing; an array of positions needs the rate of its rows.")
+        parts = reference if isinstance(reference, tuple) else (reference,)
+        if len(parts) not in (1, 3):
+            raise DataError(
+                f"reference: {len(parts)} arrays; give positions, or positions, velocities and "
+                "accelerations."
+            )
+        names = ("position", "velocity", "acceleration")
+        arrays = {
+            name: real_array(values, f"reference {name}", ndim=2)
+            for name, values in zip(names, parts, strict=False)
+        }
+        time = np.arange(len(arrays["position"])) / _rate(rate_hz)
+        return cls(time=time, curve=SampledCurve(time=time, **arrays))
+
+    def at(self, time: Array) -> Array:
+        """Return positions, velocities and accelerations (T, 3, n); held at the end."""
+        inside = np.clip(time, 0.0, self.curve.duration)
+        found = np.stack([each(inside) for each in self._derivatives], axis=1)
+        found[time > self.curve.duration, 1:] = 0.0
+        return found
+
+    @cached_property
+    def _derivatives(self) -> list[Any]:
+        """The motion as piecewise polynomials, and its first two derivatives."""
+        from scipy.interpolate import BPoly
+
+        curve = BPoly(self.curve.control_points, self.curve.breaks)
+        return [curve, curve.derivative(1), curve.derivative(2)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -187,9 +280,11 @@ def simulate_closed_loop(
         states = np.stack([real_array(each, "start", ndim=1) for each in start])
         if states.shape != (2, n):
             raise DataError(f"start: shapes {states.shape}, expected two of ({n},).")
-    instants = np.arange(0.0, steps, every) if every else 0.5 + np.arange(0.0, steps)
+    told = desired.at(np.asarray(dt * np.arange(0.0, steps + 1.0, max(every, 1))))
+    if not every:
+        told = 0.5 * (told[:-1] + told[1:])
     out = np.zeros((5, len(times), n))
-    run = _Run(desired.at(np.asarray(dt * instants)), noise, times, steps, every, dt, differenced)
+    run = _Run(told, noise, times, steps, every, dt, differenced)
     move = _compiled if isinstance(controller, Law) else _python
     count = move(arm, controller, run, states, out)
     q, v, held, measured, integral = (x[:count] for x in out)
@@ -312,3 +407,13 @@ def _noise(
             f"position_noise is {sizes.tolist()}; give {n} deviations that are not negative."
         )
     return np.asarray(rng.standard_normal((-(-steps // every), n)) * sizes)
+
+
+def _rate(rate_hz: Any) -> float:
+    try:
+        rate = float(rate_hz)
+    except (TypeError, ValueError):
+        rate = float("nan")
+    if not (np.isfinite(rate) and rate > 0.0):
+        raise DataError(f"rate_hz is {rate_hz!r:.80}; give a positive rate in Hz.")
+    return rate

@@ -12,13 +12,13 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
-from sdpid.experiment.plant.mujoco_model import joint_axis
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import possible, possible_body
 from sdpid.robot.description.inertials import Inertial, tensor
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.regressor_kernel import PRISMATIC
 
 # Of two balls that stand for a pin one is this share of the robot's reach along its axis.
 _ALONG = 0.1
@@ -118,9 +118,8 @@ def _pose(placement: Array) -> dict[str, str]:
 def _joint(robot: RobotModel, i: int) -> dict[str, str]:
     """Return the attributes of a joint."""
     name = str(robot.pin_model.names[i])
-    kind, axis = joint_axis(robot.pin_model.joints[i])
-    mark = "hinge" if kind == "revolute" else "slide"
-    values = {"name": name, "type": mark, "axis": numbers(axis)}
+    mark = "slide" if robot.tree.kind[i - 1] == PRISMATIC else "hinge"
+    values = {"name": name, "type": mark, "axis": numbers(robot.tree.axis[i - 1])}
     if name in robot.joint_names:
         column = robot.joint_names.index(name)
         lower, upper = robot.position_limits[column]

@@ -10,12 +10,11 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import ModelError
-from sdpid.experiment.plant.mujoco_model import (
-    add_bodies,
-    check_bodies,
-    set_options,
-)
+from sdpid.experiment.plant.drives import check_bodies
+from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.legs.legs import Legs
+from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.regressor_kernel import PRISMATIC
 
 # Time constant of the ground in s: stiff against the gait, and soft against the step.
 _GROUND = 0.01
@@ -27,11 +26,10 @@ _HOLD = (0.999, 0.999)
 _GRIP, _IMPEDANCE_RATIO = 1.0, 10.0
 # Half the thickness of soles, m.
 _SOLE = 0.01
-# Newton's method ends below this: the equation of motion then holds to 1e-8 N, to 1e-5 with the
-# tolerance of the other plants.
-_TOLERANCE = 1e-20
-# Switches of the other plants that would take the ground away.
-_NEEDED = ("CONTACT", "EQUALITY")
+# Newton's method ends below this: the equation of motion then holds to 1e-8 N.
+_ITERATIONS, _TOLERANCE = 100, 1e-20
+# Without AUTORESET an unstable plant is seen, not silently set back to its start.
+_DISABLED = ("LIMIT", "ISLAND", "EULERDAMP", "AUTORESET")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +96,6 @@ def build_legged(
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
     set_options(mujoco, spec, robot, timestep)
-    for name in _NEEDED:
-        spec.option.disableflags &= ~getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}").value
-    spec.option.tolerance = _TOLERANCE
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = _IMPEDANCE_RATIO
     nodes = add_bodies(mujoco, spec, robot, bodies)
@@ -169,3 +164,55 @@ def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> No
             **shape,
             **shared,
         )
+
+
+def set_options(mujoco: Any, spec: Any, robot: RobotModel, timestep: float) -> None:
+    """Set the integrator, the solver and what is switched off."""
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = robot.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations, option.tolerance = _ITERATIONS, _TOLERANCE
+    for name in _DISABLED:
+        flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", None)
+        # Older releases have no switch for islands: they are off unless asked for.
+        option.disableflags |= 0 if flag is None else flag.value
+
+
+def add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> dict[int, Any]:
+    """Add the links and their joints, and return the bodies by Pinocchio's numbers."""
+    model = robot.pin_model
+    masses, centers, inertias = physical_parameters(bodies)
+    nodes = {0: spec.worldbody}
+    for i in range(1, model.njoints):
+        name = model.names[i]
+        placement = model.jointPlacements[i]
+        body = nodes[model.parents[i]].add_body(
+            name=f"{i}:{robot.link_names[i - 1]}",
+            pos=placement.translation,
+            quat=_quaternion(mujoco, placement.rotation),
+        )
+        # Principal moments by our own decomposition: that of older MuJoCo stops at 1e-7.
+        moments, axes = np.linalg.eigh(inertias[i - 1])
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        body.mass = float(masses[i - 1])
+        body.ipos = centers[i - 1]
+        body.inertia = moments
+        body.iquat = _quaternion(mujoco, axes)
+        body.explicitinertial = True
+        nodes[i] = body
+        if i == 1 and robot.free_flyer:
+            body.add_freejoint(name=name)
+            continue
+        slides = robot.tree.kind[i - 1] == PRISMATIC
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        body.add_joint(name=name, type=kind, axis=robot.tree.axis[i - 1])
+    return nodes
+
+
+def _quaternion(mujoco: Any, rotation: Array) -> Array:
+    """Return a rotation matrix as MuJoCo's quaternion, scalar first."""
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion

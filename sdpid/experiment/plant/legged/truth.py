@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.seeds import generator
-from sdpid.experiment.plant.mujoco_model import check_bodies
+from sdpid.experiment.plant.drives import check_bodies
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs

@@ -127,8 +127,8 @@ def closed_loop(
 ) -> int:
     """Write positions, velocities, held efforts, measured positions and integrals at sample times.
 
-    With `every` steps of effort held, `desired` has one row for each time of control; without, one
-    for each middle of a step. No joint is `fixed`, (n,). Return how many samples were written
+    With `every` steps of effort held, `desired` has one row for each time of control; without, the
+    mean of both ends of each step. No joint is `fixed`, (n,). Return how many samples were written
     before the motion diverged.
     """
     vectors, gains = memory.vectors, law[1]
@@ -172,7 +172,8 @@ def closed_loop(
                         error[i] = desired[row, 0, i] - qm[i]
         else:
             for i in range(n):
-                qm[i] = q[i] + 0.5 * dt * v[i]
+                # The mean of both ends, as that of the desired positions.
+                qm[i] = q[i] + 0.5 * dt * (v[i] + 0.5 * dt * a[i])
                 vm[i] = v[i] + 0.5 * dt * a[i]
                 error[i] = desired[step, 0, i] - qm[i]
                 before[i] = integral[i] + 0.5 * dt * error[i]

@@ -22,6 +22,7 @@ from sdpid.experiment.simulation.kernels.layout import (
     SMOOTH,
     SMOOTH1,
     TRIAL,
+    VISCOUS,
 )
 
 # A joint this near (rad/s) to where its friction jumps is there: rounding of steps is far smaller.
@@ -73,6 +74,15 @@ def weight_of(z: float) -> float:
     return 1.0 / (1.0 - math.exp(-z)) - 1.0 / z
 
 
+def weight_of_feedback(z: float) -> float:
+    """Return the weight of the end of a step for a controller whose damping has the slope z.
+
+    One half takes its effort as the mean over the step: however stiff the loop is, the effort at
+    the end then is that of the motion. A loop that settles within a step is damped to the end.
+    """
+    return 1.0 - 1.0 / z if z > 2.0 else 0.5
+
+
 def change_over(
     robot: Any,
     D: Array,
@@ -88,6 +98,7 @@ def change_over(
     written there. Contacts at their jump are stuck, or slip where what holds them is not enough.
     """
     K, M, S = memory.system, memory.matrices[MASSES], memory.matrices[SLOPES]
+    V = robot.matrices[VISCOUS]
     dv, F, g = memory.vectors[CHANGE], memory.vectors[SMOOTH], memory.vectors[PUSH]
     mode, at, bounds = memory.states[0], memory.states[1], memory.bounds
     contacts, values = robot.contacts, robot.jumps
@@ -111,11 +122,12 @@ def change_over(
             if fixed[i]:
                 K[i, i], K[i, size] = 1.0, dt * given[i]
                 continue
-            weight = dt * weight_of(dt * (D[i, i] + S[i, i]) / M[i, i])
+            weight = dt * weight_of(dt * (V[i, i] + S[i, i]) / M[i, i])
+            gain = dt * weight_of_feedback(dt * (D[i, i] - V[i, i]) / M[i, i])
             total = g[i] - F[i]
             for j in range(n):
                 total -= D[i, j] * v[j]
-                K[i, j] = M[i, j] + weight * (D[i, j] + S[i, j])
+                K[i, j] = M[i, j] + weight * (V[i, j] + S[i, j]) + gain * (D[i, j] - V[i, j])
             K[i, size] = dt * total
         row = n
         for k in range(count):
