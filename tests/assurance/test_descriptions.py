@@ -15,7 +15,7 @@ from sdpid import audit_urdf
 from sdpid.assurance.descriptions.checks import carried, carried_theta
 from sdpid.errors import ModelError
 from sdpid.estimation.constraints.hull import Hull
-from sdpid.robot.description import mjcf_bodies
+from sdpid.robot.description import mjcf
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.mjcf import parsed
 from sdpid.robot.inertia import complement, margin, point_masses
@@ -227,9 +227,9 @@ class File:
 
 def test_mjcf_is_kept_while_its_bodies_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco")
-    monkeypatch.setattr(mjcf_bodies, "parsed", File)
+    monkeypatch.setattr(mjcf, "parsed", File)
     text = '<mujoco><worldbody><body name="a"><geom size="0.1"/></body></worldbody></mujoco>'
-    assert [body["name"] for body in mjcf_bodies._bodies(text, None, "text")] == ["a"]
+    assert [body.name for body in mjcf.read_mjcf_bodies(text, None, "text")] == ["a"]
 
 
 def test_json_and_table_are_plain() -> None:

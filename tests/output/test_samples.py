@@ -22,7 +22,6 @@ from sdpid.output.samples import patterns
 from sdpid.output.samples.patterns import drawn_attributes
 from sdpid.output.samples.ranges import NAMES, Ranges, changed, changes
 from sdpid.output.samples.write import SampleWriter, write_samples
-from sdpid.robot.description import mjcf, mjcf_bodies
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import margin, physical_parameters, theta_from_physical, transform
 from sdpid.robot.model.base_parameters import generic_states
@@ -341,11 +340,8 @@ def folder(estimate: Estimate, draws: Array, tmp_path_factory: pytest.TempPathFa
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xml"])
 def test_every_robot_is_the_draw(
-    estimate: Estimate, draws: Array, folder: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+    estimate: Estimate, draws: Array, folder: Path, suffix: str
 ) -> None:
-    # A process for each file takes seconds, and is for files of others.
-    for module in (mjcf, mjcf_bodies):
-        monkeypatch.setattr(module, "in_child", lambda read, *given, what: read(*given, what))
     robot, problem = estimate.problem.robot, estimate.problem
     states = generic_states(robot, 8, 1)
     names = [*(f"robot_{k + 1:04d}" for k in range(WRITTEN)), "mean"]
@@ -413,11 +409,11 @@ def test_a_failure_leaves_nothing(
     real = patterns.compiled
     calls: list[str] = []
 
-    def refusing(text: str, path: None, folder: None, what: str) -> object:
+    def refusing(text: str, path: None, what: str) -> object:
         calls.append(what)
         if len(calls) == 3:
             raise ExportError("no")
-        return real(text, path, folder, what)
+        return real(text, path, what)
 
     monkeypatch.setattr(patterns, "compiled", refusing)
     refuses(ExportError, "no", written, estimate, draws, tmp_path / "new", "urdf", "mjcf")

@@ -162,7 +162,7 @@ def audit_urdf(
     shapes: dict[str, Shapes] = {}
     findings: list[DescriptionFinding] = []
     if is_mjcf(text, what):
-        from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies
+        from sdpid.robot.description.mjcf import read_mjcf_bodies
 
         bodies = read_mjcf_bodies(text, path, what)
     else:

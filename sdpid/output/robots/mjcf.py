@@ -186,7 +186,7 @@ class Mjcf(RobotText):
     folder : Path, optional
         Where the names of its meshes start.
     ours : bool, optional
-        Whether its bodies are the robot's links, frame by frame, and it may be trusted.
+        Whether its bodies are the robot's links, frame by frame.
 
     Raises
     ------
@@ -212,7 +212,7 @@ class Mjcf(RobotText):
         self.cleared: list[str] = []
         parse_xml(text, what)  # refuses document types, so that nothing is expanded below
         try:
-            found = read_mjcf(text, what, folder=folder, trusted=ours)
+            found = read_mjcf(text, what, folder=folder)
         except ModelError as cause:
             raise ExportError(str(cause)) from None
         self.bodies, self._values, self._tendons = found.bodies, found.joint_values, found.tendons
@@ -361,7 +361,6 @@ class Mjcf(RobotText):
         ExportError
             With the difference.
         """
-        # It has compiled in a child process; only numbers have changed since.
         written = Mjcf(self.robot, self.document.text(), self.what, folder=self.folder, ours=True)
         model = written.model.with_gravity(written._base[:3, :3] @ self.robot.gravity)
         states = self.states()

@@ -86,7 +86,7 @@ class Pattern:
         URDFs differ only in the inertials, and those are audited.
         """
         if isinstance(self._file, Mjcf) and self._file.ours:
-            compiled(text, None, None, f"{self._file.what} ({name})")
+            compiled(text, None, f"{self._file.what} ({name})")
 
 
 def urdf_pattern(problem: Problem, source: str | os.PathLike[str] | None) -> Pattern:

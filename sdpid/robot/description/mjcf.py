@@ -1,52 +1,79 @@
-"""MJCF files, compiled by MuJoCo in a child process and turned into a Pinocchio model.
+"""MJCF files, compiled by MuJoCo and turned into a Pinocchio model, or read as they are written.
 
-MuJoCo's parser trusts its input: a file that includes itself crashes the process, and a large
-``<replicate>`` never ends. Untrusted files are therefore parsed in a child process with limits.
+MuJoCo's parser trusts its input: a large ``<replicate>`` never ends. What a file stands for is
+counted first, with all that it includes and repeats, and has a limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, frozen
 from sdpid._common.extras import require
-from sdpid._common.sandbox import run_in_sandbox
+from sdpid._common.files import read_regular
 from sdpid.errors import ModelError
+from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.description.loops import Closure
 from sdpid.robot.description.urdf import Mimic
+from sdpid.robot.description.xml import MAX_BYTES, parse_xml
 from sdpid.robot.inertia import theta_from_physical, transform
 
-# A scene of a humanoid with meshes compiles in some seconds.
-TIMEOUT = 60.0
+# Elements with all that is included and repeated: a scene of a humanoid has some thousands, and
+# MuJoCo takes about a minute for this many bodies.
+MOST_ELEMENTS = 20_000
+# Cells of a height field, pixels of a texture: MuJoCo takes memory for them before any is read.
+_MOST_CELLS = 10**8
+_CELLS = ("nrow", "ncol", "width", "height")
+_REPEATED = ("replicate", "composite", "flexcomp")
+
+# What a fixed tendon adds to its joints.
+_OF_TENDONS = ("armature", "damping", "frictionloss")
+# Of MuJoCo's model, what is read of it.
+_ARRAYS = (
+    *("body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"),
+    *("body_gravcomp", "jnt_pos", "jnt_axis", "jnt_range", "jnt_actfrcrange", "jnt_stiffness"),
+    *("eq_data", "wrap_prm", "tendon_stiffness", "actuator_gainprm", "actuator_biasprm"),
+    *("actuator_gear", "qpos0", "qpos_spring"),
+    *(f"{kind}_{key}" for kind in ("tendon", "dof") for key in _OF_TENDONS),
+)
+
+# MuJoCo's order of a full tensor, in ours: xx, xy, yy, xz, yz, zz.
+_FULL = (0, 3, 1, 4, 5, 2)
 
 
-def parsed(text: str, path: str | None, what: str) -> Any:
-    """Return MuJoCo's ``MjSpec`` of a file, or of a text; only within a child process.
+def parsed(text: str, path: Path | None, what: str, *, folder: Path | None = None) -> Any:
+    """Return MuJoCo's ``MjSpec`` of a file, or of a text with files in a folder.
 
     Raises
     ------
     ModelError
-        When MuJoCo cannot parse it.
+        When it stands for too much, or MuJoCo cannot parse it.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
     mujoco = require("mujoco", extra="sim")
+    _require_small(text, path, folder, what)
     try:
-        return mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(path)
+        if path is not None:
+            return mujoco.MjSpec.from_file(str(path.resolve()))
+        spec = mujoco.MjSpec.from_string(text)
     except (ValueError, RuntimeError) as cause:
         raise ModelError(f"{what}: MuJoCo cannot parse it ({_line(cause)}).") from None
-
-
-def compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
-    """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder."""
-    spec = parsed(text, path, what)
     if folder is not None:
-        spec.modelfiledir = folder
+        spec.modelfiledir = str(folder)
+    return spec
+
+
+def compiled(text: str, path: Path | None, what: str, *, folder: Path | None = None) -> Any:
+    """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder."""
+    spec = parsed(text, path, what, folder=folder)
     try:
         return spec.compile()
     except (ValueError, RuntimeError) as cause:
@@ -57,23 +84,51 @@ def _line(cause: Exception) -> str:
     return " ".join(str(cause).split())
 
 
-def in_child(function: Callable[..., Any], *arguments: Any, what: str) -> Any:
-    """Call a function that reads MJCF in a child process with limits, and return its result.
+def _require_small(text: str, path: Path | None, folder: Path | None, what: str) -> None:
+    """Refuse a file that stands for more elements than are read, or includes itself."""
+    first = path or (folder or Path()) / "text"
+    count = 0
 
-    Raises
-    ------
-    ModelError
-        When MuJoCo refuses the file, crashes, or takes more than its time or memory.
-    MissingExtraError
-        When MuJoCo is not installed (extra ``sim``).
-    """
-    return run_in_sandbox(
-        function, *arguments, what, subject=what, error=ModelError, timeout=TIMEOUT
-    )
+    def add(element: Any, times: int, files: tuple[Path, ...]) -> None:
+        nonlocal count
+        count += times
+        if count > MOST_ELEMENTS or _product(element, _CELLS) > _MOST_CELLS:
+            raise ModelError(
+                f"{what}: its <{element.tag}> makes it larger than what is read: {MOST_ELEMENTS} "
+                f"elements with all that is included and repeated, {_MOST_CELLS:.0e} cells of a "
+                "height field or a texture."
+            )
+        if element.tag in _REPEATED:
+            times *= _product(element, ("count",))
+        for child in element.iterchildren("*"):
+            add(child, times, files)
+        for place in _files(element, files):
+            if place in files:
+                raise ModelError(f"{what}: '{place.name}' includes itself.")
+            data = read_regular(place, MAX_BYTES, ModelError)
+            add(parse_xml(data, place.name), times, (*files, place))
+
+    add(parse_xml(text, what), 1, (first.resolve(),))
 
 
-# What a fixed tendon adds to its joints.
-_OF_TENDONS = ("armature", "damping", "frictionloss")
+def _product(element: Any, keys: tuple[str, ...]) -> int:
+    """Return the product of the whole numbers in some attributes."""
+    words = " ".join(element.get(key, "") for key in keys).split()
+    return math.prod(int(word[:20]) for word in words if word.isdecimal())
+
+
+def _files(element: Any, files: tuple[Path, ...]) -> Iterator[Path]:
+    """Yield the files that an element puts in its place, and those of the model it attaches."""
+    names = []
+    if element.tag in ("include", "model"):
+        names = [element.get("file")]
+    elif element.tag == "attach":
+        models = element.getroottree().iter("model")
+        wanted = (None, element.get("model"))
+        names = [each.get("file") for each in models if each.get("name") in wanted]
+    for name in filter(None, names):
+        places = [(file.parent / name).resolve() for file in (files[-1], files[0])]
+        yield from [place for place in places if place.is_file()][:1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,18 +202,13 @@ class MjcfModel:
     closures: tuple[Closure, ...]
     others: tuple[str, ...]
     passive: tuple[str, ...]
-    tendons: tuple[MjcfTendon, ...] = ()
-    forces: tuple[str, ...] = ()
-    actuators: tuple[str, ...] = ()
+    tendons: tuple[MjcfTendon, ...]
+    forces: tuple[str, ...]
+    actuators: tuple[str, ...]
 
 
 def read_mjcf(
-    text: str,
-    what: str,
-    *,
-    path: Path | None = None,
-    folder: Path | None = None,
-    trusted: bool = False,
+    text: str, what: str, *, path: Path | None = None, folder: Path | None = None
 ) -> MjcfModel:
     """Return a compiled MJCF.
 
@@ -176,25 +226,38 @@ def read_mjcf(
         Where it is, for what it includes.
     folder : Path, optional
         Where the names of its meshes start, for a text.
-    trusted : bool, optional
-        Compile it in this process: text of our own.
 
     Raises
     ------
     ModelError
-        When MuJoCo cannot compile it, or it has ball joints.
+        When it stands for too much, MuJoCo cannot compile it, or it has ball joints.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
-    places = (
-        None if path is None else str(path.resolve()),
-        None if folder is None else str(folder),
+    model = compiled(text, path, what, folder=folder)
+    for name in _ARRAYS:
+        if not np.isfinite(getattr(model, name)).all():
+            raise ModelError(f"{what}: {name} is not finite in MuJoCo's model; repair the file.")
+    if not np.isfinite(model.opt.gravity).all():
+        raise ModelError(f"{what}: gravity is {model.opt.gravity}; give finite numbers, m/s².")
+    found = _Compiled(model, what)
+    mimics, closures, others = found.equalities()
+    values = {
+        name: {key: float(getattr(model, f"dof_{key}")[at]) for key in _OF_TENDONS}
+        for name, at in zip(found.names, model.jnt_dofadr, strict=True)
+    }
+    return MjcfModel(
+        pin_model=found.pin_model,
+        bodies=tuple(found.bodies),
+        joint_values=values,
+        mimics=mimics,
+        closures=closures,
+        others=others,
+        passive=found.passive(),
+        tendons=tuple(found.tendons()),
+        forces=tuple(found.forces()),
+        actuators=tuple(found.actuators()),
     )
-    if trusted:
-        found = _numbers(text, *places, what)
-    else:
-        found = in_child(_numbers, text, *places, what=what)
-    return _Build(found, what).result()
 
 
 def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> MjcfModel:
@@ -203,7 +266,7 @@ def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> MjcfModel:
     Raises
     ------
     ModelError
-        When MuJoCo cannot compile it, or it has ball joints or equalities of another kind.
+        As `read_mjcf` does, and when it has equalities of another kind.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
@@ -217,266 +280,181 @@ def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> MjcfModel:
     return found
 
 
-def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict[str, Any]:
-    """Return the numbers of a compiled model that make its kinematics and inertias."""
-    mujoco = require("mujoco", extra="sim")
-    model = compiled(text, path, folder, what)
-    arrays = (
-        *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat"),
-        *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),
-        *("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_actfrclimited", "eq_type"),
-        *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data", "eq_objtype"),
-        *("tendon_adr", "tendon_num", *(f"tendon_{key}" for key in _OF_TENDONS)),
-        *("wrap_type", "wrap_objid", "wrap_prm", "jnt_stiffness", "tendon_stiffness"),
-        *("body_gravcomp", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
-    )
-    for name in (*arrays, "qpos0", "qpos_spring", *(f"dof_{key}" for key in _OF_TENDONS)):
-        if not np.isfinite(np.asarray(getattr(model, name), dtype=np.float64)).all():
-            raise ModelError(f"{what}: {name} is not finite in MuJoCo's model; repair the file.")
-    if not np.isfinite(model.opt.gravity).all():
-        raise ModelError(f"{what}: gravity is {model.opt.gravity}; give finite numbers, m/s².")
-    found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
-    found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
-    found["springref"] = [float(model.qpos_spring[at]) for at in model.jnt_qposadr]
-    found["dof"] = {
-        key: [float(getattr(model, f"dof_{key}")[at]) for at in model.jnt_dofadr]
-        for key in ("armature", "damping", "frictionloss")
-    }
-    found["gravity"] = [float(x) for x in model.opt.gravity]
-    found["name"] = str(model.names.split(b"\0")[0].decode("utf-8", "replace"))
-    found["bodies"] = [str(model.body(i).name) for i in range(model.nbody)]
-    found["joints"] = [str(model.joint(i).name) for i in range(model.njnt)]
-    found["kinds"] = {
-        kind: int(getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"))
-        for kind in ("free", "ball", "slide", "hinge")
-    }
-    found["names_of_equalities"] = [str(model.equality(i).name) for i in range(model.neq)]
-    found["actuators"] = [str(model.actuator(i).name) for i in range(model.nu)]
-    found["bodies_of_sites"] = [
-        [int(model.site_bodyid[i]), model.site_pos[i].tolist(), model.site_quat[i].tolist()]
-        for i in range(model.nsite)
-    ]
-    found["site"] = int(mujoco.mjtObj.mjOBJ_SITE)
-    # What moves joints alone; other actuators pull at tendons, bodies and sites.
-    plain = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    found["actuated"] = None
-    if model.nu and all(int(kind) in plain for kind in model.actuator_trntype):
-        found["actuated"] = [int(i) for i in model.actuator_trnid[:, 0]]
-    found["wrap_joint"] = int(mujoco.mjtWrap.mjWRAP_JOINT)
-    found["equalities"] = {
-        str(int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}"))): kind
-        for kind in ("connect", "weld", "joint", "tendon", "flex")
-    }
-    return found
+class _Compiled:
+    """MuJoCo's model, and the Pinocchio model that is built of it body by body."""
 
-
-def _joint_names(found: dict[str, Any]) -> list[str]:
-    """Return a name for every joint; MuJoCo's may be empty."""
-    owners: dict[int, int] = {}
-    for body, (first, count) in enumerate(
-        zip(found["body_jntadr"], found["body_jntnum"], strict=True)
-    ):
-        owners |= dict.fromkeys(range(first, first + count), body)
-    return [
-        name or f"{found['bodies'][owners[i]] or f'body_{owners[i]}'}_joint_{i}"
-        for i, name in enumerate(found["joints"])
-    ]
-
-
-def _equalities(
-    found: dict[str, Any],
-) -> tuple[tuple[Mimic, ...], tuple[Closure, ...], tuple[str, ...]]:
-    """Return active equalities as mimics and as closures, and the kinds of the others."""
-    names = _joint_names(found)
-    mimics, closures, others = [], [], []
-    keys = ("type", "active0", "obj1id", "obj2id", "data")
-    columns = [found[f"eq_{key}"] for key in keys]
-    for number, (kind, active, first, second, data) in enumerate(zip(*columns, strict=True)):
-        name = found["equalities"].get(str(kind), "strange")
-        if not active:
-            continue
-        if name in ("connect", "weld"):
-            closures.append(_closure(found, number, name))
-        elif name != "joint" or second < 0 or any(data[2:5]):
-            others.append(name)
-        else:
-            # q1 − ref1 = c0 + c1·(q2 − ref2)
-            offset = found["ref"][first] + data[0] - data[1] * found["ref"][second]
-            mimics.append(Mimic(names[first], names[second], data[1], offset))
-    return tuple(mimics), tuple(closures), tuple(others)
-
-
-def _closure(found: dict[str, Any], number: int, kind: str) -> Closure:
-    """Return an equality that keeps two bodies, or sites on them, together."""
-    one, two = found["eq_obj1id"][number], found["eq_obj2id"][number]
-    data = found["eq_data"][number]
-    upright = [1.0, 0.0, 0.0, 0.0]
-    if found["eq_objtype"][number] == found["site"]:
-        sites = [found["bodies_of_sites"][site] for site in (one, two)]
-        ends = [(body, _placement(*place)) for body, *place in sites]
-    elif kind == "connect":
-        ends = [(one, _placement(data[:3], upright)), (two, _placement(data[3:6], upright))]
-    else:
-        # The place on the second body, then that on the first, turned as the second is.
-        ends = [(one, _placement(data[3:6], data[6:10])), (two, _placement(data[:3], upright))]
-    (first, on_first), (second, on_second) = (
-        (found["bodies"][body] or f"body_{body}" if body else "universe", place.homogeneous)
-        for body, place in ends
-    )
-    return Closure(
-        found["names_of_equalities"][number] or f"{kind}_{number + 1}",
-        "point" if kind == "connect" else "plane",
-        ((first, on_first), (second, on_second)),
-    )
-
-
-def _tendons(found: dict[str, Any]) -> Iterator[MjcfTendon]:
-    """Yield the fixed tendons over two joints."""
-    names = _joint_names(found)
-    columns = [found[f"tendon_{key}"] for key in ("adr", "num", *_OF_TENDONS)]
-    for first, count, *values in zip(*columns, strict=True):
-        if count == 2 and found["wrap_type"][first] == found["wrap_joint"]:
-            one, two = (names[found["wrap_objid"][k]] for k in (first, first + 1))
-            factors = found["wrap_prm"][first], found["wrap_prm"][first + 1]
-            yield MjcfTendon((one, two), factors, *values)
-
-
-def _forces(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the forces that act on joints beside gravity, in words."""
-    springs = zip(_joint_names(found), found["jnt_stiffness"], found["springref"], strict=True)
-    for name, stiffness, rest in springs:
-        if stiffness:
-            yield f"spring at {name} (stiffness {stiffness:.4g}, springref {rest:.4g})"
-    for number, stiffness in enumerate(found["tendon_stiffness"], 1):
-        if stiffness:
-            yield f"spring of tendon {number} (stiffness {stiffness:.4g})"
-    for name, share in zip(found["bodies"], found["body_gravcomp"], strict=True):
-        if share:
-            yield f"gravcomp {share:.4g} of body {name}"
-
-
-def _actuators(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the actuators whose effort is not their control, in words."""
-    keys = ("actuators", "actuator_gainprm", "actuator_biasprm", "actuator_gear")
-    for number, (name, gain, bias, gear) in enumerate(zip(*map(found.get, keys), strict=True), 1):
-        if gain[0] != 1.0 or gear[0] != 1.0 or any(bias):
-            yield f"{name or number} (gain {gain[0]:.4g}, gear {gear[0]:.4g})"
-
-
-class _Build:
-    """Builds a Pinocchio model body by body."""
-
-    def __init__(self, found: dict[str, Any], what: str) -> None:
+    def __init__(self, model: Any, what: str) -> None:
+        import mujoco
         import pinocchio as pin
 
-        self.found, self.what = found, what
-        self.names = _joint_names(found)
-        self.model = pin.Model()
-        self.model.name = found["name"] or "robot"
-        self.model.gravity.linear = np.array(found["gravity"])
+        self.model, self.what, self.kinds = model, what, mujoco
+        # MuJoCo's names may be empty.
+        self.names = [
+            model.joint(i).name or f"{model.body(owner).name or f'body_{owner}'}_joint_{i}"
+            for i, owner in enumerate(model.jnt_bodyid.tolist())
+        ]
+        self.pin_model = pin.Model()
+        name = model.names.split(b"\0")[0].decode("utf-8", "replace")
+        self.pin_model.name = name or "robot"
+        self.pin_model.gravity.linear = np.array(model.opt.gravity)
         # For each body, the joint that carries it and its placement in that joint's frame.
         self.carriers: list[tuple[int, Any]] = [(0, pin.SE3.Identity())]
         self.bodies = [MjcfBody("world", 0, np.eye(4), np.zeros(10), ())]
-        for body in range(1, len(found["bodies"])):
+        for body in range(1, model.nbody):
             self._add(body)
-
-    def result(self) -> MjcfModel:
-        """Return the model."""
-        values = {
-            name: {key: numbers[i] for key, numbers in self.found["dof"].items()}
-            for i, name in enumerate(self.names)
-        }
-        mimics, closures, others = _equalities(self.found)
-        moved = self.found["actuated"]
-        passive = [] if moved is None else [n for i, n in enumerate(self.names) if i not in moved]
-        return MjcfModel(
-            pin_model=self.model,
-            bodies=tuple(self.bodies),
-            joint_values=values,
-            mimics=mimics,
-            closures=closures,
-            others=others,
-            passive=tuple(passive),
-            tendons=tuple(_tendons(self.found)),
-            forces=tuple(_forces(self.found)),
-            actuators=tuple(_actuators(self.found)),
-        )
 
     def _add(self, body: int) -> None:
         import pinocchio as pin
 
-        found = self.found
-        joint, place = self.carriers[found["body_parentid"][body]]
-        place = place * _placement(found["body_pos"][body], found["body_quat"][body])
-        first, own_joints = found["body_jntadr"][body], []
-        for number in range(first, first + found["body_jntnum"][body]):
+        model, built = self.model, self.pin_model
+        joint, place = self.carriers[model.body_parentid[body]]
+        place = place * _placement(model.body_pos[body], model.body_quat[body])
+        first, own_joints = int(model.body_jntadr[body]), []
+        for number in range(first, first + int(model.body_jntnum[body])):
             joint, place = self._add_joint(number, joint, place)
             own_joints.append(joint)
         self.carriers.append((joint, place))
-        theta, mass = np.zeros(10), found["body_mass"][body]
+        theta, mass = np.zeros(10), float(model.body_mass[body])
         if mass > 0.0:
-            R = _placement(np.zeros(3), found["body_iquat"][body]).rotation
-            inertia = R @ np.diag(found["body_inertia"][body]) @ R.T
-            theta = theta_from_physical(mass, found["body_ipos"][body], inertia)
+            R = _placement(np.zeros(3), model.body_iquat[body]).rotation
+            inertia = R @ np.diag(model.body_inertia[body]) @ R.T
+            theta = theta_from_physical(mass, model.body_ipos[body], inertia)
             if joint:
                 here = transform(theta, place.rotation, place.translation)
                 moved = pin.Inertia.FromDynamicParameters(here)
-                self.model.appendBodyToJoint(joint, moved, pin.SE3.Identity())
-        name = found["bodies"][body]
+                built.appendBodyToJoint(joint, moved, pin.SE3.Identity())
+        name = model.body(body).name
         self.bodies.append(MjcfBody(name, joint, place.homogeneous, theta, tuple(own_joints)))
-        if not self.model.existBodyName(name or f"body_{body}"):
-            self.model.addBodyFrame(name or f"body_{body}", joint, place, 0)
+        if not built.existBodyName(name or f"body_{body}"):
+            built.addBodyFrame(name or f"body_{body}", joint, place, 0)
 
     def _add_joint(self, number: int, parent: int, place: Any) -> tuple[int, Any]:
         """Add a joint that moves a body at `place`; return it and the body's place in it."""
         import pinocchio as pin
 
-        found = self.found
-        kinds = {value: kind for kind, value in found["kinds"].items()}
-        kind = kinds[found["jnt_type"][number]]
-        name, axis = self.names[number], np.array(found["jnt_axis"][number])
-        if kind == "free":
-            return self.model.addJoint(
-                parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name
-            ), pin.SE3.Identity()
-        if kind == "ball":
+        model, built, kinds = self.model, self.pin_model, self.kinds.mjtJoint
+        kind, name = model.jnt_type[number], self.names[number]
+        axis = np.array(model.jnt_axis[number])
+        if kind == kinds.mjJNT_FREE:
+            free = built.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+            return free, pin.SE3.Identity()
+        if kind == kinds.mjJNT_BALL:
             raise ModelError(
                 f"{self.what}: joint '{name}' is a ball joint, which is not supported; supported "
                 "are hinge, slide and a free joint at the root."
             )
-        anchor = pin.SE3(np.eye(3), np.array(found["jnt_pos"][number]))
-        ref = found["ref"][number]
-        if kind == "hinge":
+        anchor = pin.SE3(np.eye(3), np.array(model.jnt_pos[number]))
+        ref = self._at_joint(model.qpos0, number)
+        if kind == kinds.mjJNT_HINGE:
             back = pin.SE3(pin.AngleAxis(-ref, axis).matrix(), np.zeros(3))
         else:
             back = pin.SE3(np.eye(3), -ref * axis)
         limit = [[np.inf], [np.inf], [-np.inf], [np.inf]]
-        if found["jnt_actfrclimited"][number]:
-            limit[0] = [max(np.abs(found["jnt_actfrcrange"][number]))]
-        if found["jnt_limited"][number]:
-            limit[2], limit[3] = ([value] for value in found["jnt_range"][number])
-        joint = self.model.addJoint(
-            parent, _joint_model(kind, axis), place * anchor * back, name, *map(np.array, limit)
-        )
-        at = self.model.joints[joint].idx_v
-        self.model.damping[at] = found["dof"]["damping"][number]
-        self.model.friction[at] = found["dof"]["frictionloss"][number]
-        self.model.armature[at] = found["dof"]["armature"][number]
+        if model.jnt_actfrclimited[number]:
+            limit[0] = [np.abs(model.jnt_actfrcrange[number]).max()]
+        if model.jnt_limited[number]:
+            limit[2], limit[3] = ([value] for value in model.jnt_range[number])
+        moving = _joint_model(bool(kind == kinds.mjJNT_HINGE), axis)
+        joint = built.addJoint(parent, moving, place * anchor * back, name, *map(np.array, limit))
+        at, dof = built.joints[joint].idx_v, model.jnt_dofadr[number]
+        built.damping[at] = model.dof_damping[dof]
+        built.friction[at] = model.dof_frictionloss[dof]
+        built.armature[at] = model.dof_armature[dof]
         return joint, anchor.inverse()
 
+    def _at_joint(self, positions: Array, number: int) -> float:
+        return float(positions[self.model.jnt_qposadr[number]])
 
-def _joint_model(kind: str, axis: Array) -> Any:
+    def equalities(self) -> tuple[tuple[Mimic, ...], tuple[Closure, ...], tuple[str, ...]]:
+        """Return active equalities as mimics and as closures, and the kinds of the others."""
+        model, mimics, closures, others = self.model, [], [], []
+        for number in np.flatnonzero(model.eq_active0).tolist():
+            kind = self.kinds.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
+            first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+            data = model.eq_data[number].tolist()
+            if kind in ("connect", "weld"):
+                closures.append(self._closure(number, kind, (first, second), data))
+            elif kind != "joint" or second < 0 or any(data[2:5]):
+                others.append(kind)
+            else:
+                # q1 − ref1 = c0 + c1·(q2 − ref2)
+                one, two = (self._at_joint(model.qpos0, joint) for joint in (first, second))
+                offset = one + data[0] - data[1] * two
+                mimics.append(Mimic(self.names[first], self.names[second], data[1], offset))
+        return tuple(mimics), tuple(closures), tuple(others)
+
+    def _closure(
+        self, number: int, kind: str, objects: tuple[int, int], data: list[float]
+    ) -> Closure:
+        """Return an equality that keeps two bodies, or sites on them, together."""
+        model, upright = self.model, [1.0, 0.0, 0.0, 0.0]
+        if model.eq_objtype[number] == self.kinds.mjtObj.mjOBJ_SITE:
+            places = [_placement(model.site_pos[k], model.site_quat[k]) for k in objects]
+            objects = (int(model.site_bodyid[objects[0]]), int(model.site_bodyid[objects[1]]))
+        elif kind == "connect":
+            places = [_placement(data[:3], upright), _placement(data[3:6], upright)]
+        else:
+            # The place on the second body, then that on the first, turned as the second is.
+            places = [_placement(data[3:6], data[6:10]), _placement(data[:3], upright)]
+        one, two = (
+            (model.body(body).name or f"body_{body}" if body else "universe", place.homogeneous)
+            for body, place in zip(objects, places, strict=True)
+        )
+        name = model.equality(number).name or f"{kind}_{number + 1}"
+        return Closure(name, "point" if kind == "connect" else "plane", (one, two))
+
+    def passive(self) -> tuple[str, ...]:
+        """Return the joints that no actuator moves; none where one pulls at anything else."""
+        model, kinds = self.model, self.kinds.mjtTrn
+        plain = np.isin(
+            model.actuator_trntype, [int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)]
+        )
+        if not model.nu or not plain.all():
+            return ()
+        moved = set(model.actuator_trnid[:, 0].tolist())
+        return tuple(name for i, name in enumerate(self.names) if i not in moved)
+
+    def tendons(self) -> Iterator[MjcfTendon]:
+        """Yield the fixed tendons over two joints."""
+        model = self.model
+        for i, first in enumerate(model.tendon_adr.tolist()):
+            of_joints = model.wrap_type[first] == self.kinds.mjtWrap.mjWRAP_JOINT
+            if model.tendon_num[i] == 2 and of_joints:
+                one, two = (self.names[model.wrap_objid[k]] for k in (first, first + 1))
+                factors = float(model.wrap_prm[first]), float(model.wrap_prm[first + 1])
+                values = (float(getattr(model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
+                yield MjcfTendon((one, two), factors, *values)
+
+    def forces(self) -> Iterator[str]:
+        """Yield the forces that act on joints beside gravity, in words."""
+        model = self.model
+        for i in np.flatnonzero(model.jnt_stiffness):
+            rest = self._at_joint(model.qpos_spring, i)
+            stiffness = f"stiffness {model.jnt_stiffness[i]:.4g}"
+            yield f"spring at {self.names[i]} ({stiffness}, springref {rest:.4g})"
+        for i in np.flatnonzero(model.tendon_stiffness):
+            yield f"spring of tendon {i + 1} (stiffness {model.tendon_stiffness[i]:.4g})"
+        for i in np.flatnonzero(model.body_gravcomp):
+            yield f"gravcomp {model.body_gravcomp[i]:.4g} of body {model.body(i).name}"
+
+    def actuators(self) -> Iterator[str]:
+        """Yield the actuators whose effort is not their control, in words."""
+        model = self.model
+        for i in range(model.nu):
+            gain, gear = model.actuator_gainprm[i, 0], model.actuator_gear[i, 0]
+            if gain != 1.0 or gear != 1.0 or model.actuator_biasprm[i].any():
+                name = model.actuator(i).name or i + 1
+                yield f"{name} (gain {gain:.4g}, gear {gear:.4g})"
+
+
+def _joint_model(hinge: bool, axis: Array) -> Any:
     """Return Pinocchio's joint about or along an axis, aligned with x, y or z where it is."""
     import pinocchio as pin
 
-    prefix, unaligned = (
-        ("JointModelR", pin.JointModelRevoluteUnaligned)
-        if kind == "hinge"
-        else ("JointModelP", pin.JointModelPrismaticUnaligned)
-    )
     for letter, unit in zip("XYZ", np.eye(3), strict=True):
         if np.array_equal(axis, unit):
-            return getattr(pin, prefix + letter)()
+            return getattr(pin, f"JointModel{'R' if hinge else 'P'}{letter}")()
+    unaligned = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
     return unaligned(axis)
 
 
@@ -494,3 +472,69 @@ def quaternion_of(rotation: Array) -> Array:
 
     x, y, z, w = pin.Quaternion(np.asarray(rotation)).normalized().coeffs()
     return np.array([w, x, y, z])
+
+
+def read_mjcf_bodies(text: str, path: Path | None, what: str) -> tuple[DescribedBody, ...]:
+    """Return the bodies of an MJCF file that have an explicit inertial, as written.
+
+    MuJoCo makes the others from their shapes when it compiles, which are then consistent by what
+    they are made of; they come without numbers. Shapes are not looked at.
+
+    Parameters
+    ----------
+    text : str
+        The file.
+    path : Path or None
+        Where it is, for what it includes.
+    what : str
+        What it is called in messages.
+
+    Raises
+    ------
+    ModelError
+        When it stands for too much, MuJoCo cannot parse it, or it has no bodies.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    places: dict[str, dict[str, Any]] = {}
+    found = []
+    # Bodies do not keep what owns them alive in MuJoCo 3.3.7.
+    spec = parsed(text, path, what)
+    for number, body in enumerate(spec.bodies):
+        if number == 0:
+            continue  # the world
+        name, parent = str(body.name or f"body {number}"), body.parent.name
+        if len(body.joints):
+            joint = body.joints[0].name or f"joint of {name}"
+            place = {"carrier": name, "joint": joint, "parent": parent}
+        else:
+            alone = {"carrier": name, "joint": None, "parent": None}
+            place = places.get(parent, alone)
+        places[name] = place
+        found.append(_described(body, name=name, moving=place["joint"] is not None, **place))
+    if not found:
+        raise ModelError(f"{what}: has no bodies.")
+    return tuple(found)
+
+
+def _described(body: Any, **place: Any) -> DescribedBody:
+    """Return a body of MuJoCo's ``MjSpec``."""
+    if not body.explicitinertial:
+        return DescribedBody(described=False, inferred=len(body.geoms) > 0, **place)
+    values = np.ravel(body.fullinertia)[list(_FULL)]
+    if np.isnan(body.fullinertia[0]):
+        xx, yy, zz = body.inertia
+        values = np.array([xx, 0.0, yy, 0.0, 0.0, zz])
+    mass, com, problems = float(body.mass), np.array(body.ipos), []
+    if not np.isfinite(values).all():
+        problems.append("the inertia is missing or no finite numbers")
+    if not np.isfinite([mass, *com]).all():
+        problems.append("mass or center of mass are missing or no finite numbers")
+    return DescribedBody(
+        described=True,
+        mass=mass if np.isfinite(mass) else None,
+        com=frozen(com) if np.isfinite(com).all() else None,
+        entries=None if problems else tuple(map(Fraction, values.tolist())),
+        problems=tuple(problems),
+        **place,
+    )

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from sdpid.errors import ModelError
 from sdpid.robot.description.inertials import Inertial, rounded
 from sdpid.robot.description.origin import LARGEST, numbers
-from sdpid.robot.description.quiet import Caught, caught_stderr
 from sdpid.robot.description.xml import parse_xml, undeclared
 
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
@@ -31,9 +30,6 @@ _PLACES = (
 )
 # The numbers that Pinocchio's parser accepts; Python accepts more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-# Line numbers of the parser's own source, taken out of its messages.
-_LINES = re.compile(r"\s*at line \d+ in \S+")
 
 # Entries of the tensor, in the order in which a URDF lists them.
 TENSOR_PLACES = {
@@ -132,14 +128,12 @@ def pinocchio_from_urdf(
 
     name, mimics = check_urdf(text, what, floating=floating)
     free = (pin.JointModelFreeFlyer(),) if floating else ()
-    caught = Caught()
     try:
-        # The parser prints the reason on standard error; its exception does not have it.
-        with caught_stderr() as caught:
-            model = pin.buildModelFromXML(undeclared(text), *free)
+        model = pin.buildModelFromXML(undeclared(text), *free)
     except (RuntimeError, ValueError) as cause:
+        # The reason is what its parser prints on standard error.
         raise ModelError(
-            f"{what}: Pinocchio cannot read it ({_LINES.sub('', caught.text) or cause})."
+            f"{what}: Pinocchio cannot read it ({cause}); its parser says why on standard error."
         ) from None
     model.name = name
     return model, mimics
