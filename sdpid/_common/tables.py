@@ -77,8 +77,8 @@ class Table:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.header)
-        for row in self.rows:
-            writer.writerow(["" if cell is None else cell for cell in map(plain, row)])
+        # None is an empty cell.
+        writer.writerows(map(plain, self.rows))
         atomic_write_text(path, text.getvalue())
 
     def _cells(self, digits: int) -> list[tuple[str, ...]]:
@@ -130,8 +130,7 @@ def facts_html(title: str, facts: Mapping[str, object], *tables: Table) -> str:
     str
         Every text is escaped. For a method ``_repr_html_``.
     """
-    cells = [(name, _cell(value, ".5g")) for name, value in facts.items()]
-    rows = [_html_row("td", row, ("", "")) for row in cells]
+    rows = [_html_row("td", (name, _cell(x, ".5g")), ("", "")) for name, x in facts.items()]
     parts = [f"<b>{escape(title)}</b>", "<table>", *rows, "</table>"]
     return "\n".join([*parts, *(table.html() for table in tables)])
 
@@ -245,8 +244,8 @@ def plain(value: Any) -> Any:
     Parameters
     ----------
     value : object
-        Nested dataclasses (by their public fields), tables (as rows by name), mappings, sequences,
-        arrays and scalars.
+        Nested dataclasses (by their public fields; what they hold by its `to_dict`), tables (as
+        rows by name), mappings, sequences, arrays and scalars.
 
     Returns
     -------
@@ -263,18 +262,23 @@ def plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
+        return {str(key): _part(each) for key, each in value.items()}
     if isinstance(value, Table):
         return [dict(zip(value.header, plain(row), strict=True)) for row in value.rows]
     if is_dataclass(value):
         names = [each.name for each in fields(value) if not each.name.startswith("_")]
-        return {name: plain(getattr(value, name)) for name in names}
-    return [plain(each) for each in value]
+        return {name: _part(getattr(value, name)) for name in names}
+    return [_part(each) for each in value]
+
+
+def _part(value: Any) -> Any:
+    """Return what is held by a value, as it says itself with `to_dict` where it has that."""
+    return plain(value.to_dict() if hasattr(value, "to_dict") else value)
 
 
 def plain_dict(values: Mapping[str, object]) -> dict[str, Any]:
     """Return values by name as JSON has them, see `plain`."""
-    return {name: plain(value) for name, value in values.items()}
+    return {name: _part(value) for name, value in values.items()}
 
 
 def json_text(value: Any) -> str:

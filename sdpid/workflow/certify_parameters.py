@@ -137,14 +137,14 @@ class Judgment:
             "source": self.given.source,
             "standard": self.estimate.theta is not None,
             "feasible": self.feasible,
-            "violations": list(self.violations),
-            "refitted": list(self.refitted),
+            "violations": self.violations,
+            "refitted": self.refitted,
             "cost": self.cost,
             "lower_bound": self.certificate.lower_bound,
             "gap": self.gap,
             "optimum": self.optimum.cost,
-            "relative_residuals": dict(self.residuals),
-            "audit": None if self.audit is None else self.audit.to_dict(),
+            "relative_residuals": self.residuals,
+            "audit": self.audit,
         }
         return plain_dict(content)
 

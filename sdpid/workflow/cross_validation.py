@@ -13,11 +13,11 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.rest import moving_rows
-from sdpid.assurance.diagnostics.validation import Errors, Validation, validate
+from sdpid.assurance.diagnostics.validation import Errors, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.effects.kinds import Effects, names_of_effects
+from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
@@ -28,13 +28,12 @@ from sdpid.experiment.preparation.prepare import (
     prepare,
     read_logs,
 )
-from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.formulate import formulate, tuple_of_terms
+from sdpid.workflow.formulate import Formulation
 
 By = Literal["time", "recording"]
 
@@ -246,62 +245,60 @@ def cross_validate(
     >>> print(held_out.summary())
     2 blocks of time held out in turn: relative residual in motion 0.15 % (...)
     """
+    formulation = Formulation(
+        friction=friction,
+        weighting=weighting,
+        consistency=consistency,
+        constraints=constraints,
+        prior=prior,
+        effects=effects,
+    )
     without_effort = joints_without(without_effort)
     model, logs = read_logs(robot, log, without_effort=without_effort)
-    asked = names_of_effects(effects)
-    formulation: dict[str, Any] = {
-        "friction": tuple_of_terms(friction),
-        "weighting": weighting,
-        "consistency": consistency,
-        "constraints": constraints,
-        "prior": prior,
-        "effects": "auto" if asked is None else asked,
-    }
     parts = list(_parts(logs, folds, by))
     fits: list[Fold] = []
-    squares = []
     with progress(len(parts), "cross-validation") as advance:
         for name, kept, out in parts:
             try:
                 prepared = prepare(model, kept, processing, without_effort=without_effort)
                 fresh = prepared.others(out, scored).samples
-                problem = formulate(model, prepared, **formulation)
+                problem = formulation.problem(model, prepared)
             except (DataError, IdentifiabilityError) as reason:
                 advice = " Use fewer folds, or longer recordings." if by == "time" else ""
                 raise type(reason)(f"cross-validation without {name}: {reason}{advice}") from None
             estimate = solve_sdp(problem)
-            free = solve_wls(replace(problem, prior=None))
             whole = validate(estimate, fresh)
+            # The rows whose errors are told.
+            moving = whole.told is whole.moving
+            told = moving_rows(fresh, whole.slides) if moving else fresh.used
             fold = Fold(
                 name=name,
                 processing=prepared.processing,
                 training=validate(estimate).told.relative,
                 held_out=whole.told,
-                unconstrained=validate(free, fresh).told,
-                power=_power(whole, fresh),
+                unconstrained=validate(solve_wls(replace(problem, prior=None)), fresh).told,
+                power=float(np.sum(np.where(told, fresh.effort, 0.0)[:, whole.n_base :] ** 2)),
             )
             fits.append(fold)
-            errors = (fold.held_out, fold.unconstrained)
-            squares.append([each.rows * each.rmse**2 for each in errors])
             advance(1)
-    constrained, unconstrained = np.sum(squares, axis=0)
+    joints = slice(model.n_base, None)
     rows = np.maximum(np.sum([fold.held_out.rows for fold in fits], axis=0), 1)
     power = max(sum(fold.power for fold in fits), np.finfo(float).tiny)
+    squares = [
+        np.sum([each.rows * each.rmse**2 for each in errors], axis=0)
+        for errors in zip(*((fold.held_out, fold.unconstrained) for fold in fits), strict=True)
+    ]
+    rmse, rmse_unconstrained = (frozen(np.sqrt(each / rows)[joints]) for each in squares)
+    relative, relative_unconstrained = (float(np.sqrt(each.sum() / power)) for each in squares)
     return CrossValidation(
         by=by,
         folds=tuple(fits),
-        joint_names=model.joint_names[model.n_base :],
-        rmse=frozen(np.sqrt(constrained / rows)[model.n_base :]),
-        rmse_unconstrained=frozen(np.sqrt(unconstrained / rows)[model.n_base :]),
-        relative=float(np.sqrt(constrained.sum() / power)),
-        relative_unconstrained=float(np.sqrt(unconstrained.sum() / power)),
+        joint_names=model.joint_names[joints],
+        rmse=rmse,
+        rmse_unconstrained=rmse_unconstrained,
+        relative=relative,
+        relative_unconstrained=relative_unconstrained,
     )
-
-
-def _power(fit: Validation, samples: Samples) -> float:
-    """Return the sum of the squared efforts of the rows whose errors are told."""
-    told = moving_rows(samples, fit.slides) if fit.told is fit.moving else samples.used
-    return float(np.sum(np.where(told, samples.effort, 0.0)[:, fit.n_base :] ** 2))
 
 
 def _parts(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import get_args
 
 from numpy.typing import ArrayLike
 
@@ -22,8 +22,7 @@ from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverErro
 from sdpid.estimation.closed_loop.bias import BiasTest, check_bias
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.constraints.mass import known_mass
-from sdpid.estimation.effects.kinds import Effects, names_of_effects
+from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import landings_used, with_motion_bias
 from sdpid.estimation.prior.prior import Prior
@@ -43,13 +42,10 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import check_kinds, formulate, tuple_of_terms
+from sdpid.workflow.formulate import Formulation
 from sdpid.workflow.remedies import tried_remedies
 from sdpid.workflow.result import Identification
 from sdpid.workflow.spoiled import spoiling_effort
-
-if TYPE_CHECKING:
-    from sdpid.assurance.rollouts.result import Rollout
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
@@ -175,15 +171,20 @@ def identify(
         raise DataError(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
-    check_kinds(constraints, prior)
     if rollout and validation is None:
         raise DataError(
             "rollout: simulates a recording that was not fitted, and there is none; give another "
             "recording as validation, or call sdpid.rollout."
         )
-    asked = names_of_effects(effects)
-    kinds = kinds_accepted(accept)
-    known = as_gains(gains)
+    formulation = Formulation(
+        friction=friction,
+        weighting=weighting,
+        consistency=consistency,
+        constraints=constraints,
+        prior=prior,
+        effects=effects,
+    )
+    kinds, known = kinds_accepted(accept), as_gains(gains)
     prepared = prepare(
         robot,
         log,
@@ -191,26 +192,58 @@ def identify(
         without_effort=without_effort,
         accept=kinds,
         gains=known,
-        total_mass=None if constraints is None else known_mass(constraints.others),
+        total_mass=formulation.total_mass,
     )
-    model = prepared.robot
     fresh = None
     if validation is not None:
         fresh = prepared.others(validation, accept=kinds, gains=known)
+    with progress(1, "choosing the model and compressing its rows"):
+        problem = formulation.problem(prepared.robot, prepared)
+    result = _solved(problem, prepared, fresh, intervals)
+    if folds is not None:
+        left_out = cross_validate(
+            prepared.robot,
+            prepared.logs,
+            folds=folds,
+            processing=processing,
+            without_effort=prepared.without_effort,
+            **vars(formulation),
+        )
+        result = replace(result, cross_validation=left_out)
+    if rollout and fresh is not None:
+        from sdpid.assurance.rollouts.rollout import rollouts
+
+        moved = rollouts(result.estimate, fresh.logs[0], processing=prepared.processing)
+        result = replace(result, rollouts=moved)
+    spoils = None
+    if "effort_spoils" not in kinds:
+        spoils = spoiling_effort(result, prepared, formulation)
+    if spoils is None or spoils.joint is None:
+        return replace(result, remedies=tried_remedies(result, prepared, formulation))
+    again = identify(
+        robot,
+        log,
+        validation=validation,
+        processing=processing,
+        without_effort=(*prepared.without_effort, spoils.joint),
+        accept=kinds,
+        gains=known,
+        intervals=intervals,
+        folds=folds,
+        rollout=rollout,
+        **vars(formulation),
+    )
+    return replace(again, findings=(spoils, *again.findings), notes=(str(spoils), *again.notes))
+
+
+def _solved(
+    problem: Problem, prepared: Prepared, fresh: Prepared | None, intervals: bool | Method
+) -> Identification:
+    """Return the estimate with its proof, errors, intervals and tests."""
     findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]
     notes += prepared.notes
-    formulation: dict[str, Any] = {
-        "friction": tuple_of_terms(friction),
-        "weighting": weighting,
-        "consistency": consistency,
-        "constraints": constraints,
-        "prior": prior,
-        "effects": "auto" if asked is None else asked,
-    }
-    with progress(1, "choosing the model and compressing its rows"):
-        problem = formulate(model, prepared, **formulation)
     if intervals is not False:
         problem, unknown = with_motion_bias_of(problem, prepared)
         notes += unknown
@@ -229,26 +262,13 @@ def identify(
         advance(1)
         bias, bias_note = _bias(estimate, prepared)
         advance(1)
-    cross_validation = None
-    if folds is not None:
-        cross_validation = cross_validate(
-            model,
-            prepared.logs,
-            folds=folds,
-            processing=processing,
-            without_effort=prepared.without_effort,
-            **formulation,
-        )
+    samples = None if fresh is None else fresh.samples
     with progress(1, "holding out blocks"):
-        predicted = None if fresh is None else validate(estimate, fresh.samples)
-        held_out = hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted)
-    moved: tuple[Rollout, ...] = ()
-    if rollout and fresh is not None:
-        from sdpid.assurance.rollouts.rollout import rollouts
-
-        moved = rollouts(estimate, fresh.logs[0], processing=prepared.processing)
+        predicted = None if samples is None else validate(estimate, samples)
+        held_out = hold_out(estimate, wls, samples, predicted)
     recipe, no_recipe = recipe_or_reason(problem, prepared)
-    result = Identification(
+    logs = () if fresh is None else fresh.logs
+    return Identification(
         problem=problem,
         wls=wls,
         estimate=estimate,
@@ -256,30 +276,18 @@ def identify(
         training=validate(estimate),
         training_wls=validate(wls),
         validation=predicted,
-        validation_samples=None if fresh is None else fresh.samples,
+        validation_samples=samples,
         held_out=held_out,
         intervals=confidence,
-        cross_validation=cross_validation,
-        rollouts=moved,
         intervals_note=intervals_note,
         bias=bias,
         bias_note=bias_note,
         notes=tuple(notes),
         findings=findings,
-        inputs=tuple(input_files(model, prepared.logs, () if fresh is None else fresh.logs)),
+        inputs=tuple(input_files(prepared.robot, prepared.logs, logs)),
         recipe=recipe,
         recipe_note=no_recipe,
     )
-    spoils = None
-    if "effort_spoils" not in kinds:
-        spoils = spoiling_effort(result, prepared, formulation)
-    if spoils is None or spoils.joint is None:
-        return replace(result, remedies=tried_remedies(result, prepared, formulation))
-    formulation |= {"without_effort": (*prepared.without_effort, spoils.joint), "accept": kinds}
-    more: dict[str, Any] = {"intervals": intervals, "folds": folds, "rollout": rollout}
-    more |= {"validation": validation, "processing": processing, "gains": known}
-    again = identify(robot, log, **formulation, **more)
-    return replace(again, findings=(spoils, *again.findings), notes=(str(spoils), *again.notes))
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:

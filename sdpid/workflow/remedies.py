@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.output.report.kinds import listed
-from sdpid.workflow.formulate import formulate
+from sdpid.workflow.formulate import Formulation
 from sdpid.workflow.result import Identification
 
 # Of a link that is as heavy as it may be.
@@ -27,7 +27,7 @@ _WIDER = 10.0
 
 
 def tried_remedies(
-    result: Identification, prepared: Prepared, formulation: Mapping[str, Any]
+    result: Identification, prepared: Prepared, formulation: Formulation
 ) -> tuple[Remedy, ...]:
     """Return what other choices make of the error, where what costs less predicts better.
 
@@ -36,13 +36,11 @@ def tried_remedies(
     """
     if result.held_out is None or result.held_out.beaten_by is None:
         return ()
-    fixed = {**formulation, "friction": result.problem.friction.terms, "effects": "none"}
+    fixed = formulation.without_choices(result.problem)
     return tuple(_tried(result, prepared, fixed))
 
 
-def _tried(
-    result: Identification, prepared: Prepared, fixed: Mapping[str, Any]
-) -> Iterator[Remedy]:
+def _tried(result: Identification, prepared: Prepared, fixed: Formulation) -> Iterator[Remedy]:
     """Yield the remedies that could be solved."""
     held_out, fresh, names = result.held_out, result.validation_samples, prepared.robot.joint_names
     assert held_out is not None
@@ -60,7 +58,7 @@ def _tried(
 
 
 def _choices(
-    result: Identification, prepared: Prepared, fixed: Mapping[str, Any]
+    result: Identification, prepared: Prepared, fixed: Formulation
 ) -> Iterator[tuple[str, str, Any, int | None]]:
     """Yield a cause, the option against it, what makes the problem, and a joint left out."""
     problem, robot, held_out = result.problem, prepared.robot, result.held_out
@@ -84,7 +82,7 @@ def _choices(
         name = robot.joint_names[worst]
 
         def without() -> Problem:
-            return formulate(robot, prepared.without(name), **fixed)
+            return fixed.problem(robot, prepared.without(name))
 
         cause = f"the effort of {name} or its links in the description contradict the others"
         yield cause, f"--without-effort {name}", without, worst

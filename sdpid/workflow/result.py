@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -13,7 +11,6 @@ from numpy.typing import ArrayLike
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.delta_method import joint_curve
-from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.estimation.closed_loop.bias import BiasTest
 from sdpid.estimation.effects.kinds import Tried
 from sdpid.estimation.problem import describe
@@ -23,11 +20,10 @@ from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.parameter_tables import in_words, intervals_dict
 from sdpid.robot.friction.curve import JointCurve
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.workflow.results_folder import save as save_results
+from sdpid.workflow.results_folder import save
 
 if TYPE_CHECKING:
     from sdpid.assurance.rollouts.result import Rollout
-    from sdpid.output.robots.export_report import ExportReport
     from sdpid.workflow.cross_validation import CrossValidation
 
 
@@ -129,6 +125,8 @@ class Identification(Judged, Shown):
         )
         yield Table(("verdict",), tuple((text,) for text in self.verdict))
 
+    save = save
+
     @property
     def effects(self) -> tuple[Tried, ...]:
         """Effects that were chosen by the data, and those that were tried and left out."""
@@ -192,13 +190,14 @@ class Identification(Judged, Shown):
         """Return the result as plain values for JSON: None where a number is not finite."""
         estimate = self.estimate
         weak = self.problem.excitation.weak()
+        notes = self.notes if self.intervals_note is None else (*self.notes, self.intervals_note)
         content = {
             "problem": describe(self.problem),
-            "processing": list(self.problem.samples.notes),
-            "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
-            "findings": [finding.to_dict() for finding in self.findings],
-            "verdict": list(self.verdict),
-            "headline": asdict(self.headline),
+            "processing": self.problem.samples.notes,
+            "notes": notes,
+            "findings": self.findings,
+            "verdict": self.verdict,
+            "headline": self.headline,
             "grades": {
                 self.training.joint_names[each.joint]: {"level": each.level, "shown": each.shown}
                 for each in self._subject.grades
@@ -212,23 +211,21 @@ class Identification(Judged, Shown):
             "certified": self.certificate.passed,
             "certificate": self.certificate.to_dict()["sha256"],
             "worst_margin": estimate.worst_margin,
-            "constraints": [s.to_dict() for s in constraint_states(estimate) if s.active],
+            "constraints": [each for each in constraint_states(estimate) if each.active],
             "solve_time": estimate.solve_time,
-            "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
-            "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],
+            "prior": None if self.problem.prior is None else self.problem.prior.notes,
+            "weakly_excited": [{"singular_value": v, "parameters": n} for v, n in weak],
             "base_parameters": estimate.named(),
             "standard_parameters": estimate.named_theta(),
-            "training": self.training.to_dict(),
-            "training_unconstrained": self.training_wls.to_dict(),
-            "validation": None if self.validation is None else self.validation.to_dict(),
-            "held_out": None if self.held_out is None else self.held_out.to_dict(),
-            "remedies": list(self.remedies),
-            "cross_validation": (
-                None if self.cross_validation is None else self.cross_validation.to_dict()
-            ),
-            "rollouts": [each.to_dict() for each in self.rollouts],
+            "training": self.training,
+            "training_unconstrained": self.training_wls,
+            "validation": self.validation,
+            "held_out": self.held_out,
+            "remedies": self.remedies,
+            "cross_validation": self.cross_validation,
+            "rollouts": self.rollouts,
             "intervals": None if self.intervals is None else intervals_dict(self.intervals),
-            "bias": None if self.bias is None else self.bias.to_dict(),
+            "bias": self.bias,
             "bias_note": self.bias_note,
         }
         return plain_dict(content)
@@ -262,62 +259,3 @@ class Identification(Judged, Shown):
                 f"{', '.join(weak[-1][1]) or 'a mixture'} (singular value {weak[-1][0]:.1e})"
             )
         return "\n".join(lines)
-
-    def save(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        figures: bool = False,
-        offsets: bool = False,
-        report: Callable[[str], None] | None = None,
-        command: str | None = None,
-        config: str | None = None,
-        intervals: Intervals | None = None,
-        exported: Callable[[ExportReport], None] | None = None,
-    ) -> tuple[Path, ...]:
-        """Write tables, robots, certificate and a report into a folder: all, or none.
-
-        The robot is written as identified.urdf where it came from one, and as identified.xml
-        (MJCF) where MuJoCo is installed and can hold it.
-
-        Parameters
-        ----------
-        folder : path
-            Created when it is not there.
-        figures : bool, optional
-            Write training.png and validation.png too (extra ``plot``).
-        offsets : bool, optional
-            Write offsets into identified.xml, as actuators with a constant force.
-        report : callable, optional
-            Called with a sentence for all that the files leave out of the estimate (see
-            `ExportReport`), and for every file that is not written.
-        command : str, optional
-            The command line, for report.html.
-        config : str, optional
-            The options of the command in TOML, for run.toml.
-        intervals : Intervals, optional
-            Shown in place of `self.intervals`.
-        exported : callable, optional
-            Called with the `ExportReport` of each robot that was written.
-
-        Returns
-        -------
-        tuple of Path
-            The files.
-
-        Raises
-        ------
-        ExportError
-            When the folder cannot be written to, or the estimate cannot be exported.
-        """
-        return save_results(
-            self,
-            folder,
-            figures=figures,
-            offsets=offsets,
-            report=report,
-            command=command,
-            config=config,
-            intervals=self.intervals if intervals is None else intervals,
-            exported=exported,
-        )

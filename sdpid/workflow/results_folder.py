@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,15 +70,62 @@ def save(
     intervals: Intervals | None = None,
     exported: Callable[[ExportReport], None] | None = None,
 ) -> tuple[Path, ...]:
-    """Write an identification into a folder; arguments and errors are those of its `save`."""
-    target = Path(folder)
+    """Write tables, robots, certificate and a report into a folder: all, or none.
+
+    The robot is written as identified.urdf where it came from one, and as identified.xml
+    (MJCF) where MuJoCo is installed and can hold it.
+
+    Parameters
+    ----------
+    folder : path
+        Created when it is not there.
+    figures : bool, optional
+        Write training.png and validation.png too (extra ``plot``).
+    offsets : bool, optional
+        Write offsets into identified.xml, as actuators with a constant force.
+    report : callable, optional
+        Called with a sentence for all that the files leave out of the estimate (see
+        `ExportReport`), and for every file that is not written.
+    command : str, optional
+        The command line, for report.html.
+    config : str, optional
+        The options of the command in TOML, for run.toml.
+    intervals : Intervals, optional
+        Shown in place of the result's own.
+    exported : callable, optional
+        Called with the `ExportReport` of each robot that was written.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+
+    Raises
+    ------
+    ExportError
+        When the folder cannot be written to, or the estimate cannot be exported.
+    """
     note = report or (lambda _: None)
-    require_writable(target, writes_config=config is not None)
+    require_writable(Path(folder), writes_config=config is not None)
+    if intervals is not None:
+        result = replace(result, intervals=intervals)
     exports: list[ExportReport] = []
 
     def fill(stage: Path) -> dict[str, Any]:
-        writer = _Writer(result, stage, intervals, note, exports, offsets)
-        writer.write(figures=figures, command=command, config=config)
+        steps: list[Callable[[], object]] = [
+            lambda: _tables(result, stage),
+            lambda: result.certificate.to_json(stage / "certificate.json"),
+            lambda: exports.extend(_robots(result, stage, note, offsets)),
+            lambda: _friction(result, stage, note),
+            lambda: _figures(result, stage) if figures else None,
+            lambda: _report(result, stage, note, command, exports),
+            lambda: config and (stage / _CONFIG).write_text(config, encoding="utf-8"),
+            lambda: _result(result, stage, exports),
+        ]
+        with progress(len(steps), "writing results") as advance:
+            for step in steps:
+                step()
+                advance(1)
         if result.recipe_note is not None:
             note(result.recipe_note)
         return {
@@ -90,145 +137,111 @@ def save(
             "certificate": result.certificate.to_dict()["sha256"],
         }
 
-    files = _FOLDER.write(target, fill, note)
+    files = _FOLDER.write(Path(folder), fill, note)
     if exported is not None:
         for export in exports:
             exported(export)
     return files
 
 
-@dataclass(frozen=True)
-class _Writer:
-    """Writes the files of a result into an empty folder."""
+def _tables(result: Judged, folder: Path) -> None:
+    from sdpid.output.tables.parameter_tables import base_table, theta_table
+    from sdpid.output.tables.parameters_file import write_parameters
 
-    result: Judged
-    folder: Path
-    intervals: Intervals | None
-    note: Callable[[str], None]
-    exports: list[ExportReport]
-    offsets: bool
+    estimate, intervals = result.estimate, result.intervals
+    base_table(estimate, result.wls, intervals).write(folder / "base_parameters.csv")
+    theta_table(estimate, intervals).write(folder / "parameters.csv")
+    path = folder / "parameters.json"
+    write_parameters(estimate, path, intervals=intervals, certificate=result.certificate)
 
-    def write(self, *, figures: bool, command: str | None, config: str | None) -> None:
-        """Write all files but the manifest."""
-        steps: list[Callable[[], object]] = [
-            self._tables,
-            lambda: self.result.certificate.to_json(self.folder / "certificate.json"),
-            self._robots,
-            self._friction,
-            lambda: self._figures() if figures else None,
-            lambda: self._report(command),
-            lambda: self._config(config),
-            self._result,
-        ]
-        with progress(len(steps), "writing results") as advance:
-            for step in steps:
-                step()
-                advance(1)
 
-    def _tables(self) -> None:
-        from sdpid.output.tables.parameter_tables import base_table, theta_table
-        from sdpid.output.tables.parameters_file import write_parameters
+def _result(result: Judged, folder: Path, exports: Sequence[ExportReport]) -> None:
+    content = {**result.to_dict(), "exports": exports}
+    (folder / "result.json").write_text(json_text(content) + "\n", encoding="utf-8")
 
-        estimate = self.result.estimate
-        for name, table in (
-            ("base_parameters.csv", base_table(estimate, self.result.wls, self.intervals)),
-            ("parameters.csv", theta_table(estimate, self.intervals)),
-        ):
-            table.write(self.folder / name)
-        path, certificate = self.folder / "parameters.json", self.result.certificate
-        write_parameters(estimate, path, intervals=self.intervals, certificate=certificate)
 
-    def _result(self) -> None:
-        exports = [export.to_dict() for export in self.exports]
-        content = {**self.result.to_dict(), "exports": exports}
-        path = self.folder / "result.json"
-        path.write_text(json_text(content) + "\n", encoding="utf-8")
+def _robots(
+    result: Judged, folder: Path, note: Callable[[str], None], offsets: bool
+) -> list[ExportReport]:
+    """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
+    from sdpid.output.robots.mjcf import write_mjcf
+    from sdpid.output.robots.urdf import write_urdf
 
-    def _robots(self) -> None:
-        """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
-        from sdpid.output.robots.mjcf import write_mjcf
-        from sdpid.output.robots.urdf import write_urdf
+    problem, estimate = result.problem, result.estimate
+    if problem.consistency == "none":
+        note("no identified.urdf, no identified.xml: without consistency links need be no bodies")
+        return []
+    exports = []
+    if problem.robot.urdf is not None:
+        exports.append(write_urdf(estimate, target=folder / "identified.urdf"))
+    mjcf, missing = folder / "identified.xml", None
+    try:
+        exports.append(write_mjcf(estimate, target=mjcf, offsets=offsets))
+    except MissingExtraError:
+        missing = f"mujoco is not installed ({installation('sim')})"
+    except Exception as reason:
+        # It is optional, so nothing that MuJoCo does may cost the run, but a full disk does.
+        if isinstance(reason.__cause__ or reason, OSError):
+            raise
+        known = isinstance(reason, SdpidError)
+        missing = str(reason) if known else f"MuJoCo failed: {type(reason).__name__}: {reason}"
+    if (fresh := result.validation_samples) is not None:
+        exports = [export.with_validation(fresh) for export in exports]
+    for statement in _statements(exports):
+        note(statement)
+    if missing is not None:
+        note(f"no {mjcf.name} (MJCF): {missing}")
+    return exports
 
-        problem, estimate = self.result.problem, self.result.estimate
-        if problem.consistency == "none":
-            self.note(
-                "no identified.urdf, no identified.xml: without consistency links need be no bodies"
-            )
-            return
-        exports = []
-        if problem.robot.urdf is not None:
-            exports.append(write_urdf(estimate, target=self.folder / "identified.urdf"))
-        mjcf, missing = self.folder / "identified.xml", None
+
+def _friction(result: Judged, folder: Path, note: Callable[[str], None]) -> None:
+    """Write friction as code, which has room for every term of ours."""
+    from sdpid.output.robots.friction_files import write_friction
+
+    left_out: dict[str, None] = {}
+    for name in FRICTION_FILES if result.problem.friction.terms else ():
         try:
-            exports.append(write_mjcf(estimate, target=mjcf, offsets=self.offsets))
-        except MissingExtraError:
-            missing = f"mujoco is not installed ({installation('sim')})"
-        except Exception as reason:
-            # It is optional, so nothing that MuJoCo does may cost the run, but a full disk does.
-            if isinstance(reason.__cause__ or reason, OSError):
+            said = write_friction(result.estimate, folder / name, certificate=result.certificate)
+        except ExportError as reason:
+            # A full disk, that is; else it is a term that no file can hold.
+            if isinstance(reason.__cause__, OSError):
                 raise
-            known = isinstance(reason, SdpidError)
-            missing = str(reason) if known else f"MuJoCo failed: {type(reason).__name__}: {reason}"
-        if (fresh := self.result.validation_samples) is not None:
-            exports = [export.with_validation(fresh) for export in exports]
-        self.exports.extend(exports)
-        for statement in _statements(exports):
-            self.note(statement)
-        if missing is not None:
-            self.note(f"no {mjcf.name} (MJCF): {missing}")
-
-    def _friction(self) -> None:
-        """Write friction as code, which has room for every term of ours."""
-        from sdpid.output.robots.friction_files import write_friction
-
-        if not self.result.problem.friction.terms:
+            note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
             return
-        left_out: dict[str, None] = {}
-        for name in FRICTION_FILES:
-            path = self.folder / name
-            try:
-                said = write_friction(
-                    self.result.estimate, path, certificate=self.result.certificate
-                )
-            except ExportError as reason:
-                # A full disk, that is; else it is a term that no file can hold.
-                if isinstance(reason.__cause__, OSError):
-                    raise
-                self.note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
-                return
-            left_out |= dict.fromkeys(said)
-        for each in left_out:
-            self.note(each)
+        left_out |= dict.fromkeys(said)
+    for each in left_out:
+        note(each)
 
-    def _figures(self) -> None:
-        """Draw measured and predicted efforts."""
-        from sdpid.plots.figures import save_figure
 
-        result = self.result
-        fits = [("training", result.training)]
-        if result.validation is not None:
-            fits.append(("validation", result.validation))
-        for name, fit in fits:
-            save_figure(fit.plot(), self.folder / f"{name}.png", dpi=_DPI)
+def _figures(result: Judged, folder: Path) -> None:
+    """Draw measured and predicted efforts."""
+    from sdpid.plots.figures import save_figure
 
-    def _report(self, command: str | None) -> None:
-        if importlib.util.find_spec("jinja2") is None:
-            self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
-            return
-        from sdpid.output.report.report import write_report
+    for name, fit in (("training", result.training), ("validation", result.validation)):
+        if fit is not None:
+            save_figure(fit.plot(), folder / f"{name}.png", dpi=_DPI)
 
-        write_report(
-            self.result,
-            self.folder / "report.html",
-            command=command,
-            intervals=self.intervals,
-            exports=self.exports,
-            sha256=self.result.certificate.to_dict()["sha256"],
-        )
 
-    def _config(self, config: str | None) -> None:
-        if config is not None:
-            (self.folder / _CONFIG).write_text(config, encoding="utf-8")
+def _report(
+    result: Judged,
+    folder: Path,
+    note: Callable[[str], None],
+    command: str | None,
+    exports: Sequence[ExportReport],
+) -> None:
+    if importlib.util.find_spec("jinja2") is None:
+        note(f"no report.html: jinja2 is not installed ({installation('report')})")
+        return
+    from sdpid.output.report.report import write_report
+
+    write_report(
+        result,
+        folder / "report.html",
+        command=command,
+        intervals=result.intervals,
+        exports=exports,
+        sha256=result.certificate.to_dict()["sha256"],
+    )
 
 
 def _statements(exports: Sequence[ExportReport]) -> Iterator[str]:

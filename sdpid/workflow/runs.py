@@ -13,7 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import load_toml
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import OURS
 from sdpid.errors import DataError
 from sdpid.output.tables.parameters_file import parameters_dict
@@ -384,8 +384,7 @@ class RunComparison(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: tables as lists of rows by name."""
-        content: dict[str, Any] = plain(self)
-        return content
+        return plain_dict(vars(self))
 
 
 def compare_runs(first: Saved, other: Saved) -> RunComparison:

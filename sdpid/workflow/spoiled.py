@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from sdpid.assurance.diagnostics.validation import validate
@@ -12,7 +9,7 @@ from sdpid.errors import SdpidError
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.preparation.prepare import Prepared
-from sdpid.workflow.formulate import formulate
+from sdpid.workflow.formulate import Formulation
 from sdpid.workflow.result import Identification
 
 # Links of good recordings keep at least 27 % of their described mass: below this share something
@@ -30,7 +27,7 @@ _TINY = 1e-12
 
 
 def spoiling_effort(
-    result: Identification, prepared: Prepared, formulation: Mapping[str, Any]
+    result: Identification, prepared: Prepared, formulation: Formulation
 ) -> Finding | None:
     """Return the joint without whose effort all others are fitted better; None where all is well.
 
@@ -41,12 +38,12 @@ def spoiling_effort(
     joints = np.flatnonzero(samples.used.any(axis=0)).tolist()
     if why is None or robot.n_base or len(joints) < _LEAST_JOINTS:
         return None
-    fixed = {**formulation, "friction": result.problem.friction.terms, "effects": "none"}
+    fixed = formulation.without_choices(result.problem)
     shares = {}
     for j in joints:
         less = prepared.without(robot.joint_names[j])
         try:
-            estimate = solve_sdp(formulate(robot, less, **fixed))
+            estimate = solve_sdp(fixed.problem(robot, less))
         except SdpidError:
             continue
         errors = np.array([result.training.rmse, validate(estimate, samples).rmse])

@@ -91,8 +91,7 @@ class HeldOut:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        every = {name: fit.to_dict() for name, fit in self.every.items()}
-        return plain_dict({"by": self.by, "blocks": self.blocks or None, **every})
+        return plain_dict({"by": self.by, "blocks": self.blocks or None, **self.every})
 
 
 @dataclass(frozen=True, kw_only=True)

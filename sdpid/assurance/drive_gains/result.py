@@ -149,9 +149,7 @@ class IdentifiedGains(Shown):
         """Return plain values for JSON."""
         content = {
             **vars(self),
-            "gains": self.gains.to_dict(),
             "loads": [{**plain(load), "inertia": load.inertia} for load in self.loads],
-            "findings": [finding.to_dict() for finding in self.findings],
         }
         return plain_dict(content)
 

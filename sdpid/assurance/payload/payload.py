@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -203,13 +203,13 @@ class Payload(Shown):
             "invisible_directions": self.invisible,
             "shown": self.shown,
             "status": self.status,
-            "described": None if self.described is None else asdict(self.described),
+            "described": self.described,
             "gains_share": (
                 None
                 if self.gains_share is None
                 else dict(zip(QUANTITIES, self.gains_share.tolist(), strict=True))
             ),
             "notes": self.notes,
-            "findings": [finding.to_dict() for finding in self.findings],
+            "findings": self.findings,
         }
         return plain_dict(content)
