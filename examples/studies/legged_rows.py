@@ -28,7 +28,7 @@ from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import Motion
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
+from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs

@@ -79,9 +79,7 @@ CANDIDATES: dict[str, dict[str, Arguments]] = {
     },
     "filter": {
         "default": same(),
-        "Bessel": same(processing={"filter": "bessel"}),
         "order 2": same(processing={"order": 2}),
-        "Savitzky-Golay": same(processing={"derivative": "savitzky_golay"}),
     },
     "prior": {
         "default": same(),

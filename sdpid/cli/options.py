@@ -260,25 +260,6 @@ class ProcessingOptions:
         Velocity | None,
         _processing(help="Use the recorded velocity, or differentiate the position."),
     ] = None
-    filter: Annotated[
-        str | None,
-        _processing(
-            metavar="TYPE",
-            help="Type of the low-pass filter: butterworth, bessel or finite.",
-            autocompletion=_beginning(("butterworth", "bessel", "finite")),
-        ),
-    ] = None
-    derivative: Annotated[
-        str | None,
-        _processing(
-            metavar="SCHEME",
-            help="central, central4, central6, savitzky_golay, or spectral (with periods).",
-            autocompletion=_beginning(
-                ("central", "central4", "central6", "savitzky_golay", "spectral")
-            ),
-        ),
-    ] = None
-
     mask: Annotated[
         bool | None,
         _processing(
@@ -317,8 +298,6 @@ class ProcessingOptions:
             "cutoff_hz": self.cutoff,
             "order": self.order,
             "velocity": None if self.velocity is None else self.velocity.value,
-            "filter": self.filter,
-            "derivative": self.derivative,
             "reversal_speed": self.mask_speed,
             "reversal_time": self.mask_time,
             "filter_friction": self.filter_friction,

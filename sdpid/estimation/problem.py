@@ -30,7 +30,7 @@ from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.prepare import Piece, all_samples
-from sdpid.experiment.processing.contacts.places import require_places
+from sdpid.experiment.processing.robot_contacts import require_places
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.friction.model import FrictionModel

@@ -36,8 +36,8 @@ from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.experiment.preparation.prepare import samples_of
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
-from sdpid.experiment.processing.contacts.held import base_held
+from sdpid.experiment.processing.contact_samples import ContactSamples
+from sdpid.experiment.processing.robot_contacts import base_held
 from sdpid.output.tables.parameter_tables import theta_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import Consistency, from_pseudo_inertia, point_masses, spatial_inertia

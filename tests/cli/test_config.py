@@ -199,7 +199,6 @@ def test_options_offer_what_the_library_knows() -> None:
     from sdpid.cli import options
     from sdpid.estimation.compression import covariance
     from sdpid.estimation.effects.kinds import EFFECTS
-    from sdpid.experiment.processing.filters import DERIVATIVES, FILTERS
     from sdpid.robot import inertia
     from sdpid.robot.friction.terms import BY_NAME
 
@@ -211,7 +210,7 @@ def test_options_offer_what_the_library_knows() -> None:
     for offered, known in choices:
         assert {each.value for each in offered} == set(get_args(known))
     shown = " ".join(run("identify", "--help").stdout.split())
-    for name in (*FILTERS, *DERIVATIVES, *BY_NAME, *(effect.name for effect in EFFECTS)):
+    for name in (*BY_NAME, *(effect.name for effect in EFFECTS)):
         assert name in shown
 
 

@@ -8,9 +8,9 @@ import pytest
 
 import sdpid
 from sdpid._common import progress as _progress
-from tests.experiment.processing.floating.crawl import crawl
 from tests.helpers.arm_files import ARM_URDF, write_arm
 from tests.helpers.commands import ran, refused, run
+from tests.helpers.crawl import crawl
 from tests.helpers.legged import quadruped
 from tests.helpers.runs import recorded
 
@@ -30,7 +30,7 @@ def test_several_logs(folder: Path) -> None:
     out = folder / "out"
     done = ran(
         *("identify", *logs[:2], "--robot", folder / "arm.urdf", "--out", out, "--no-figures"),
-        *("--validation", logs[2], "--folds", 3, "--filter", "bessel", "--json"),
+        *("--validation", logs[2], "--folds", 3, "--order", 3, "--json"),
     )
     found = json.loads(done.stdout)
     assert found["certified"] is True
@@ -40,7 +40,7 @@ def test_several_logs(folder: Path) -> None:
     assert found["intervals"]["method"] == "gauss_markov"
     assert any("2 pieces joined" in note for note in found["notes"])
     assert any("has the median of their cut-offs" in note for note in found["notes"])
-    assert any("Bessel filter" in note for note in found["notes"])
+    assert any("filter of order 3" in note for note in found["notes"])
     assert "3 blocks of time held out in turn" in " ".join(found["verdict"])
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Cross-validation" in page
@@ -51,7 +51,7 @@ def test_several_logs(folder: Path) -> None:
 def test_in_words_and_without_intervals(folder: Path) -> None:
     done = ran(
         *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "b"),
-        *("--no-figures", "--no-intervals", "--folds", 2, "--derivative", "central6", "-v"),
+        *("--no-figures", "--no-intervals", "--folds", 2, "-v"),
     )
     assert "2 blocks of time held out in turn" in done.stdout
     assert "block 2 of 2" in done.stdout
@@ -72,8 +72,7 @@ def test_other_intervals(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--filter", "brick"), "filter"),
-        (("--derivative", "none"), "derivative"),
+        (("--cutoff", "0"), "cutoff"),
         (("--folds", "1"), "folds is 1"),
         (("--period", "5"), "has a period"),
     ],

@@ -23,7 +23,7 @@ from sdpid.estimation.compression.whitening import compress, weights_and_shares,
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.prepare import without_efforts
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
+from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.output.report.verdict import _forces
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.contacts.closure import close_loops

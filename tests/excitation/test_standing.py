@@ -21,7 +21,7 @@ from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance, States
 from sdpid.excitation.standing.task import _joints
 from sdpid.excitation.standing.write import write_standing
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.find import find_legs
 from tests.helpers.plans import standing_plan

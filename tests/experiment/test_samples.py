@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import savgol_coeffs
 
 import sdpid
 import sdpid.experiment.processing.motion as motion_module
@@ -19,19 +18,17 @@ from sdpid.errors import DataError
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare, samples_of
+from sdpid.experiment.processing.base import base_limit, body_rate, unit
 from sdpid.experiment.processing.choose import choose_processing, default_processing
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
-from sdpid.experiment.processing.delays.on_time import on_time
-from sdpid.experiment.processing.filters import Spectral, Stencil, low_pass, stencil
-from sdpid.experiment.processing.floating.quieter import base_limit
-from sdpid.experiment.processing.floating.rotations import body_rate, unit
+from sdpid.experiment.processing.contact_samples import ContactSamples
+from sdpid.experiment.processing.filters import low_pass, stencil
 from sdpid.experiment.processing.motion import motion_frequency, noise_limit
+from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.base import BaseMotion
-from tests.experiment.processing.floating.crawl import FEET as CRAWLING
-from tests.experiment.processing.floating.crawl import RADIUS, Crawl, crawl
+from tests.helpers.crawl import FEET as CRAWLING
+from tests.helpers.crawl import RADIUS, Crawl, crawl
 from tests.helpers.refusals import refuses
 
 # The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
@@ -162,7 +159,7 @@ def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) ->
     [
         ({"cutoff_hz": 5.0}, "cutoff_hz 5: as given, for "),
         ({"velocity": "measured"}, "velocity measured: as given, for differentiated"),
-        ({"order": 2, "filter": "bessel", "derivative": "savitzky_golay"}, None),
+        ({"order": 2, "derivative": "central6"}, None),
     ],
 )
 def test_what_is_given_stays(given_: dict[str, Any], expected: str | None) -> None:
@@ -233,7 +230,6 @@ DEGREES = {
     "central": (2, 3),
     "central4": (4, 5),
     "central6": (6, 7),
-    "savitzky_golay": (4, 5),
 }
 
 
@@ -241,13 +237,12 @@ DEGREES = {
 @given(
     name=st.sampled_from(sorted(DEGREES)),
     coefficients=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=8),
-    cutoff=st.floats(0.01, 0.49),
     step=st.sampled_from([1e-3, 0.02, 1.0]),
 )
 def test_polynomials_are_differentiated_exactly(
-    name: str, coefficients: list[float], cutoff: float, step: float
+    name: Any, coefficients: list[float], step: float
 ) -> None:
-    weights = stencil(name, cutoff_over_rate=cutoff)
+    weights = stencil(name)
     margin = weights.margin
     time = step * np.arange(-margin, margin + 1)
     scale = max(1.0, time[-1])
@@ -262,103 +257,19 @@ def test_polynomials_are_differentiated_exactly(
         assert abs(found[0] - expected) <= 1e-14 * 8 / step**order + 1e-9 * abs(expected)
 
 
-@settings(max_examples=40, deadline=None)
-@given(
-    count=st.integers(5, 64),
-    step=st.sampled_from([1e-3, 0.02, 1.0]),
-    seed=st.integers(0, 99),
-)
-def test_the_fourier_series_is_differentiated_exactly(count: int, step: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    highest = (count - 1) // 2
-    harmonics = np.arange(highest + 1)
-    omega = 2.0 * np.pi * harmonics / (count * step)
-    amplitude, phase = rng.uniform(-1, 1, (2, highest + 1))
-    angle = step * np.arange(count)[:, None] * omega + 3.0 * phase
-    spectral = Spectral()
-    assert spectral.margin == 0
-    signal = np.sin(angle) @ amplitude
-    first = np.cos(angle) @ (amplitude * omega)
-    second = -np.sin(angle) @ (amplitude * omega**2)
-    np.testing.assert_allclose(
-        spectral.velocity(signal, step), first, rtol=0, atol=1e-13 * count / step
-    )
-    np.testing.assert_allclose(
-        spectral.acceleration(signal, step), second, rtol=0, atol=1e-12 * count / step**2
-    )
-
-
-def test_half_the_rate_has_no_slope_but_a_curvature() -> None:
-    signal = np.array([1.0, -1.0] * 4)
-    np.testing.assert_allclose(Spectral().velocity(signal, 0.1), 0.0, atol=1e-13)
-    np.testing.assert_allclose(
-        Spectral().acceleration(signal, 0.1), -((np.pi / 0.1) ** 2) * signal, rtol=1e-12
-    )
-
-
 @settings(max_examples=30, deadline=None)
 @given(
-    name=st.sampled_from([*sorted(DEGREES), "spectral"]),
+    name=st.sampled_from(sorted(DEGREES)),
     factors=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
     seed=st.integers(0, 99),
 )
-def test_derivatives_are_linear(name: str, factors: tuple[float, float], seed: int) -> None:
-    how: Stencil = Spectral() if name == "spectral" else stencil(name, cutoff_over_rate=0.1)
+def test_derivatives_are_linear(name: Any, factors: tuple[float, float], seed: int) -> None:
+    how = stencil(name)
     one, other = np.random.default_rng(seed).standard_normal((2, 60))
     for act in (how.velocity, how.acceleration):
         together = act(factors[0] * one + factors[1] * other, 0.1)
         apart = factors[0] * act(one, 0.1) + factors[1] * act(other, 0.1)
         np.testing.assert_allclose(together, apart, rtol=0, atol=1e-9)
-
-
-@settings(max_examples=40, deadline=None)
-@given(cutoff=st.floats(0.001, 0.499))
-def test_a_window_lets_as_much_noise_pass_as_the_cut_off(cutoff: float) -> None:
-    half = stencil("savitzky_golay", cutoff_over_rate=cutoff).margin
-    # Of smoothing weights, the sum of squares is the share of the variance that passes.
-    passed = [np.sum(savgol_coeffs(2 * h + 1, 4) ** 2) for h in (half, half + 1)]
-    assert passed[0] >= 2.0 * cutoff * (1.0 - 1e-3)
-    assert passed[1] < 2.0 * cutoff * (1.0 + 1e-3)
-
-
-@pytest.mark.parametrize("half", [2, 3, 10, 40])
-def test_local_polynomials_are_scipys(half: int) -> None:
-    cutoffs = np.geomspace(1e-3, 0.49, 400)
-    cutoff = next(c for c in cutoffs[::-1] if _half(c) == half)
-    weights = stencil("savitzky_golay", cutoff_over_rate=cutoff)
-    for order, ours in ((1, weights.first), (2, weights.second)):
-        theirs = savgol_coeffs(2 * half + 1, 4, deriv=order, use="dot")
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
-
-
-def _half(cutoff: float) -> int:
-    return stencil("savitzky_golay", cutoff_over_rate=cutoff).margin
-
-
-def test_long_windows_keep_their_digits() -> None:
-    weights = stencil("savitzky_golay", cutoff_over_rate=1e-4)
-    assert weights.margin > 8000
-    place = np.arange(-weights.margin, weights.margin + 1) / 1e3
-    # SciPy's weights lose 63 % here.
-    assert weights.velocity(place, 1e-3)[0] == pytest.approx(1.0, rel=1e-12)
-    assert weights.acceleration(place**2, 1e-3)[0] == pytest.approx(2.0, rel=1e-9)
-    assert weights.second.sum() == pytest.approx(0.0, abs=1e-20)
-
-
-def test_the_shortest_window_is_central() -> None:
-    shortest = stencil("savitzky_golay", cutoff_over_rate=0.4999)
-    central = stencil("central4")
-    np.testing.assert_allclose(shortest.first, central.first, atol=1e-14)
-    np.testing.assert_allclose(shortest.second, central.second, atol=1e-14)
-
-
-def test_what_is_asked_for_must_exist() -> None:
-    refuses(DataError, "'central8' is unknown", stencil, "central8")
-    for cutoff in (None, 0.0, 0.5):
-        with pytest.raises(DataError, match="needs the cut-off over the sample rate"):
-            stencil("savitzky_golay", cutoff_over_rate=cutoff)
-    assert isinstance(Processing(derivative="spectral").stencil(100.0), Spectral)
-    assert Processing(derivative="savitzky_golay").stencil(1000.0).margin == _half(0.015)
 
 
 K, JOINTS = 5, 2

@@ -18,11 +18,9 @@ from scipy import signal
 
 import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.processing import efforts
-from sdpid.experiment.processing import process as processing_module
-from sdpid.experiment.processing import states as states_module
+from sdpid.experiment.processing import pipeline
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.efforts import Moments, in_threads
+from sdpid.experiment.processing.pipeline import in_threads
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.formats import parquet_file
@@ -88,8 +86,7 @@ def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(stored, "ROWS", 37)
     monkeypatch.setattr(parquet_file, "ROWS", 37)
     monkeypatch.setattr(parquet_file, "_BUFFER", 1000)
-    for module in (processing_module, states_module):
-        monkeypatch.setattr(module, "CHUNK", 250)
+    monkeypatch.setattr(pipeline, "CHUNK", 250)
     return write
 
 
@@ -117,11 +114,11 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path):
         make(200.0 * periods, period=200.0).to_parquet(file)
         code = (
             "import sys; "
-            "from sdpid.experiment.processing import efforts; "
+            "from sdpid.experiment.processing import pipeline; "
             "from sdpid.experiment.recording import stored; "
             "from sdpid.experiment.readers import read; "
             "from sdpid.experiment.processing.process import Processing, process; "
-            "efforts._MOST_KEPT = 0; stored.ROWS = 10_000; "
+            "pipeline._MOST_KEPT = 0; stored.ROWS = 10_000; "
             "log = read.read_recording(sys.argv[1], stored=True); "
             "samples = process(log, Processing(cutoff_hz=10.0, covariance=None)); "
             "assert samples.effort_periods is None; "
@@ -277,25 +274,12 @@ def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
             refuses(DataError, words, Stamps.of, wrong)
 
 
-@pytest.mark.parametrize("count", [2, 3, 12])
-def test_moments_are_those_of_all_periods(count: int):
-    rng = np.random.default_rng(0)
-    # A large mean: sums of squares would lose what is asked for.
-    values = 1e3 + rng.standard_normal((count, 3, 20))
-    moments = Moments(20, 3, covariance=True)
-    for each in values:
-        moments.add(each)
-    np.testing.assert_allclose(moments.mean, values.mean(axis=0).T, rtol=1e-14)
-    for k in range(20):
-        np.testing.assert_allclose(moments.covariance[k], np.cov(values[:, :, k].T), rtol=1e-11)
-
-
 def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPatch):
     for cores in (1, 3):
-        monkeypatch.setattr(efforts, "_cores", lambda cores=cores: cores)
-        assert in_threads(lambda i: i * i, range(7)) == [i * i for i in range(7)]
+        monkeypatch.setattr(pipeline, "_cores", lambda cores=cores: cores)
+        assert in_threads(lambda i: i * i, 7) == [i * i for i in range(7)]
         with pytest.raises(ZeroDivisionError):
-            in_threads(lambda i: 1 // (i - 3), range(7))
+            in_threads(lambda i: 1 // (i - 3), 7)
 
 
 def test_averaging_first_changes_nothing_but_rounding(tmp_path: Path):

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from sdpid import RobotModel, Samples, load_robot
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contact_samples import ContactSamples
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 RADIUS = (0.0, 0.0, -0.018)

@@ -480,11 +480,11 @@ PROCESSINGS = st.builds(
     filter_friction=st.booleans(),
     covariance=st.sampled_from(["period", "pooled", None]),
     shrinkage=reals(0.0, 1.0),
-    derivative=st.sampled_from(["central", "central4", "spectral", "savitzky_golay"]),
+    derivative=st.sampled_from(["central", "central4", "central6"]),
     velocity=st.sampled_from(["differentiated", "measured"]),
     trim_s=st.none() | reals(0.0, 9.0),
     timing=st.sampled_from(["auto", "nominal", "resample"]),
-    filter=st.sampled_from(["butterworth", "bessel"]),
+    filter=st.sampled_from(["butterworth", "finite"]),
 )
 
 

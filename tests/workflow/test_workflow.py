@@ -33,9 +33,9 @@ from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 from tests.common.test_common import Terminal
-from tests.experiment.processing.floating.crawl import crawl
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.commands import printed
+from tests.helpers.crawl import crawl
 from tests.helpers.forged import edit_json, reseal
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 
 # What the rows are made of, in the order in which it is hashed.

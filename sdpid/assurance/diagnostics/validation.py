@@ -29,7 +29,7 @@ from sdpid.experiment.preparation.prepare import (
     prepare,
     without_efforts,
 )
-from sdpid.experiment.processing.contacts.held import base_held
+from sdpid.experiment.processing.robot_contacts import base_held
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.model.base_parameters import structural_base

@@ -396,8 +396,6 @@ def _prepared(
     if not isinstance(processing, Processing):
         processing = with_changes(default_processing(log), processing or {})
     chosen = replace(processing, reversal_time=None, covariance=None, decimation=None)
-    if chosen.derivative == "spectral":
-        chosen = replace(chosen, derivative="central6")
     return log, samples_of(robot, log, chosen), chosen
 
 

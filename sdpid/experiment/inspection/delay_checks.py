@@ -18,7 +18,7 @@ from sdpid.experiment.inspection.delays.kinematic import block_error, pooled
 from sdpid.experiment.inspection.kinds import Finding, found
 from sdpid.experiment.inspection.rows import Rows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
-from sdpid.experiment.processing.delays.on_time import CHANNELS
+from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.recording.rest import moving
 
 # Delays below this (s), and below this many samples, are the drives' own and those of filters: of

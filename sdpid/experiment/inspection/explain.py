@@ -22,7 +22,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.delays.kinematic import block_error
 from sdpid.experiment.inspection.rows import Rows, smooth_sign
-from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
+from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.rest import moving
 from sdpid.robot.model.contacts.jacobians import contact_jacobians

@@ -14,7 +14,7 @@ from sdpid.experiment.inspection.delays.kinematic import Smooth, lag
 from sdpid.experiment.inspection.evidence import GRAVITY, LEAST_RATE, axes_in_words, signed_axes
 from sdpid.experiment.inspection.kinds import Finding, found, vector
 from sdpid.experiment.inspection.subject import Subject, check
-from sdpid.experiment.processing.delays.on_time import on_time as shifted
+from sdpid.experiment.processing.on_time import on_time as shifted
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.base import Imu
 from sdpid.experiment.recording.recording import Recording, rows_of

@@ -11,9 +11,9 @@ from sdpid.errors import DataError
 from sdpid.experiment.inspection.delays.find import channel_delays
 from sdpid.experiment.inspection.delays.kinematic import Delay
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.contacts.loops import with_loops
-from sdpid.experiment.processing.floating.feet import carried
+from sdpid.experiment.processing.feet import carried
 from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.robots import require_its_base

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
+from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.experiment.processing.samples import Samples
 
 # The frames of a contact: of the robot, and of the robot again where a loop closes.

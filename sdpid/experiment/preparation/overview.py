@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.inspect import inspect_recording
 from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.processing.choose import choose_processing
-from sdpid.experiment.processing.motion import fourth_differences, joint_frequencies
+from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
@@ -84,23 +83,13 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
             "speed_max": None if velocity is None else float(np.abs(velocity[:, j]).max()),
             "effort_rms": float(np.sqrt(np.mean(effort[:, j] ** 2))),
             "effort_max": float(np.abs(effort[:, j]).max()),
-            "position_noise": noise(position[:, j]),
-            "effort_noise": noise(effort[:, j]),
+            "position_noise": white_noise(position[:, j]),
+            "effort_noise": white_noise(effort[:, j]),
             "motion_hz": None if moves is None else moves[0],
             "bandwidth_hz": None if moves is None else moves[1],
         }
         for j, (name, moves) in enumerate(zip(recording.names, motion, strict=True))
     ]
-
-
-def noise(column: Array) -> float:
-    """Return the standard deviation of the white noise of a channel.
-
-    From its differences of fourth order, in which a motion well below the sampling rate does not
-    show; for a motion that is not, it is an upper bound.
-    """
-    differences = fourth_differences(column)
-    return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
 
 
 def gaps(recording: Recording) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.view import LogView, view_of
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import with_changes
-from sdpid.experiment.processing.delays.on_time import CHANNELS
+from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.readers.mapping import as_gains

@@ -19,11 +19,9 @@ from sdpid.experiment.preparation.prepare import (
     read_logs,
     require_joint_covariance,
 )
-from sdpid.experiment.processing.efforts import Efforts
-from sdpid.experiment.processing.period_mean import Chain
+from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, efforts_of, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
@@ -62,7 +60,7 @@ class Twin:
     logs: tuple[Recording, ...]
     processing: Processing
     measured: Samples
-    _chains: tuple[tuple[Chain | None, ...], ...]
+    _pipelines: tuple[tuple[Pipeline | None, ...], ...]
 
     @classmethod
     def of(
@@ -99,13 +97,17 @@ class Twin:
         views = [LogView(given=each, asked=robot) for each in read]
         chosen, _ = chosen_processing(views, processing)
         logs = tuple(view.matched for view in views)
-        chains = tuple(
-            tuple(_chain(piece, chosen) for piece in continuous(each)[0]) for each in logs
+        pipelines = tuple(
+            tuple(_pipeline(piece, chosen) for piece in continuous(each)[0]) for each in logs
         )
         if measured is None:
             measured = Samples.join([view.samples(chosen) for view in views])
-            return cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
-        twin = cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
+            return cls(
+                robot=robot, logs=logs, processing=chosen, measured=measured, _pipelines=pipelines
+            )
+        twin = cls(
+            robot=robot, logs=logs, processing=chosen, measured=measured, _pipelines=pipelines
+        )
         _require_same(twin, measured)
         return twin
 
@@ -148,28 +150,27 @@ class Twin:
         velocities = [None] * count if velocity is None else self._arrays(velocity, "velocity")
         efforts = [None] * count if effort is None else self._arrays(effort, "effort")
         states, forces = [], []
-        for log, chains, q, v, tau in zip(
-            self.logs, self._chains, positions, velocities, efforts, strict=True
+        for log, pipelines, q, v, tau in zip(
+            self.logs, self._pipelines, positions, velocities, efforts, strict=True
         ):
             if v is None and self.processing.velocity == "measured":
                 v = _spline_velocity(log.time, q)
             moved = replace(log, position=q, velocity=v, effort=log.effort if tau is None else tau)
-            for piece, chain in zip(continuous(moved)[0], chains, strict=True):
-                if chain is None:
+            for piece, pipeline in zip(continuous(moved)[0], pipelines, strict=True):
+                if pipeline is None:
                     continue
-                states.append(states_of(piece, chain, self.processing, repeats=False))
+                states.append(states_of(piece, pipeline, self.processing, repeats=False))
                 if tau is not None:
-                    found = Efforts.of(piece, chain, covariance=False, chunk=CHUNK)
-                    forces.append(found.mean)
-        wide = tuple(each.wide for each in states if each.wide is not None)
-        changed: dict[str, Any] = {}
+                    forces.append(efforts_of(piece, pipeline)[0])
+        wide = tuple(own for each in states for own in each["wide"] or ())
+        changed: dict[str, Any] = {
+            name: np.concatenate([each[name] for each in states])
+            for name in ("position", "velocity", "acceleration")
+        }
         if forces:
-            changed = {"effort": np.concatenate(forces), "effort_periods": None}
+            changed |= {"effort": np.concatenate(forces), "effort_periods": None}
         return replace(
             self.measured,
-            position=np.concatenate([each.position for each in states]),
-            velocity=np.concatenate([each.velocity for each in states]),
-            acceleration=np.concatenate([each.acceleration for each in states]),
             wide=wide or None,
             **changed,
         )
@@ -185,22 +186,13 @@ class Twin:
             like positions.
         """
         found = []
-        for log, chains, q in zip(
-            self.logs, self._chains, self._arrays(position, "position"), strict=True
+        for log, pipelines, q in zip(
+            self.logs, self._pipelines, self._arrays(position, "position"), strict=True
         ):
-            for piece, chain in zip(continuous(replace(log, position=q))[0], chains, strict=True):
-                if chain is None:
-                    continue
-                columns = [
-                    np.concatenate(
-                        [
-                            part.kept(part.mean(piece.position[:, j])[0])
-                            for part in chain.parts(CHUNK)
-                        ]
-                    )
-                    for j in range(piece.n)
-                ]
-                found.append(np.stack(columns, axis=1))
+            pieces = continuous(replace(log, position=q))[0]
+            for piece, pipeline in zip(pieces, pipelines, strict=True):
+                if pipeline is not None:
+                    found.append(_filtered(piece, pipeline))
         return np.concatenate(found)
 
     def _arrays(self, given: Any, name: str) -> list[Array]:
@@ -222,12 +214,22 @@ class Twin:
         return found
 
 
-def _chain(piece: Recording, processing: Processing) -> Chain | None:
+def _pipeline(piece: Recording, processing: Processing) -> Pipeline | None:
     """Return how a piece of a record is processed, None where it is too short."""
     try:
-        return chain_of(piece, processing)
+        return Pipeline.of(piece, processing)
     except TooShortError:
         return None
+
+
+def _filtered(piece: Recording, pipeline: Pipeline) -> Array:
+    """Return the positions of a piece, filtered."""
+
+    def once(part: Pipeline, j: int) -> tuple[Array]:
+        return (part.kept(part.mean(piece.position[:, j])[0]),)
+
+    (position,) = pipeline.tables(piece.n, once)
+    return np.asarray(position)
 
 
 def _spline_velocity(time: Array, position: Array) -> Array:
@@ -247,10 +249,10 @@ def _require_same(twin: Twin, measured: Samples) -> None:
             f"{twin.robot.n}."
         )
     kept = [
-        len(range(0, chain.window.length, chain.decimation))
-        for chains in twin._chains
-        for chain in chains
-        if chain is not None
+        pipeline.count
+        for pipelines in twin._pipelines
+        for pipeline in pipelines
+        if pipeline is not None
     ]
     remedy = (
         "give the recordings that the problem was built of, and the same processing "

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid.errors import DataError
+from sdpid.experiment.processing.base import base_limit
+from sdpid.experiment.processing.feet import landing_share
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
-from sdpid.experiment.processing.floating.feet import landing_share
-from sdpid.experiment.processing.floating.quieter import base_limit
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.floating.contacts import Contacts

@@ -3,70 +3,49 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 
-FilterType = Literal["butterworth", "bessel", "finite"]
-
-FILTERS: tuple[str, ...] = get_args(FilterType)
+FilterType = Literal["butterworth", "finite"]
+Derivative = Literal["central", "central4", "central6"]
 
 # After this many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
 # with the polynomial factors of repeated passes.
 _FORGOTTEN = 45.0
+# Samples before the first kept one and behind the last, in time constants: exp(-20) is 2e-9 of what
+# the guess at the ends would be off.
+_LEAD = 20.0
 # Numbers from which on `scipy.signal` is worth its loading, 0.3 s once: it takes 6 ns for a section
 # of a number, a triangular system 60 ns.
 _LARGE = 2**19
 # Five time constants, which are cut off the ends of a record, are then the whole memory of a finite
 # filter.
 _CUT_OFF = 5.0
-Derivative = Literal["central", "central4", "central6", "savitzky_golay", "spectral"]
-
-DERIVATIVES: tuple[str, ...] = get_args(Derivative)
 
 # Differences of fourth order lose no more than 2 % of a velocity up to this share of the rate.
 BAND_OVER_RATE = 1.0 / 7.5
 
-# Degree of the local polynomials. A velocity is then exact on degree 4, and an acceleration,
-# whose next odd term vanishes in the middle of the window, on degree 5: as with "central4", which
-# is what the shortest window of 5 samples gives.
-_DEGREE = 4
-
-
-class Stencil(ABC):
-    """How a uniformly sampled signal is differentiated."""
-
-    @property
-    @abstractmethod
-    def margin(self) -> int:
-        """Number of samples m needed on either side."""
-
-    @abstractmethod
-    def velocity(self, signal: Array, step: float) -> Array:
-        """Return the first derivative of (N,) samples at the inner N - 2 m ones."""
-
-    @abstractmethod
-    def acceleration(self, signal: Array, step: float) -> Array:
-        """Return the second derivative of (N,) samples at the inner N - 2 m ones."""
-
-    def inner(self, signal: Array) -> Array:
-        """Return the samples at which derivatives are known."""
-        return signal[self.margin : signal.size - self.margin]
+# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]_
+_WEIGHTS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "central": ((1 / 2,), (-2.0, 1.0)),
+    "central4": ((2 / 3, -1 / 12), (-5 / 2, 4 / 3, -1 / 12)),
+    "central6": ((3 / 4, -3 / 20, 1 / 60), (-49 / 18, 3 / 2, -3 / 20, 1 / 90)),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Weights(Stencil):
-    """Weights of neighboring samples, for a unit step.
+class Weights:
+    """Weights of neighboring samples that make derivatives of uniformly sampled signals.
 
     Attributes
     ----------
     first, second : (2 m + 1,) ndarray
-        Weights of the first and of the second derivative.
+        Weights of the first and of the second derivative, for a unit step.
     """
 
     first: Array
@@ -78,88 +57,16 @@ class Weights(Stencil):
         return self.first.size // 2
 
     def velocity(self, signal: Array, step: float) -> Array:
-        """Return the first derivative of (N,) samples at the inner N - 2 m ones."""
-        return np.correlate(signal, self.first, mode="valid") / step
+        """Return the first derivative of (N,) or (N, c) samples at the inner N - 2 m ones."""
+        return _neighbors(signal, self.first) / step
 
     def acceleration(self, signal: Array, step: float) -> Array:
-        """Return the second derivative of (N,) samples at the inner N - 2 m ones."""
-        return np.correlate(signal, self.second, mode="valid") / step**2
+        """Return the second derivative of (N,) or (N, c) samples at the inner N - 2 m ones."""
+        return _neighbors(signal, self.second) / step**2
 
 
-class Spectral(Stencil):
-    """Derivatives of the Fourier series through one whole period; m is 0.
-
-    Exact for signals without power at half the sampling rate or above.
-    """
-
-    @property
-    def margin(self) -> int:
-        """Number of samples needed on either side: a period is followed by itself."""
-        return 0
-
-    def velocity(self, signal: Array, step: float) -> Array:
-        """Return the first derivative of one period (N,) at all its samples."""
-        # At half the rate a sampled cosine says nothing of the sine beside it: the imaginary part
-        # there is ignored.
-        factor = 1j * _angular_frequencies(signal.size, step)
-        derivative: Array = np.fft.irfft(factor * np.fft.rfft(signal), signal.size)
-        return derivative
-
-    def acceleration(self, signal: Array, step: float) -> Array:
-        """Return the second derivative of one period (N,) at all its samples."""
-        factor = -(_angular_frequencies(signal.size, step) ** 2)
-        derivative: Array = np.fft.irfft(factor * np.fft.rfft(signal), signal.size)
-        return derivative
-
-
-def _angular_frequencies(count: int, step: float) -> Array:
-    return np.asarray(2.0 * math.pi * np.fft.rfftfreq(count, step), dtype=np.float64)
-
-
-# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]_
-_WEIGHTS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "central": ((1 / 2,), (-2.0, 1.0)),
-    "central4": ((2 / 3, -1 / 12), (-5 / 2, 4 / 3, -1 / 12)),
-    "central6": ((3 / 4, -3 / 20, 1 / 60), (-49 / 18, 3 / 2, -3 / 20, 1 / 90)),
-}
-
-
-def stencil(name: str, *, cutoff_over_rate: float | None = None) -> Weights:
-    """Return the weights of central differences or of local polynomials.
-
-    Parameters
-    ----------
-    name : {"central", "central4", "central6", "savitzky_golay"}
-        Central differences of order 2, 4 or 6 [fornberg1988]_, or the derivatives of polynomials
-        of degree 4 fitted to windows of 2 m + 1 samples [savitzky1964]_.
-    cutoff_over_rate : float, optional
-        Cut-off of the low-pass filter over the sample rate, between 0 and 1/2: what local
-        polynomials need for the length of their windows. It is the longest whose smoothing lets
-        at least as much white noise pass as an ideal low-pass filter with this cut-off, a share
-        of 2 cut-off / rate of its variance, so that the window takes nothing that the filter was
-        to keep; about 1.76 rate / cut-off samples, and at least 5.
-
-    Returns
-    -------
-    Weights
-
-    Raises
-    ------
-    DataError
-        When there is no such scheme, or the cut-off is missing for local polynomials.
-    """
-    if name == "savitzky_golay":
-        if cutoff_over_rate is None or not 0.0 < cutoff_over_rate < 0.5:
-            raise DataError(
-                f"derivative: 'savitzky_golay' needs the cut-off over the sample rate, between 0 "
-                f"and 0.5, for the length of its window; it is {cutoff_over_rate}."
-            )
-        return _savitzky_golay(_half_window(2.0 * cutoff_over_rate))
-    if name not in _WEIGHTS:
-        raise DataError(
-            f"derivative: {name!r} is unknown here; choose one of {', '.join(_WEIGHTS)}, "
-            "savitzky_golay."
-        )
+def stencil(name: Derivative) -> Weights:
+    """Return the weights of central differences of order 2, 4 or 6 [fornberg1988]_."""
     odd, even = _WEIGHTS[name]
     return Weights(
         first=frozen([-w for w in odd[::-1]] + [0.0] + list(odd)),
@@ -167,47 +74,32 @@ def stencil(name: str, *, cutoff_over_rate: float | None = None) -> Weights:
     )
 
 
-def _passed_noise(half: int) -> float:
-    """Return the share of white noise's variance that a fit of degree 4 lets pass.
+def correlated(signal: Array, weights: Array) -> Array:
+    """Return sums of each sample's neighbors in signals (N, ...) with weights (2 reach + 1,).
 
-    It is the middle weight of the smoothing, since smoothing is a projection.
+    Beyond the ends the outermost value is taken. As SciPy's `correlate1d`, which loads long.
     """
-    place = np.arange(-half, half + 1) / half
-    even = np.stack([place**0, place**2, place**4])
-    return float(np.linalg.lstsq(even, np.array([1.0, 0.0, 0.0]))[0][half])
+    reach = len(weights) // 2
+    flat = signal.reshape(len(signal), -1)
+    padded = np.pad(flat, ((reach, reach), (0, 0)), mode="edge")
+    return _neighbors(padded, weights).reshape(signal.shape)
 
 
-def _half_window(share: float) -> int:
-    """Return the largest m whose window lets at least this share of white noise pass."""
-    low, high = _DEGREE // 2, _DEGREE
-    while _passed_noise(high) >= share:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        if _passed_noise(middle) >= share:
-            low = middle
-        else:
-            high = middle
-    return low
+def _neighbors(signal: Array, weights: Array) -> Array:
+    """Return the weighted sums of neighbors in signals (N,) or (N, c), without the ends."""
+    if signal.ndim == 1:
+        return np.correlate(signal, weights, "valid")
+    return np.stack([np.correlate(column, weights, "valid") for column in signal.T], axis=1)
 
 
-def _savitzky_golay(half: int) -> Weights:
-    """Return the derivatives of polynomials fitted to 2 half + 1 samples.
-
-    The same as SciPy's savgol_coeffs, which takes powers of the sample number as they are and so
-    leaves rounding that shows in accelerations once a window has hundreds of samples.
-    """
-    place = np.arange(-half, half + 1) / half
-    # The shortest weights that give each power its derivative in the middle; by symmetry the
-    # first derivative concerns odd powers alone, the second even ones.
-    odd, even = np.stack([place, place**3]), np.stack([place**0, place**2, place**4])
-    first = np.linalg.lstsq(odd, np.array([1.0, 0.0]))[0] / half
-    second = np.linalg.lstsq(even, np.array([0.0, 2.0, 0.0]))[0] / half**2
-    # Antisymmetric and without effect on a constant to the last bit.
-    first = (first - first[::-1]) / 2.0
-    second = (second + second[::-1]) / 2.0
-    second[half] -= second.sum()
-    return Weights(first=frozen(first), second=frozen(second))
+def reflected(signal: Array, left: int, right: int) -> Array:
+    """Continue signals (N, ...) by point reflection at their ends, then by the last values."""
+    if not left and not right:
+        return signal
+    before, after = min(left, len(signal) - 1), min(right, len(signal) - 1)
+    rest = [(0, 0)] * (signal.ndim - 1)
+    extended = np.pad(signal, [(before, after), *rest], mode="reflect", reflect_type="odd")
+    return np.pad(extended, [(left - before, right - after), *rest], mode="edge")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -230,6 +122,11 @@ class ZeroPhaseFilter:
         """Number of samples after which a disturbance has decayed below rounding."""
         return math.ceil(_FORGOTTEN * self.time_constant)
 
+    @property
+    def lead(self) -> int:
+        """Number of samples on either side of what is wanted that make its ends good to 2e-9."""
+        return min(math.ceil(_LEAD * self.time_constant), self.reach)
+
     def apply(self, signal: Array) -> Array:
         """Filter signals forward and backward along their first axis.
 
@@ -249,6 +146,13 @@ class ZeroPhaseFilter:
             # A constant passes as it is: what is added to it starts from rest.
             signal = (signal[:1] + self._passed(signal - signal[:1]))[::-1]
         return signal
+
+    def whole(self, signal: Array) -> Array:
+        """Filter signals (N, ...) whose ends are continued by point reflection."""
+        flat = signal.reshape(len(signal), -1)
+        reach = min(self.reach, len(flat) - 1)
+        passed = self.apply(reflected(flat, reach, reach))[reach : reach + len(flat)]
+        return passed.reshape(signal.shape)
 
     def _passed(self, signal: Array) -> Array:
         """Return signals (N,) or (N, c) after all sections, which were at rest.
@@ -308,17 +212,6 @@ class FiniteFilter(ZeroPhaseFilter):
         return gain
 
 
-def correlated(signal: Array, weights: Array) -> Array:
-    """Return sums of each sample's neighbors in signals (N, ...) with weights (2 reach + 1,).
-
-    Beyond the ends the outermost value is taken. As SciPy's `correlate1d`, which loads long.
-    """
-    reach = len(weights) // 2
-    padded = np.pad(signal.reshape(len(signal), -1), ((reach, reach), (0, 0)), mode="edge")
-    found = [np.correlate(column, weights, "valid") for column in padded.T]
-    return np.stack(found, axis=1).reshape(signal.shape)
-
-
 def _finite(cutoff_hz: float, order: int, rate_hz: float) -> FiniteFilter:
     """Design a sinc under a Hann window of half length order / (2 cut-off), with 6 dB loss there.
 
@@ -353,12 +246,9 @@ def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> 
 
     Parameters
     ----------
-    kind : {"butterworth", "bessel", "finite"}
-        ``"butterworth"`` has the flattest pass band. ``"bessel"`` follows a step with next to no
-        overshoot (0.3 % of it at order 4, where Butterworth has 6.8 %), forgets 2.6 times as fast
-        there, and takes more from the pass band: at a tenth of the cut-off 0.64 %, where
-        Butterworth takes 1e-8. ``"finite"`` is a sinc under a Hann window, which sees samples up
-        to order / (2 cut-off) away and no others.
+    kind : {"butterworth", "finite"}
+        ``"butterworth"`` has the flattest pass band. ``"finite"`` is a sinc under a Hann window,
+        which sees samples up to order / (2 cut-off) away and no others.
     cutoff_hz : float
         Frequency at which a single pass has lost 3 dB, in Hz; forward and backward lose 6 dB, as
         the finite filter does.
@@ -374,10 +264,8 @@ def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> 
     Raises
     ------
     DataError
-        When the type is unknown or the cut-off is not below half the sample rate.
+        When the cut-off is not below half the sample rate.
     """
-    if kind not in FILTERS:
-        raise DataError(f"filter: {kind!r} is unknown; choose one of {', '.join(FILTERS)}.")
     if not cutoff_hz < rate_hz / 2.0:
         raise DataError(
             f"cutoff_hz: {cutoff_hz:g} Hz is not below half the sample rate of {rate_hz:.6g} Hz; "
@@ -385,15 +273,10 @@ def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> 
         )
     if kind == "finite":
         return _finite(cutoff_hz, order, rate_hz)
-    if kind == "bessel":
-        from scipy.signal import bessel
-
-        _, poles, _ = bessel(order, cutoff_hz, fs=rate_hz, norm="mag", output="zpk")
-    else:
-        # On a half circle in continuous time, and from there by the bilinear transform.
-        angles = math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
-        continuous = 2.0 * math.tan(math.pi * cutoff_hz / rate_hz) * np.exp(1j * angles)
-        poles = (2.0 + continuous) / (2.0 - continuous)
+    # On a half circle in continuous time, and from there by the bilinear transform.
+    angles = math.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
+    continuous = 2.0 * math.tan(math.pi * cutoff_hz / rate_hz) * np.exp(1j * angles)
+    poles = (2.0 + continuous) / (2.0 - continuous)
     sections = _sections(poles)
     slowest = float(np.abs(poles).max())
     # A cut-off close to half the rate puts the poles near the origin: at least one sample.

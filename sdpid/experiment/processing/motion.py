@@ -121,6 +121,15 @@ def fourth_differences(signals: Array) -> Array:
     return np.asarray(np.diff(signals, _DIFFERENCES, axis=0) / np.sqrt(_GAIN))
 
 
+def white_noise(signals: Array) -> float:
+    """Return the white noise of signals (N, ...) by fourth differences, rms in a sample of one.
+
+    An upper bound where a motion is not well below the sampling rate.
+    """
+    differences = fourth_differences(signals)
+    return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
+
+
 def _on_top(frequency: Array, power: Array) -> float:
     """Return the mean power of noise as strong as the highest frequencies."""
     top = power[frequency > _NOISE_ONLY * frequency[-1]]

@@ -20,20 +20,17 @@ from sdpid._common import progress as _progress
 from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
+from sdpid.experiment.processing.base import GRAVITY, require_finite, with_base
 from sdpid.experiment.processing.choose import default_processing, with_changes
-from sdpid.experiment.processing.delays.on_time import delay_notes, on_time
-from sdpid.experiment.processing.efforts import Efforts
-from sdpid.experiment.processing.floating.with_base import GRAVITY, require_finite, with_base
-from sdpid.experiment.processing.period_mean import Chain
+from sdpid.experiment.processing.on_time import delay_notes, on_time
+from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, efforts_of, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.uniform_grid import Grid
 
 # A block must be clearly longer than the memory of the filter, which is run twice: forward and
 # backward (four times over the derivatives with filter_alike=False).
@@ -112,11 +109,6 @@ def process(
             "velocity: the recording has none, but velocity is 'measured'; use "
             "velocity='differentiated'."
         )
-    if processing.derivative == "spectral" and log.period is None:
-        raise DataError(
-            "derivative: 'spectral' takes the Fourier series of a whole period, and the recording "
-            "has no periods; give its period, or use derivative='central4' or 'savitzky_golay'."
-        )
     if log.base is not None:
         require_finite(log, processing)
     _check_period_count(log, processing)
@@ -127,7 +119,6 @@ def process(
         samples = _joined(pieces, processing, advance, GRAVITY if gravity is None else gravity)
     if samples.mask is not None:
         samples = _unmasked(samples, processing)
-        _check_rows(samples, processing)
     reasons = [reason.in_words(processing) for reason in processing.reasons]
     return replace(samples, notes=(*reasons, *notes, *samples.notes))
 
@@ -173,39 +164,31 @@ def _processed(
     gravity: Sequence[float],
 ) -> Samples:
     """Process a record without gaps and wrapped angles."""
-    chain = chain_of(log, processing)
-    grid, window, decimation = chain.window.grid, chain.window, chain.decimation
-    states = states_of(log, chain, processing, advance=advance)
+    pipeline = Pipeline.of(log, processing)
+    step, decimation = pipeline.grid.step, pipeline.decimation
+    states = states_of(log, pipeline, processing, advance=advance)
     wanted = log.period is not None and processing.covariance is not None
-    efforts = Efforts.of(log, chain, covariance=wanted, chunk=CHUNK)
-    notes = _notes(log, processing, chain, grid, states.mask)
-    if efforts.note is not None:
-        notes.append(efforts.note)
-    covariance = None
-    if efforts.covariance is not None:
-        covariance = _shrunk(efforts.covariance, processing)
-        notes += _noise_free(log, covariance, efforts.mean)
-    kept_rate = 1.0 / (grid.step * decimation)
-    memory_s = chain.low_pass.time_constant * grid.step
-    block = math.ceil(max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS) * kept_rate)
-    kept = np.arange(0, window.length, decimation, dtype=np.float64)
+    effort, covariance, effort_periods, lost = efforts_of(log, pipeline, covariance=wanted)
+    notes = [*_notes(log, processing, pipeline, states["mask"]), *lost]
+    if covariance is not None:
+        covariance = _shrunk(covariance, processing)
+        notes += _noise_free(log, covariance, effort)
+    memory_s = pipeline.low_pass.time_constant * step
+    block_s = max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS)
+    kept = np.arange(0, pipeline.length, decimation, dtype=np.float64)
     samples = Samples(
-        position=states.position,
-        velocity=states.velocity,
-        acceleration=states.acceleration,
-        effort=efforts.mean,
+        **states,
+        effort=effort,
         covariance=covariance,
-        mask=states.mask,
-        time=grid.origin + grid.step * (window.first + kept),
+        time=pipeline.grid.origin + step * (pipeline.first + kept),
         joint_names=log.joint_names,
-        periods=None if log.period is None else window.periods,
-        block=min(block, kept.size),
+        periods=None if log.period is None else pipeline.periods,
+        block=min(math.ceil(block_s * (1.0 / (step * decimation))), kept.size),
         notes=tuple(notes),
-        effort_periods=efforts.periods,
-        wide=None if states.wide is None else (states.wide,),
+        effort_periods=effort_periods,
         gains=log.gains,
     )
-    return samples if log.base is None else with_base(samples, log, chain, processing, gravity)
+    return samples if log.base is None else with_base(samples, log, pipeline, processing, gravity)
 
 
 def _shrunk(covariance: Array, processing: Processing) -> Array:
@@ -250,25 +233,22 @@ def _check_period_count(log: Recording, processing: Processing) -> None:
 
 
 def _unmasked(samples: Samples, processing: Processing) -> Samples:
-    """Return the samples with all rows of each joint that the mask leaves next to none of."""
-    assert samples.mask is not None
-    share = samples.mask.mean(axis=0)
-    few = share < processing.kept_share
-    if not few.any():
-        return samples
-    names = ", ".join(f"{samples.names[j]} {100.0 * share[j]:.3g} %" for j in np.flatnonzero(few))
-    note = (
-        f"not masked, since less than {100.0 * processing.kept_share:.3g} % of the rows would "
-        f"stay: {names}"
-    )
-    return replace(samples, mask=samples.mask | few, notes=(*samples.notes, note))
+    """Return the samples with all rows of each joint that the mask leaves next to none of.
 
-
-def _check_rows(samples: Samples, processing: Processing) -> None:
-    """Raise when all rows of a joint are masked: a joint at rest cannot be identified."""
-    empty = [
-        name for name, used in zip(samples.names, samples.used.T, strict=True) if not used.any()
-    ]
+    Raises
+    ------
+    DataError
+        When all rows of a joint are masked: a joint at rest cannot be identified.
+    """
+    share = samples.used.mean(axis=0)
+    few, limit = share < processing.kept_share, 100.0 * processing.kept_share
+    if few.any():
+        names = [f"{samples.names[j]} {100.0 * share[j]:.3g} %" for j in np.flatnonzero(few)]
+        note = (
+            f"not masked, since less than {limit:.3g} % of the rows would stay: {', '.join(names)}"
+        )
+        samples = replace(samples, mask=samples.used | few, notes=(*samples.notes, note))
+    empty = [samples.names[j] for j in np.flatnonzero(~samples.used.any(axis=0))]
     if empty:
         raise DataError(
             f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of standstill, "
@@ -276,48 +256,38 @@ def _check_rows(samples: Samples, processing: Processing) -> None:
             f"{processing.reversal_speed:g} rad/s. Use a motion that moves it, a shorter "
             "reversal_time, or reversal_time=None to keep all rows."
         )
+    return samples
 
 
 def _notes(
-    log: Recording,
-    processing: Processing,
-    chain: Chain,
-    grid: Grid,
-    mask: NDArray[np.bool_] | None,
+    log: Recording, processing: Processing, pipeline: Pipeline, mask: NDArray[np.bool_] | None
 ) -> list[str]:
     """Return notes on what was done, in order."""
-    window = chain.window
+    grid, low_pass = pipeline.grid, pipeline.low_pass
     notes = [] if grid.note is None else [grid.note]
     alike = "all signals once"
-    if chain.passes == 2:
+    if pipeline.passes == 2:
         alike = "position and torque once, velocity and acceleration twice"
         if processing.velocity == "measured":
             alike = "position, velocity and torque once, acceleration twice"
     memory = ""
     if processing.filter == "finite":
-        memory = f", which sees {1e3 * chain.low_pass.reach * grid.step:.3g} ms to either side"
+        memory = f", which sees {1e3 * low_pass.reach * grid.step:.3g} ms to either side"
     notes.append(
         f"zero-phase {processing.filter.capitalize()} filter of order {processing.order} at "
         f"{processing.cutoff_hz:g} Hz{memory}: {alike}"
     )
-    if processing.derivative == "savitzky_golay":
+    if pipeline.circular:
         notes.append(
-            f"derivatives of polynomials over {2 * chain.stencil.margin + 1} samples "
-            "(Savitzky-Golay)"
-        )
-    elif processing.derivative == "spectral":
-        notes.append("derivatives of the Fourier series of the mean period")
-    if window.circular:
-        notes.append(
-            f"mean of {window.periods} periods of {window.length} samples ({log.period:g} s)"
+            f"mean of {pipeline.periods} periods of {pipeline.length} samples ({log.period:g} s)"
         )
     else:
         notes.append(
-            f"{window.first * grid.step:.4g} s trimmed at either end, "
-            f"{window.first / chain.low_pass.time_constant:.3g} time constants of the filter"
+            f"{pipeline.first * grid.step:.4g} s trimmed at either end, "
+            f"{pipeline.first / low_pass.time_constant:.3g} time constants of the filter"
         )
-    if chain.decimation > 1:
-        notes.append(f"one sample in {chain.decimation} kept")
+    if pipeline.decimation > 1:
+        notes.append(f"one sample in {pipeline.decimation} kept")
     if mask is not None:
         shares = ", ".join(
             f"{name} {100.0 * (1.0 - share):.3g} %"

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid._common.arrays import Array, Mask, frozen_view, is_number, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
-from sdpid.experiment.processing.wide_velocity import WideVelocity, filtered
+from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
+from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.recording.recording import checked_names
 
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
@@ -25,6 +25,90 @@ _RUN = 256
 # A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
 # products, with room for one that came through a text file.
 _ASYMMETRY = 1e-6
+
+# Results that are kept: those of the terms of a model, with room for those tried beside them.
+_KEPT = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WideVelocity:
+    """Velocities of one piece of a recording, at more samples and of wider band than those kept.
+
+    Friction is steep in the velocity, and its effort has passed a filter. What stands in the
+    filtered efforts is the filtered friction, not friction at the filtered velocity.
+
+    Attributes
+    ----------
+    velocity : (M, n) ndarray
+        In rad/s, with neighbors on either side of the kept samples.
+    step : float
+        Distance of two samples, in s.
+    low_pass : ZeroPhaseFilter
+        The filter of the efforts, for this step.
+    first, stride, count : int
+        The kept samples are ``first + stride·k`` for k below count.
+    """
+
+    velocity: Array
+    step: float
+    low_pass: ZeroPhaseFilter
+    first: int
+    stride: int
+    count: int
+    _found: OrderedDict[Hashable, Array] = field(
+        default_factory=OrderedDict, repr=False, init=False
+    )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields without the results kept."""
+        return {**self.__dict__, "_found": OrderedDict()}
+
+    def part(self, start: int, stop: int) -> WideVelocity:
+        """Return that of neighboring kept samples, from `start` up to `stop`."""
+        lead = self.low_pass.lead
+        low = max(0, self.first + self.stride * start - lead)
+        high = self.first + self.stride * (stop - 1) + lead + 1
+        return replace(
+            self,
+            velocity=self.velocity[low:high],
+            first=self.first + self.stride * start - low,
+            count=stop - start,
+        )
+
+
+def filtered(
+    wides: Sequence[WideVelocity],
+    function: Callable[[Array, Array], Array],
+    key: Hashable | None = None,
+) -> list[Array]:
+    """Return values (count, ...) of a function of each piece's velocity, filtered.
+
+    Parameters
+    ----------
+    wides : sequence of WideVelocity
+        The pieces; those of one filter and length pass it side by side.
+    function : callable
+        Of velocities and accelerations (M, n), to values (M, ...).
+    key : hashable, optional
+        Identifies the function: its results are kept for the next call.
+    """
+    alike = defaultdict(list)
+    for wide in wides:
+        if key not in wide._found:
+            alike[wide.low_pass, len(wide.velocity)].append(wide)
+    for (passed, length), own in alike.items():
+        rates = (np.gradient(wide.velocity, wide.step, axis=0) for wide in own)
+        values = [function(wide.velocity, rate) for wide, rate in zip(own, rates, strict=True)]
+        flat = passed.apply(np.concatenate([x.reshape(length, -1) for x in values], axis=1))
+        for wide, part in zip(own, np.split(flat, len(own), axis=1), strict=True):
+            kept = np.ascontiguousarray(part[wide.first :: wide.stride][: wide.count])
+            wide._found[key] = frozen_view(kept.reshape(wide.count, *values[0].shape[1:]))
+    found = [wide._found[key] for wide in wides]
+    for wide in wides:
+        wide._found.pop(None, None)
+        while len(wide._found) > _KEPT:
+            wide._found.popitem(last=False)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -97,7 +181,7 @@ class Samples:
     acceleration: Array
     effort: Array
     covariance: Array | None = None
-    mask: NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     time: Array | None = None
     joint_names: tuple[str, ...] | None = None
     periods: int | None = None
@@ -120,10 +204,12 @@ class Samples:
                 f"position: has shape {position.shape}, expected {(K, n)} as effort has (or more "
                 "columns with a free flyer)."
             )
-        for name in ("velocity", "acceleration"):
-            self._expect(name, self._keep(name, 2), (K, n))
-        if self.time is not None:
-            self._expect("time", self._keep("time", 1), (K,))
+        shapes = {"velocity": (K, n), "acceleration": (K, n), "time": (K,)}
+        for name, shape in (shapes | {"effort_periods": (self.periods, K, n)}).items():
+            if getattr(self, name) is None and name in ("time", "effort_periods"):
+                continue
+            if (found := self._keep(name, len(shape)).shape) != shape:
+                raise DataError(f"{name}: has shape {found}, expected {shape} to match effort.")
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
         if self.gains is not None and self.gains.n != n:
@@ -134,18 +220,9 @@ class Samples:
             )
         self._check_covariance(K, n)
         self._check_mask(K, n)
-        for name, least in (("periods", 1), ("block", 1)):
-            value = getattr(self, name)
-            if value is None and name == "periods":
-                continue
-            whole = isinstance(value, (int, np.integer)) or (
-                isinstance(value, (float, np.floating)) and float(value).is_integer()
-            )
-            if isinstance(value, bool) or not whole or value < least:
-                raise DataError(f"{name}: is {value}, expected a whole number of at least {least}.")
-            object.__setattr__(self, name, int(value))
-        if self.effort_periods is not None:
-            self._expect("effort_periods", self._keep("effort_periods", 3), (self.periods, K, n))
+        for name in ("periods", "block"):
+            if (value := getattr(self, name)) is not None or name == "block":
+                object.__setattr__(self, name, _counted(name, value))
         object.__setattr__(self, "notes", tuple(self.notes))
         starts = tuple(int(start) for start in self.starts)
         rising = all(first < second for first, second in pairwise((*starts, K)))
@@ -202,22 +279,18 @@ class Samples:
                 "samples: averages over periods cannot be joined with others; identify from one "
                 "periodic recording, or leave its period out."
             )
-        counts = [piece.n_samples for piece in pieces]
-        offsets = np.cumsum([0, *counts[:-1]]).tolist()
-
-        def stacked(of: Callable[[Samples], NDArray[Any]]) -> NDArray[Any]:
-            return np.concatenate([of(piece) for piece in pieces])
-
-        timed = all(piece.time is not None for piece in pieces)
-        masked = any(piece.mask is not None for piece in pieces)
+        offsets = np.cumsum([0, *(piece.n_samples for piece in pieces[:-1])]).tolist()
+        names = ["position", "velocity", "acceleration", "effort"]
+        if all(piece.time is not None for piece in pieces):
+            names.append("time")
+        tables: dict[str, Any] = {
+            name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in names
+        }
+        if any(piece.mask is not None for piece in pieces):
+            tables["mask"] = np.concatenate([piece.used for piece in pieces])
         return Samples(
-            position=stacked(lambda piece: piece.position),
-            velocity=stacked(lambda piece: piece.velocity),
-            acceleration=stacked(lambda piece: piece.acceleration),
-            effort=stacked(lambda piece: piece.effort),
+            **tables,
             covariance=_joined_covariance(pieces),
-            mask=stacked(lambda piece: piece.used) if masked else None,
-            time=np.concatenate([np.asarray(piece.time) for piece in pieces]) if timed else None,
             joint_names=first.joint_names,
             block=max(piece.block for piece in pieces),
             notes=_joined_notes(pieces),
@@ -315,20 +388,22 @@ class Samples:
 
     def _picked(self, which: slice, wide: WideVelocity | None = None) -> Samples:
         """Return some samples of one piece, without `periods` and the single periods' efforts."""
-        covariance, time = self.covariance, self.time
-        if covariance is not None and covariance.ndim == 3:
-            covariance = covariance[which]
-        picked = Samples(
-            position=self.position[which],
-            velocity=self.velocity[which],
-            acceleration=self.acceleration[which],
-            effort=self.effort[which],
-            covariance=covariance,
-            time=None if time is None else time[which],
-            joint_names=self.joint_names,
-            block=self.block,
+        names = ["position", "velocity", "acceleration", "effort", "time"]
+        if self.covariance is not None and self.covariance.ndim == 3:
+            names.append("covariance")
+        tables = {name: getattr(self, name) for name in names}
+        cut: dict[str, Any] = {
+            name: None if table is None else table[which] for name, table in tables.items()
+        }
+        picked = replace(
+            self,
+            **cut,
+            mask=None,
+            periods=None,
+            notes=(),
+            effort_periods=None,
+            starts=(0,),
             wide=None if wide is None else (wide,),
-            gains=self.gains,
             contacts=None if self.contacts is None else self.contacts.picked(which),
         )
         if self.mask is not None:
@@ -375,7 +450,7 @@ class Samples:
         return int(self.effort.shape[0])
 
     @property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> Mask:
         """Which rows (K, n) are in use: the mask, or all of them."""
         return np.ones(self.effort.shape, dtype=np.bool_) if self.mask is None else self.mask
 
@@ -413,12 +488,6 @@ class Samples:
         view: Array = frozen_view(array)
         object.__setattr__(self, name, view)
         return view
-
-    @staticmethod
-    def _expect(name: str, array: Array, shape: tuple[Any, ...]) -> None:
-        """Raise when an array has another shape than the rest asks for."""
-        if array.shape != shape:
-            raise DataError(f"{name}: has shape {array.shape}, expected {shape} to match effort.")
 
     def _check_covariance(self, K: int, n: int) -> None:
         """Check shape, symmetry, and what every covariance satisfies entry by entry."""
@@ -479,6 +548,14 @@ class Samples:
                 "that is used."
             )
         object.__setattr__(self, "mask", frozen_view(mask))
+
+
+def _counted(name: str, value: Any) -> int:
+    """Return a whole number of at least one, or raise."""
+    whole = is_number(value) and float(value).is_integer()
+    if not whole or value < 1:
+        raise DataError(f"{name}: is {value}, expected a whole number of at least 1.")
+    return int(value)
 
 
 def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:

@@ -2,54 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, is_number
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import (
-    DERIVATIVES,
-    FILTERS,
     Derivative,
     FilterType,
-    Spectral,
-    Stencil,
+    Weights,
     ZeroPhaseFilter,
     low_pass,
     stencil,
 )
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import Timing
-
-# Smallest and largest value of each setting: lower cut-offs and higher orders than anybody uses
-# would overflow.
-_RANGES: dict[str, tuple[float, float]] = {
-    "cutoff_hz": (1e-4, 1e9),
-    "order": (1, 20),
-    "decimation": (1, 1e9),
-    "reversal_speed": (0.0, 1e9),
-    "reversal_time": (0.0, 1e6),
-    "kept_share": (0.0, 1.0),
-    "shrinkage": (0.0, 1.0),
-    "trim_s": (0.0, 1e9),
-    "contact_margin_s": (0.0, 1e6),
-    "impact_s": (0.0, 1e6),
-    **dict.fromkeys(("effort_delay_s", "imu_delay_s"), (-1.0, 1.0)),
-    **dict.fromkeys(("base_delay_s", "contacts_delay_s"), (-1.0, 1.0)),
-    "contact_force_std": (0.0, 1e9),
-    "contact_moment_std": (0.0, 1e9),
-}
-_OPTIONAL = (
-    "decimation",
-    "reversal_time",
-    "trim_s",
-    "impact_s",
-    "contact_force_std",
-    "contact_moment_std",
-)
 
 # What accelerations of a floating base are from.
 BaseSource = Literal["auto", "imu", "twist", "pose"]
@@ -97,73 +67,6 @@ class Stages:
         )
 
 
-def filter_stages(
-    log: Recording,
-    joint: int,
-    *,
-    window: tuple[float, float],
-    low_pass: ZeroPhaseFilter,
-    difference: Stencil,
-    twice: bool,
-) -> Stages:
-    """Filter a stretch of one joint's signals, as section III-C does.
-
-    Parameters
-    ----------
-    log : Recording
-        The recording.
-    joint : int
-        Index of the joint.
-    window : (float, float)
-        From and to, in the recording's time (s).
-    low_pass : ZeroPhaseFilter
-        The filter.
-    difference : Stencil
-        How the filtered position is differentiated.
-    twice : bool
-        Whether derivatives pass the filter once more.
-
-    Raises
-    ------
-    DataError
-        When the window holds too few samples or the joint does not exist.
-    """
-    if not 0 <= joint < log.n:
-        raise DataError(f"joint {joint} does not exist; the recording has {log.n}, counted from 0.")
-    first, last = np.searchsorted(log.time, window)
-    pad = 2 * low_pass.reach + 2 * difference.margin
-    start, stop = max(0, int(first) - pad), min(len(log.time), int(last) + pad)
-    if last - first < 2 or stop - start <= 2 * pad:
-        raise DataError(
-            f"window {window[0]:g} … {window[1]:g} s: {last - first} samples, too few to filter; "
-            f"the recording runs from {log.time[0]:g} to {log.time[-1]:g} s."
-        )
-    position = np.ascontiguousarray(log.position[start:stop, joint])
-    torque = np.ascontiguousarray(log.effort[start:stop, joint])
-    smooth = low_pass.apply(position)
-    velocity = difference.velocity(smooth, log.step)
-    acceleration = difference.acceleration(smooth, log.step)
-    margin = difference.margin
-    before = {
-        "position": position[margin:-margin],
-        "torque": torque[margin:-margin],
-        "velocity": velocity,
-        "acceleration": acceleration,
-    }
-    after = {
-        "position": smooth[margin:-margin],
-        "torque": low_pass.apply(torque)[margin:-margin],
-        "velocity": low_pass.apply(velocity) if twice else velocity,
-        "acceleration": low_pass.apply(acceleration) if twice else acceleration,
-    }
-    inner = slice(int(first) - start - margin, int(last) - start - margin)
-    return Stages(
-        time=np.array(log.time[first:last]),
-        before={key: value[inner] for key, value in before.items()},
-        after={key: value[inner] for key, value in after.items()},
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class Reason:
     """Why a rule gave a setting its value.
@@ -188,6 +91,38 @@ class Reason:
         if value == self.value:
             return f"{self.field} {chosen}: {self.text}"
         return f"{self.field} {_shown(value)}: as given, for {chosen} ({self.text})"
+
+
+def _one_of(*allowed: Any) -> dict[str, Any]:
+    """Return the metadata of a setting that is one of some values."""
+
+    def check(name: str, value: Any) -> None:
+        if value not in allowed:
+            raise DataError(f"{name}: is {value!r}, expected one of {allowed}.")
+
+    return {"check": check}
+
+
+def _within(
+    low: float, high: float, *, whole: bool = False, optional: bool = False
+) -> dict[str, Any]:
+    """Return the metadata of a setting that is a number in a range, with `optional` or None.
+
+    Lower cut-offs and higher orders than anybody uses would overflow.
+    """
+
+    def check(name: str, value: Any) -> None:
+        if value is None and optional:
+            return
+        sound = is_number(value) and low <= value <= high
+        if not sound or (whole and value != int(value)):
+            kind = "a whole number" if whole else "a number"
+            # Python refuses to print an int of thousands of digits.
+            huge = isinstance(value, int) and abs(value) > high
+            shown = f"{float(value):.3g}" if huge else repr(value)
+            raise DataError(f"{name}: is {shown}, expected {kind} from {low:g} to {high:g}.")
+
+    return {"check": check}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -225,10 +160,8 @@ class Processing(Settings):
     shrinkage : float
         s in [0, 1]: Sigma_k becomes (1 - s) Sigma_k + s mean_k Sigma_k. With P periods Sigma_k
         has a rank of at most P - 1; s = 0 refuses P <= n.
-    derivative : {"central", "central4", "central6", "savitzky_golay", "spectral"}
-        Central differences of order 2, 4 or 6; polynomials of degree 4 over windows whose noise
-        bandwidth is the cut-off [savitzky1964]_; or the derivative of the averaged period's
-        Fourier series, only for records with periods. At low sample rates take a high order.
+    derivative : {"central", "central4", "central6"}
+        Central differences of order 2, 4 or 6. At low sample rates take a high order.
     velocity : {"differentiated", "measured"}
         Whether the velocity is the derivative of the position, or the recorded one, which passes
         the filter once. The acceleration is the derivative of that.
@@ -238,7 +171,7 @@ class Processing(Settings):
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see
         `sdpid.experiment.recording.uniform_grid.make_grid`.
-    filter : {"butterworth", "bessel", "finite"}
+    filter : {"butterworth", "finite"}
         Type of the low-pass filter. Recordings with a floating base need ``"finite"``, which sees
         order / (2 cutoff_hz) to either side and nothing beyond.
     base_motion : {"auto", "imu", "twist", "pose"}
@@ -277,60 +210,50 @@ class Processing(Settings):
     10.0
     """
 
-    cutoff_hz: float = 15.0
-    order: int = 2
-    decimation: int | None = 10
-    filter_alike: bool = True
-    reversal_speed: float = 0.02
-    reversal_time: float | None = 0.1
-    kept_share: float = 0.0
-    filter_friction: bool = True
-    covariance: Literal["period", "pooled"] | None = "period"
-    shrinkage: float = 0.0
-    derivative: Derivative = "central"
-    velocity: Literal["differentiated", "measured"] = "differentiated"
-    trim_s: float | None = None
-    timing: Timing = "auto"
-    filter: FilterType = "butterworth"
-    base_motion: BaseSource = "auto"
-    contact_force_std: float | None = None
-    contact_moment_std: float | None = None
-    contact_margin_s: float = 0.0
-    impact_s: float | None = None
-    effort_delay_s: float = 0.0
-    imu_delay_s: float = 0.0
-    base_delay_s: float = 0.0
-    contacts_delay_s: float = 0.0
+    cutoff_hz: float = field(default=15.0, metadata=_within(1e-4, 1e9))
+    order: int = field(default=2, metadata=_within(1, 20, whole=True))
+    decimation: int | None = field(default=10, metadata=_within(1, 1e9, whole=True, optional=True))
+    filter_alike: bool = field(default=True, metadata=_one_of(True, False))
+    reversal_speed: float = field(default=0.02, metadata=_within(0.0, 1e9))
+    reversal_time: float | None = field(default=0.1, metadata=_within(0.0, 1e6, optional=True))
+    kept_share: float = field(default=0.0, metadata=_within(0.0, 1.0))
+    filter_friction: bool = field(default=True, metadata=_one_of(True, False))
+    covariance: Literal["period", "pooled"] | None = field(
+        default="period", metadata=_one_of("period", "pooled", None)
+    )
+    shrinkage: float = field(default=0.0, metadata=_within(0.0, 1.0))
+    derivative: Derivative = field(default="central", metadata=_one_of(*get_args(Derivative)))
+    velocity: Literal["differentiated", "measured"] = field(
+        default="differentiated", metadata=_one_of("differentiated", "measured")
+    )
+    trim_s: float | None = field(default=None, metadata=_within(0.0, 1e9, optional=True))
+    timing: Timing = field(default="auto", metadata=_one_of(*get_args(Timing)))
+    filter: FilterType = field(default="butterworth", metadata=_one_of(*get_args(FilterType)))
+    base_motion: BaseSource = field(default="auto", metadata=_one_of(*get_args(BaseSource)))
+    contact_force_std: float | None = field(default=None, metadata=_within(0.0, 1e9, optional=True))
+    contact_moment_std: float | None = field(
+        default=None, metadata=_within(0.0, 1e9, optional=True)
+    )
+    contact_margin_s: float = field(default=0.0, metadata=_within(0.0, 1e6))
+    impact_s: float | None = field(default=None, metadata=_within(0.0, 1e6, optional=True))
+    effort_delay_s: float = field(default=0.0, metadata=_within(-1.0, 1.0))
+    imu_delay_s: float = field(default=0.0, metadata=_within(-1.0, 1.0))
+    base_delay_s: float = field(default=0.0, metadata=_within(-1.0, 1.0))
+    contacts_delay_s: float = field(default=0.0, metadata=_within(-1.0, 1.0))
     reasons: tuple[Reason, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        choices: dict[str, tuple[Any, ...]] = {
-            "covariance": ("period", "pooled", None),
-            "velocity": ("differentiated", "measured"),
-            "timing": ("auto", "nominal", "resample"),
-            "derivative": DERIVATIVES,
-            "filter": FILTERS,
-            "base_motion": get_args(BaseSource),
-            "filter_friction": (True, False),
-            "filter_alike": (True, False),
-        }
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise DataError(f"{name}: is {getattr(self, name)!r}, expected one of {allowed}.")
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None or name not in _OPTIONAL:
-                _check_number(value, name, low, high, whole=name in ("order", "decimation"))
+        for each in fields(self):
+            if (check := each.metadata.get("check")) is not None:
+                check(each.name, getattr(self, each.name))
 
     def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
         """Design the filter for a sample rate in Hz."""
         return low_pass(self.filter, self.cutoff_hz, self.order, rate_hz)
 
-    def stencil(self, rate_hz: float) -> Stencil:
-        """Return how signals of a sample rate in Hz, once filtered, are differentiated."""
-        if self.derivative == "spectral":
-            return Spectral()
-        return stencil(self.derivative, cutoff_over_rate=self.cutoff_hz / rate_hz)
+    def stencil(self) -> Weights:
+        """Return how filtered signals are differentiated."""
+        return stencil(self.derivative)
 
     def stages(self, log: Recording, joint: int = 0, *, window: tuple[float, float]) -> Stages:
         """Return one joint's signals before and after filtering, in a stretch of a recording.
@@ -354,16 +277,41 @@ class Processing(Settings):
         DataError
             When the window holds too few samples, or the joint does not exist.
         """
-        rate_hz = 1.0 / log.step
-        # A stretch is no whole period.
-        spectral = self.derivative == "spectral"
-        return filter_stages(
-            log,
-            joint,
-            window=window,
-            low_pass=self.low_pass(rate_hz),
-            difference=stencil("central6") if spectral else self.stencil(rate_hz),
-            twice=not self.filter_alike,
+        if not 0 <= joint < log.n:
+            raise DataError(
+                f"joint {joint} does not exist; the recording has {log.n}, counted from 0."
+            )
+        smooth, difference = self.low_pass(1.0 / log.step), self.stencil()
+        margin = difference.margin
+        first, last = map(int, np.searchsorted(log.time, window))
+        pad = 2 * smooth.reach + 2 * margin
+        start, stop = max(0, first - pad), min(log.n_samples, last + pad)
+        if last - first < 2 or stop - start <= 2 * pad:
+            raise DataError(
+                f"window {window[0]:g} … {window[1]:g} s: {last - first} samples, too few to "
+                f"filter; the recording runs from {log.time[0]:g} to {log.time[-1]:g} s."
+            )
+        position = np.ascontiguousarray(log.position[start:stop, joint])
+        torque = np.ascontiguousarray(log.effort[start:stop, joint])
+        once = smooth.apply(position)
+        before = {
+            "position": position[margin:-margin],
+            "torque": torque[margin:-margin],
+            "velocity": difference.velocity(once, log.step),
+            "acceleration": difference.acceleration(once, log.step),
+        }
+        after = {
+            **before,
+            "position": once[margin:-margin],
+            "torque": smooth.apply(torque)[margin:-margin],
+        }
+        if not self.filter_alike:
+            after |= {name: smooth.apply(before[name]) for name in ("velocity", "acceleration")}
+        inner = slice(first - start - margin, last - start - margin)
+        return Stages(
+            time=np.array(log.time[first:last]),
+            before={name: signal[inner] for name, signal in before.items()},
+            after={name: signal[inner] for name, signal in after.items()},
         )
 
     @staticmethod
@@ -380,15 +328,3 @@ class Processing(Settings):
 
 def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _check_number(value: Any, name: str, low: float, high: float, *, whole: bool) -> None:
-    """Raise when a setting is no number, out of its range, or should be whole and is not."""
-    sound = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not (sound and low <= value <= high and (not whole or value == int(value))):
-        kind = "a whole number" if whole else "a number"
-        # Python refuses to print an int of thousands of digits.
-        shown = (
-            f"{float(value):.3g}" if isinstance(value, int) and abs(value) > high else repr(value)
-        )
-        raise DataError(f"{name}: is {shown}, expected {kind} from {low:g} to {high:g}.")

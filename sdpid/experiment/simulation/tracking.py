@@ -9,9 +9,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.overview import noise
 from sdpid.experiment.processing.filters import low_pass, stencil
-from sdpid.experiment.processing.motion import motion_frequency
+from sdpid.experiment.processing.motion import motion_frequency, white_noise
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, channels
 from sdpid.experiment.recording.uniform_grid import make_grid
@@ -90,7 +89,7 @@ def tracking(log: Recording, cutoff_hz: float | None = None) -> Tracking:
     signals = {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}
     part = np.concatenate([np.full(len(rows["position"]), k) for k, rows in enumerate(found)])
     longest = max(pieces, key=lambda piece: piece.n_samples)
-    variance = np.array([noise(longest.position[:, j]) ** 2 for j in range(log.n)])
+    variance = np.array([white_noise(longest.position[:, j]) ** 2 for j in range(log.n)])
     shares = _passed(cutoff_hz, log.rate_hz)
     return Tracking(
         **signals,

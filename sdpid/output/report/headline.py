@@ -15,7 +15,7 @@ from sdpid.assurance.diagnostics.held_out import (
     LEAST_SQUARES,
     OURS,
 )
-from sdpid.experiment.processing.delays.on_time import ON_TIME
+from sdpid.experiment.processing.on_time import ON_TIME
 from sdpid.output.report.grades import Grade
 from sdpid.output.report.kinds import GOES, LEVELS, percent
 from sdpid.output.report.subject import NEGLIGIBLE, Judged, Subject

@@ -33,7 +33,7 @@ from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.plant.legged.truth import changed_parameters
 from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from sdpid.workflow import formulate

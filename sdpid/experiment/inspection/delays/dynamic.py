@@ -18,9 +18,9 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.inspection.delays.kinematic import Delay, block_error, on_legs
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
-from sdpid.experiment.processing.delays.on_time import on_time
+from sdpid.experiment.processing.contact_samples import TRANSMITS
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
+from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing

@@ -24,8 +24,8 @@ from sdpid.experiment.inspection.delays.kinematic import (
     pooled,
     pose_against_joints,
 )
-from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
-from sdpid.experiment.processing.delays.on_time import on_time
+from sdpid.experiment.processing.contact_samples import TRANSMITS
+from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.processing.base import angle_noise, body_rate, into_body, unit
 from sdpid.experiment.processing.filters import (
     BAND_OVER_RATE,
     Weights,
@@ -16,9 +17,8 @@ from sdpid.experiment.processing.filters import (
     low_pass,
     stencil,
 )
-from sdpid.experiment.processing.floating.feet import near
-from sdpid.experiment.processing.floating.quieter import angle_noise, white_noise
-from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.processing.motion import white_noise
+from sdpid.experiment.processing.pipeline import near
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -87,7 +87,7 @@ class Smooth:
             return None
         return cls(
             low_pass=found,
-            weights=stencil("central4", cutoff_over_rate=cutoff * step),
+            weights=stencil("central4"),
             step=step,
             cutoff_hz=cutoff,
             inner=slice(2 * found.reach, log.n_samples - 2 * found.reach),

@@ -9,14 +9,15 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
-from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.processing.contact_samples import ContactSamples
+from sdpid.experiment.processing.pipeline import Pipeline, near
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.uniform_grid import Grid
 
 
 def feet_of(
-    contacts: Contacts, on_grid: OnGrid, processing: Processing
+    contacts: Contacts, pipeline: Pipeline, processing: Processing
 ) -> tuple[ContactSamples, Mask, list[str]]:
     """Return the contacts at the kept samples.
 
@@ -27,7 +28,7 @@ def feet_of(
     ----------
     contacts : Contacts
         As they were recorded.
-    on_grid : OnGrid
+    pipeline : Pipeline
         Grid, filter and window.
     processing : Processing
         By how much flags may be late or early, whether samples around landings are clear, and
@@ -47,13 +48,13 @@ def feet_of(
     DataError
         When forces are to be measurements, and none were recorded.
     """
-    step, reach = on_grid.grid.step, on_grid.chain.low_pass.reach
+    step, reach = pipeline.grid.step, pipeline.low_pass.reach
     margin_s, impact_s = processing.contact_margin_s, processing.impact_s
     wrench = _wrenches(contacts)
     on_ground = contacts.closed
-    down = on_grid.read_flags(on_ground)
+    down = _on_grid(on_ground, pipeline.grid)
     wide = near(down, reach + round(margin_s / step))
-    kept_down = on_grid.kept(wide)
+    kept_down = pipeline.kept(wide)
     filtered = covariance = None
     # What holds a base without a sensor is eliminated beside forces that are measured.
     held = contacts.kind == ("plane",) and bool(on_ground.all())
@@ -63,13 +64,13 @@ def feet_of(
                 "contact_force_std: the recording has no contact forces; leave it out, and they "
                 "are eliminated, or give contacts.forces or contacts.wrenches."
             )
-        filtered = on_grid.kept(on_grid.filtered(on_grid.read(wrench)))
+        filtered = pipeline.kept(pipeline.low_pass.whole(pipeline.whole(wrench)))
         covariance = _covariance(contacts, processing)
     clear: Mask = np.ones(len(kept_down), dtype=np.bool_)
-    notes = [_share_note(contacts, on_grid.kept(down), kept_down, reach * step + margin_s)]
+    notes = [_share_note(contacts, pipeline.kept(down), kept_down, reach * step + margin_s)]
     if impact_s is not None:
         landing = _landings(down)
-        beside: Mask = on_grid.kept(near(landing, reach + round(impact_s / step)))
+        beside: Mask = pipeline.kept(near(landing, reach + round(impact_s / step)))
         share, count = 100.0 * float(beside.mean()), int(landing.sum())
         of_them = f"within {1e3 * impact_s:.3g} ms and the filter's memory of {count} landings"
         if beside.mean() > 1.0 - processing.kept_share:
@@ -120,11 +121,14 @@ def _landings(down: Mask) -> Mask:
     return found
 
 
-def near(flags: Mask, reach: int) -> Mask:
-    """Return whether each column of flags (M, c) is set at most `reach` samples away."""
-    count = np.cumsum(np.pad(flags, ((reach + 1, reach), (0, 0))), axis=0)
-    around: Mask = count[2 * reach + 1 :] != count[: -2 * reach - 1]
-    return around
+def _on_grid(flags: Mask, grid: Grid) -> Mask:
+    """Return flags (N, c) at all grid points: set where that of either neighbor is set."""
+    if grid.stamps is None:
+        return flags[: grid.count]
+    wanted = grid.origin + grid.step * np.arange(grid.count)
+    after = np.clip(np.searchsorted(grid.stamps, wanted), 1, len(grid.stamps) - 1)
+    either: Mask = flags[after - 1] | flags[after]
+    return either
 
 
 def _wrenches(contacts: Contacts) -> Array | None:

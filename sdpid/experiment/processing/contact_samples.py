@@ -63,7 +63,7 @@ class ContactSamples:
 
     Examples
     --------
-    >>> from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+    >>> from sdpid.experiment.processing.contact_samples import ContactSamples
     >>> feet = ContactSamples(frames=["left_foot", "right_foot"], kind="point",
     ...                       offset=(0.0, 0.0, -0.02), down=np.ones((100, 2), dtype=bool))
     >>> feet

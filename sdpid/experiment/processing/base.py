@@ -1,0 +1,375 @@
+"""States of a floating base, from an IMU, a twist or a pose, and its contacts beside the joints'.
+
+The base's own velocity is never needed: seen from a frame that moves along with it at one instant,
+all accelerations are the same (Galilei). In that frame it is zero, and the spatial acceleration of
+Pinocchio is the classical one. What is filtered is the specific force (acceleration less gravity,
+which is what an accelerometer measures) and the angular velocity, both in body axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen_view
+from sdpid.errors import DataError
+from sdpid.experiment.processing.feet import feet_of
+from sdpid.experiment.processing.filters import reflected
+from sdpid.experiment.processing.motion import white_noise
+from sdpid.experiment.processing.pipeline import Pipeline
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import BaseSource, Processing
+from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.recording import Recording
+
+# Velocity coordinates of a floating base, as Pinocchio and a loaded robot call them.
+BASE_NAMES = tuple(f"root_joint/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz"))
+# Where no robot says another: that of `load_robot`, m/s².
+GRAVITY = (0.0, 0.0, -9.81)
+# Below this sine of half an angle its logarithm is taken from the series.
+_SMALL = 1e-6
+
+
+def require_finite(log: Recording, processing: Processing) -> None:
+    """Refuse what is not known of recordings with a base.
+
+    Raises
+    ------
+    DataError
+        For a filter of unlimited memory, periods, and gains of drives.
+    """
+    if processing.filter != "finite":
+        raise DataError(
+            f"filter: is '{processing.filter}', whose memory has no end; a recording with a base "
+            "needs 'finite': behind another filter a foot that is in the air still carries what it "
+            "carried on the ground."
+        )
+    if log.period is not None:
+        raise DataError(
+            "period: a recording with a base has none: where a robot walks, no period repeats the "
+            "one before; leave the period out."
+        )
+    if log.gains is not None:
+        raise DataError(
+            "gains: errors of drive gains are not known for recordings with a base; read them "
+            "with torques (currents times gains)."
+        )
+
+
+def with_base(
+    joints: Samples,
+    log: Recording,
+    pipeline: Pipeline,
+    processing: Processing,
+    gravity: Sequence[float] = GRAVITY,
+) -> Samples:
+    """Return samples of a floating robot, made of those of its joints.
+
+    Parameters
+    ----------
+    joints : Samples
+        Of the joints alone, (K, n).
+    log : Recording
+        A piece without gaps, with a base.
+    pipeline : Pipeline
+        What the joints passed.
+    processing : Processing
+        Where accelerations are from, and what becomes of contacts.
+    gravity : sequence of 3 floats
+        In world axes, m/s².
+
+    Returns
+    -------
+    Samples
+        In Pinocchio's order: position (K, 7 + n), the rest (K, 6 + n). The base's rows are used:
+        nothing drives it, so that its efforts are zero.
+    """
+    assert log.base is not None
+    states, note = base_states(log.base, pipeline, np.array(gravity), processing.base_motion)
+    states["effort"] = np.zeros((joints.n_samples, len(BASE_NAMES)))
+    mask, contacts, notes = joints.mask, None, [*joints.notes, note]
+    if mask is not None:
+        mask = np.pad(mask, ((0, 0), (len(BASE_NAMES), 0)), constant_values=True)
+    if log.contacts is not None:
+        contacts, clear, told = feet_of(log.contacts, pipeline, processing)
+        notes += told
+        if not clear.any():
+            raise DataError(
+                f"impact_s: {processing.impact_s:g} s around landings leave no sample; make "
+                "it shorter, or leave it out (None)."
+            )
+        if not clear.all():
+            every = np.ones((joints.n_samples, len(BASE_NAMES) + joints.n), dtype=np.bool_)
+            mask = (every if mask is None else mask) & clear[:, None]
+    wide = joints.wide
+    if wide is not None:
+        speeds = [np.pad(each.velocity, ((0, 0), (len(BASE_NAMES), 0))) for each in wide]
+        wide = tuple(
+            replace(each, velocity=frozen_view(speed))
+            for each, speed in zip(wide, speeds, strict=True)
+        )
+    tables: dict[str, Any] = {
+        name: np.hstack([table, getattr(joints, name)]) for name, table in states.items()
+    }
+    return replace(
+        joints,
+        **tables,
+        mask=mask,
+        joint_names=joints.joint_names and (*BASE_NAMES, *joints.joint_names),
+        notes=tuple(notes),
+        wide=wide,
+        contacts=contacts,
+    )
+
+
+def base_states(
+    base: BaseMotion, pipeline: Pipeline, gravity: Array, wanted: BaseSource = "auto"
+) -> tuple[dict[str, Array], str]:
+    """Return the filtered states of a base at the kept samples, in body axes, and their source.
+
+    Parameters
+    ----------
+    base : BaseMotion
+        As it was recorded.
+    pipeline : Pipeline
+        Grid, filter and window.
+    gravity : (3,) ndarray
+        In world axes, m/s².
+    wanted : {"auto", "imu", "twist", "pose"}
+        What accelerations are from. ``"auto"`` takes the IMU where there is one, else what has the
+        less noise of velocities and pose; the angular and the linear part each by itself.
+
+    Returns
+    -------
+    dict of (K, ...) ndarray
+        Position in m, zero where it was not recorded, and quaternion x, y, z, w, base to world;
+        velocity, of which the linear part is zero, and acceleration, in m/s², rad/s and rad/s².
+    str
+        What they are from.
+
+    Raises
+    ------
+    DataError
+        When what is wanted was not recorded.
+    """
+    smooth = pipeline.low_pass.whole
+    raw = unit(pipeline.whole(base.orientation))
+    orientation = unit(smooth(raw))
+    source, rate = _angular(base, pipeline, raw, wanted)
+    linear_source, force = _specific_force(base, pipeline, orientation, rate, gravity, wanted)
+    smooth_rate = smooth(rate)
+    acceleration = smooth(force) + into_body(orientation, gravity)
+    place = np.zeros((len(raw), 3))
+    if base.position is not None:
+        place = smooth(pipeline.whole(base.position))
+    states = {
+        "position": [place, orientation],
+        "velocity": [np.zeros_like(smooth_rate), smooth_rate],
+        "acceleration": [acceleration, _rate(pipeline, smooth_rate)],
+    }
+    kept = {name: pipeline.kept(np.hstack(parts)) for name, parts in states.items()}
+    return kept, f"accelerations of the base: linear from {linear_source}, angular from {source}"
+
+
+def _angular(
+    base: BaseMotion, pipeline: Pipeline, raw: Array, wanted: BaseSource
+) -> tuple[str, Array]:
+    """Return the source and the angular velocity (M, 3) in body axes, not filtered."""
+    imu = base.imu
+    if wanted in ("auto", "imu") and imu is not None and imu.gyroscope is not None:
+        return "the gyroscope", pipeline.whole(imu.gyroscope) @ np.asarray(imu.rotation).T
+    told = ""
+    if wanted in ("auto", "imu", "twist") and base.angular_velocity is not None:
+        rate = pipeline.whole(base.angular_velocity)
+        chosen = True
+        if wanted != "twist":
+            chosen, told = quieter(pipeline, rate, angle_noise(raw), "rad/s²")
+        if chosen:
+            if base.velocity_frame == "world":
+                rate = into_body(raw, rate)
+            return f"the recorded angular velocity{told}", rate
+    if wanted == "twist":
+        raise DataError(
+            "base_motion: is 'twist', and the recording has no angular velocity of the base; use "
+            "'pose' or 'auto'."
+        )
+    weights = pipeline.differences.first
+    return f"the orientation{told}", body_rate(raw, weights, pipeline.grid.step)
+
+
+def _specific_force(
+    base: BaseMotion,
+    pipeline: Pipeline,
+    orientation: Array,
+    rate: Array,
+    gravity: Array,
+    wanted: BaseSource,
+) -> tuple[str, Array]:
+    """Return the source and the specific force (M, 3) at the base's origin, not filtered."""
+    imu = base.imu
+    if wanted in ("auto", "imu") and imu is not None and imu.accelerometer is not None:
+        lever = np.asarray(imu.translation)
+        measured = pipeline.whole(imu.accelerometer) @ np.asarray(imu.rotation).T
+        turning = np.cross(rate, np.cross(rate, lever))
+        return "the accelerometer", measured - np.cross(_rate(pipeline, rate), lever) - turning
+    if wanted == "imu":
+        raise DataError(
+            "base_motion: is 'imu', and the recording has no accelerometer; give base.imu, or use "
+            "'twist', 'pose' or 'auto'."
+        )
+    told = ""
+    if wanted in ("auto", "twist") and base.linear_velocity is not None:
+        velocity = pipeline.whole(base.linear_velocity)
+        chosen = True
+        if wanted == "auto" and base.position is not None:
+            place = white_noise(pipeline.whole(base.position))
+            chosen, told = quieter(pipeline, velocity, place, "m/s²")
+        if chosen:
+            source = f"the recorded linear velocity{told}"
+            if base.velocity_frame == "base":
+                own = _rate(pipeline, velocity) + np.cross(rate, velocity)
+                return source, own - into_body(orientation, gravity)
+            return source, into_body(orientation, _rate(pipeline, velocity) - gravity)
+    if wanted == "twist" or base.position is None:
+        lacks = "linear velocity" if wanted == "twist" else "accelerometer, velocity or position"
+        raise DataError(
+            f"base_motion: is '{wanted}', and the recording has no {lacks} of the base; its linear "
+            "acceleration is not known. Record one of them."
+        )
+    position = pipeline.whole(base.position)
+    return f"the position{told}", into_body(orientation, _second(pipeline, position) - gravity)
+
+
+def _rate(pipeline: Pipeline, values: Array) -> Array:
+    """Return the derivative of channels (M, c), their ends continued by point reflection."""
+    margin = pipeline.differences.margin
+    extended = reflected(values, margin, margin)
+    return pipeline.differences.velocity(extended, pipeline.grid.step)
+
+
+def _second(pipeline: Pipeline, values: Array) -> Array:
+    """Return the second derivative of channels (M, c), their ends continued likewise."""
+    margin = pipeline.differences.margin
+    extended = reflected(values, margin, margin)
+    return pipeline.differences.acceleration(extended, pipeline.grid.step)
+
+
+def quieter(pipeline: Pipeline, velocity: Array, pose_noise: float, unit: str) -> tuple[bool, str]:
+    """Return whether the velocity tells accelerations with less noise, and both noises in words.
+
+    White noise of a channel is seen in its fourth differences, which hardly pass motion. Its share
+    of the acceleration is what differences and filter make of it: a position is differentiated
+    twice, a velocity once, so that the worse sensor may still be the better source.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Differences and filter.
+    velocity : (M, 3) ndarray
+        As it was recorded.
+    pose_noise : float
+        Of a position in m, or of an angle in rad: rms in a sample (`white_noise`, `angle_noise`).
+    unit : str
+        Of the acceleration.
+    """
+    # As long as the filter sees at least, and its differences.
+    around = 2 * pipeline.low_pass.reach + 2 * pipeline.differences.margin
+    impulse = np.zeros((2 * around + 1, 1))
+    impulse[around] = 1.0
+    once, twice = (
+        float(np.linalg.norm(pipeline.low_pass.whole(differentiated(pipeline, impulse))))
+        for differentiated in (_rate, _second)
+    )
+    of_velocity, of_pose = white_noise(velocity) * once, pose_noise * twice
+    chosen = of_velocity < of_pose
+    less, more = sorted((of_velocity, of_pose))
+    other = "the pose" if chosen else "the recorded velocity"
+    return chosen, f" (noise of {less:.2g} {unit}, from {other} {more:.2g})"
+
+
+def angle_noise(quaternions: Array) -> float:
+    """Return the white noise of unit quaternions (M, 4) as an angle about each axis, rad."""
+    # A turn by a small angle moves a quaternion by half of it: four channels share three angles.
+    return 2.0 * float(np.sqrt(4.0 / 3.0)) * white_noise(quaternions)
+
+
+def base_limit(base: BaseMotion, rate_hz: float, share: float, wanted: str = "auto") -> float:
+    """Return the frequency in Hz up to which noise in a base's acceleration is at most a share.
+
+    White noise of s m in a sample of the position, differentiated twice, has the power
+    3·(2π)⁴·s²·2·f⁵/(5·rate) below f, in m²/s⁴ of three axes; of s m/s of a velocity
+    3·(2π)²·s²·2·f³/(3·rate). The share is that of gravity's power. The quietest of what
+    accelerations may be from (`wanted`, see `base_states`) decides; infinite with an accelerometer,
+    or without noise.
+    """
+    if wanted in ("auto", "imu") and base.imu is not None and base.imu.accelerometer is not None:
+        return np.inf
+    limits = []
+    for source, table, order in (
+        ("twist", base.linear_velocity, 1),
+        ("pose", base.position, 2),
+    ):
+        if table is not None and wanted in ("auto", source):
+            slope = 2 * order + 1
+            power = 3.0 * (2.0 * np.pi) ** (2 * order) * white_noise(table) ** 2 * 2.0
+            power /= slope * rate_hz
+            limit = (share * GRAVITY[2] ** 2 / power) ** (1.0 / slope) if power > 0.0 else np.inf
+            limits.append(float(limit))
+    return max(limits, default=np.inf)
+
+
+def unit(quaternions: Array) -> Array:
+    """Return quaternions (M, 4) scaled to length one."""
+    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
+
+
+def into_body(quaternions: Array, vectors: Array) -> Array:
+    """Return vectors (M, 3) or (3,) in body axes, given in world axes."""
+    axis, w = -quaternions[:, :3], quaternions[:, 3:]
+    twice = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + w * twice + np.cross(axis, twice))
+
+
+def body_rate(quaternions: Array, weights: Array, step: float) -> Array:
+    """Return the angular velocity (M, 3) in body axes, rad/s.
+
+    A central difference whose terms are the logarithms of the rotations between the two samples of
+    each pair, so that no component of a quaternion is differentiated. The ends repeat the outermost
+    value.
+
+    Parameters
+    ----------
+    quaternions : (M, 4) ndarray
+        Orientations, body to world.
+    weights : (2 m + 1,) ndarray
+        Of a first derivative at unit step, odd.
+    step : float
+        Distance of two samples, s.
+    """
+    margin = weights.size // 2
+    inner = len(quaternions) - 2 * margin
+    rate = np.zeros((inner, 3))
+    for lag in range(1, margin + 1):
+        before = quaternions[margin - lag : margin - lag + inner]
+        after = quaternions[margin + lag : margin + lag + inner]
+        rate += weights[margin + lag] * _logarithm(_between(before, after))
+    return np.pad(rate / step, ((margin, margin), (0, 0)), mode="edge")
+
+
+def _between(a: Array, b: Array) -> Array:
+    """Return the rotations from `a` to `b`, in the axes of `a`: conj(a)·b."""
+    vector = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(a[:, :3], b[:, :3])
+    scalar = np.einsum("ki,ki->k", a, b)
+    return np.concatenate([vector, scalar[:, None]], axis=1)
+
+
+def _logarithm(q: Array) -> Array:
+    """Return rotation vectors (M, 3) of quaternions, of at most half a turn."""
+    q = np.where(q[:, 3:] < 0.0, -q, q)
+    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[:, 3:])
+    scale = np.where(sine > _SMALL, angle / np.maximum(sine, _SMALL), 2.0)
+    return np.asarray(scale * q[:, :3])

@@ -1,1 +1,0 @@
-"""Contacts of a robot with its surroundings, sample by sample."""

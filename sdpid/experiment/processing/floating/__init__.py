@@ -1,1 +1,0 @@
-"""Process a recording with a floating base: its accelerations, and contacts within the filter."""

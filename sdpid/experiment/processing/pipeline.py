@@ -1,0 +1,484 @@
+"""From the channels of a record without gaps to states and efforts: the filter of `process`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import Array, Mask, frozen_view
+from sdpid.errors import DataError
+from sdpid.experiment.processing.filters import (
+    BAND_OVER_RATE,
+    Weights,
+    ZeroPhaseFilter,
+    low_pass,
+    reflected,
+)
+from sdpid.experiment.processing.samples import WideVelocity
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.rest import AT_REST
+from sdpid.experiment.recording.uniform_grid import Grid, make_grid
+
+# Without periods the signals beyond the ends are guessed; the guess decays exponentially.
+# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
+# the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what
+# any model of these robots misses; 10 left 2e-4 and 5e-5 and would cost a third of a record of
+# two seconds at 10 Hz.
+_TRIM_TIME_CONSTANTS = 5.0
+# Periods of a settled periodic motion repeat to a per cent or so; with a wrong period they
+# differ by as much as the joint moves. Below a hundredth of a radian it does not matter.
+_PERIOD_SPREAD = 0.2
+_PERIOD_SPREAD_FLOOR = 0.01
+# decimation=None: the paper keeps ten samples per period of the cut-off frequency.
+_RATE_OVER_CUTOFF = 10.0
+# The band of the velocity of friction columns, in cut-offs of the efforts' filter, and the least
+# rate at which it is sampled: 20 samples a period of its own cut-off. Four times the band leaves a
+# reversal at its time and an encoder's noise out.
+_WIDE_BAND = 4.0
+_WIDE_RATE_OVER_CUTOFF = 80.0
+# Records without periods are filtered in pieces of this many samples, to save memory.
+CHUNK = 1 << 18
+# Decoding and filtering let other threads run, but each holds some copies of a period.
+_MOST_THREADS = 4
+# The efforts of all periods are kept up to this many bytes, for a bootstrap over periods; more
+# would make the memory grow with the length of the record.
+_MOST_KEPT = 1 << 27
+
+
+class TooShortError(DataError):
+    """Raised when a record is too short to be filtered."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pipeline:
+    """How each channel of a record without gaps is read, filtered, averaged and decimated.
+
+    Kept are `periods` stretches of `length` grid points from `first` on, one after the other.
+
+    Attributes
+    ----------
+    grid : Grid
+        The uniform grid of the record.
+    first, length, periods : int
+        Where the first stretch begins, how long each is, and how many there are.
+    circular : bool
+        True for a periodic record, which continues at either end of the stretches with its other
+        end; False for one that is continued by point reflection at the ends of the record.
+    low_pass : ZeroPhaseFilter
+        The filter; a pass is forward and backward.
+    differences : Weights
+        Central differences.
+    decimation : int
+        One sample in `decimation` is kept.
+    passes : int
+        Zero-phase passes over a signal that is to be differentiated, 1 or 2. What is kept as it
+        is (position, torque, a measured velocity) always gets 1.
+    masked : int
+        How many samples around a slow one are masked.
+    margin : int
+        Samples on either side that differences and mask need.
+    """
+
+    grid: Grid
+    first: int
+    length: int
+    periods: int
+    circular: bool
+    low_pass: ZeroPhaseFilter
+    differences: Weights
+    decimation: int
+    passes: int
+    masked: int
+    margin: int
+
+    @staticmethod
+    def of(log: Recording, processing: Processing) -> Pipeline:
+        """Return what settings make of a record without gaps.
+
+        Raises
+        ------
+        TooShortError
+            When nothing is left between the trimmed ends.
+        DataError
+            When time stamps cannot be made regular, or periods lack samples.
+        """
+        grid = make_grid(log, processing.timing)
+        rate, cutoff = 1.0 / grid.step, processing.cutoff_hz
+        low_pass, differences = processing.low_pass(rate), processing.stencil()
+        circular = log.period_layout is not None
+        if log.period_layout is not None:
+            first, length, periods = log.period_layout
+            if first + length * periods > grid.count:
+                raise DataError(
+                    f"periods: {periods} periods of {length} samples from sample {first} on need "
+                    f"{first + length * periods} samples, there are {grid.count}: samples were "
+                    "lost; use timing='resample'."
+                )
+        else:
+            first, periods = math.ceil(_TRIM_TIME_CONSTANTS * low_pass.time_constant), 1
+            if processing.trim_s is not None:
+                first = round(processing.trim_s / grid.step)
+            length = grid.count - 2 * first
+        if length < 1:
+            raise TooShortError(
+                f"time: the record lasts {log.duration:.4g} s, and {first * grid.step:.4g} s are "
+                f"cut off at either end (memory of the filter at {cutoff:g} Hz: "
+                f"{low_pass.time_constant * grid.step:.3g} s); record longer, raise cutoff_hz, or "
+                "set trim_s."
+            )
+        fitting = math.floor(1.0 / (grid.step * _RATE_OVER_CUTOFF * cutoff) + 1e-9)
+        masked = math.floor((processing.reversal_time or 0.0) / grid.step + 1e-9)
+        return Pipeline(
+            grid=grid,
+            first=first,
+            length=length,
+            periods=periods,
+            circular=circular,
+            low_pass=low_pass,
+            differences=differences,
+            decimation=processing.decimation or max(1, fitting),
+            passes=1 if processing.filter_alike else 2,
+            masked=masked,
+            # A reversal just outside masks rows inside (a change of sign shows one sample further
+            # out); a periodic record has no outside.
+            margin=differences.margin + (0 if circular else masked + 1),
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of samples that are kept."""
+        return len(range(0, self.length, self.decimation))
+
+    def kept(self, signal: NDArray[Any]) -> Any:
+        """Return the kept samples of a signal (M, ...) with margins of equal length at its ends."""
+        margin = (len(signal) - self.length) // 2
+        return np.ascontiguousarray(signal[margin : margin + self.length : self.decimation])
+
+    def whole(self, table: Array) -> Array:
+        """Return channels (N, ...) at all grid points, (M, ...)."""
+        flat = np.asarray(table, dtype=np.float64).reshape(len(table), -1)
+        columns = [self.grid.read(np.ascontiguousarray(c), 0, self.grid.count) for c in flat.T]
+        return np.stack(columns, axis=1).reshape(-1, *table.shape[1:])
+
+    def parts(self) -> Iterator[Pipeline]:
+        """Yield what keeps consecutive parts of about `CHUNK` samples; periods are not parted."""
+        size = self.length
+        if not self.circular:
+            size = max(1, CHUNK // self.decimation) * self.decimation
+        for first in range(0, self.length, size):
+            length = min(size, self.length - first)
+            yield replace(self, first=self.first + first, length=length)
+
+    def read(self, column: Array, period: int) -> Array:
+        """Return a stretch of a channel (N,), with what filter and margin need on either side.
+
+        Points of the neighborhood are those recorded, where all of them were; else the record is
+        continued as `circular` says.
+        """
+        pad = self.low_pass.reach + self.margin
+        start = self.first + period * self.length
+        stop = start + self.length
+        low, high, count = start - pad, stop + pad, self.grid.count
+        if not self.circular:
+            inner = self.grid.read(column, max(low, 0), min(high, count))
+            return reflected(inner, max(0, -low), max(0, high - count))
+        left = self._wrapped(column, low, start) if low < 0 else []
+        right = self._wrapped(column, stop, high) if high > count else []
+        middle = self.grid.read(column, start if left else low, stop if right else high)
+        return np.concatenate([*left, middle, *right])
+
+    def _wrapped(self, column: Array, low: int, high: int) -> list[Array]:
+        """Return grid points that lie outside the periods from inside them, cyclically."""
+        total = self.periods * self.length
+        parts = []
+        while low < high:
+            begin = (low - self.first) % total
+            end = min(total, begin + high - low)
+            parts.append(self.grid.read(column, self.first + begin, self.first + end))
+            low += end - begin
+        return parts
+
+    def once(self, column: Array, period: int) -> Array:
+        """Return a stretch of a channel with its margins, filtered once."""
+        return self._inner(self.low_pass.apply(self.read(column, period)))
+
+    def mean(self, column: Array) -> tuple[Array, Array, float]:
+        """Return the averages after one and after `passes` passes, and the periods' spread.
+
+        The averages still have their margins; with one pass they are the same array. Averaging
+        commutes with the filter, so only averages are filtered. The spread is the rms deviation of
+        the unfiltered periods from their mean: at least as large as that of the filtered ones,
+        which `spread` returns.
+        """
+        signal, squares = self.read(column, 0), 0.0
+        inner = slice(pad := self.low_pass.reach + self.margin, pad + self.length)
+        for p in range(1, self.periods):
+            change = self.read(column, p) - signal
+            squares += p / (p + 1) * float(np.dot(change[inner], change[inner]))
+            change /= p + 1
+            signal = signal + change
+        once = signal = self.low_pass.apply(signal)
+        for _ in range(self.passes - 1):
+            signal = self.low_pass.apply(signal)
+        spread = math.sqrt(squares / (self.periods * self.length))
+        return self._inner(once), self._inner(signal), spread
+
+    def spread(self, column: Array) -> float:
+        """Return the rms deviation of the kept samples, filtered, from their mean over periods."""
+        kept = np.array([self.kept(self.once(column, p)) for p in range(self.periods)])
+        kept -= kept.mean(axis=0)
+        return float(np.sqrt(np.mean(kept**2)))
+
+    def _inner(self, signal: Array) -> Array:
+        """Return a signal without what the filter alone needed on either side."""
+        return signal[self.low_pass.reach : len(signal) - self.low_pass.reach]
+
+    def tables(
+        self,
+        n: int,
+        made: Callable[[Pipeline, int], tuple[NDArray[Any], ...]],
+        advance: Callable[[int], object] = lambda _: None,
+    ) -> tuple[Any, ...]:
+        """Return what is made of n channels, part by part, as tables (K, n).
+
+        Parameters
+        ----------
+        n : int
+            How many channels there are.
+        made : callable
+            Of one of the `parts` and the number of a channel; returns one (k,) array a table.
+        advance : callable, optional
+            Told the number of channels that are done.
+        """
+
+        def columns(j: int) -> list[NDArray[Any]]:
+            parts = [made(part, j) for part in self.parts()]
+            advance(1)
+            return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+        found = in_threads(columns, n)
+        return tuple(np.stack(table, axis=1) for table in zip(*found, strict=True))
+
+
+def in_threads(action: Callable[[int], Any], count: int) -> list[Any]:
+    """Return ``[action(i) for i in range(count)]``, computed on up to four cores."""
+    workers = min(_MOST_THREADS, count, _cores())
+    if workers <= 1:
+        return [action(i) for i in range(count)]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(action, range(count)))
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def states_of(
+    log: Recording,
+    pipeline: Pipeline,
+    processing: Processing,
+    *,
+    repeats: bool = True,
+    advance: Callable[[int], object] = lambda _: None,
+) -> dict[str, Any]:
+    """Filter and differentiate the positions of a record without gaps.
+
+    Filtering a derivative is differentiating what was filtered, and averaging commutes with
+    both. So no derivative is filtered: only averages are differentiated, of the position after
+    as many passes as its derivatives are to have.
+
+    Parameters
+    ----------
+    log : Recording
+        The record.
+    pipeline : Pipeline
+        Of this record or of another one with the same time stamps.
+    processing : Processing
+        The settings.
+    repeats : bool, optional
+        Whether periods that do not look alike are refused.
+    advance : callable, optional
+        Told the number of joints that are done.
+
+    Returns
+    -------
+    dict
+        Fields of `Samples`: position, velocity, acceleration, mask and wide.
+
+    Raises
+    ------
+    DataError
+        When periods do not look alike.
+    """
+    differences, step = pipeline.differences, pipeline.grid.step
+    measured = log.velocity if processing.velocity == "measured" else None
+
+    def states(part: Pipeline, j: int) -> tuple[NDArray[Any], ...]:
+        once, last, spread = part.mean(log.position[:, j])
+        if repeats:
+            _check_repeats(log, part, j, last, spread)
+        if measured is None:
+            velocity = differences.velocity(last, step)
+            acceleration = differences.acceleration(last, step)
+        else:
+            signal, last, _ = part.mean(measured[:, j])
+            velocity = _without(signal, differences.margin)
+            acceleration = differences.velocity(last, step)
+        speed = processing.reversal_speed
+        slow = near(_slow(velocity, speed, part.circular), part.masked, circular=part.circular)
+        return tuple(part.kept(each) for each in (once, velocity, acceleration, ~slow))
+
+    position, velocity, acceleration, mask = pipeline.tables(log.n, states, advance)
+    # Noise of a joint at rest would be scaled up like any other motion.
+    resting = np.ptp(position, axis=0) <= AT_REST
+    velocity[:, resting] = acceleration[:, resting] = 0.0
+    wide = None
+    if processing.filter_friction:
+        wide = (_wide_velocity(log, pipeline, processing, resting),)
+    return {
+        "position": position,
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "mask": None if processing.reversal_time is None else mask,
+        "wide": wide,
+    }
+
+
+def _check_repeats(log: Recording, part: Pipeline, j: int, last: Array, spread: float) -> None:
+    """Raise when the periods of a joint do not look alike."""
+    motion = float(np.std(last))
+    limit = max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR)
+    # What the filter removes does not count, but that is only looked at where it matters.
+    if spread > limit and (spread := part.spread(log.position[:, j])) > limit:
+        raise DataError(
+            f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
+            f"by {spread:.3g} rad (rms) where the mean period moves by {motion:.3g} rad (rms), "
+            f"limit {100 * _PERIOD_SPREAD:g} %. Check period ({log.period:g} s) and start, and "
+            "leave out periods before the motion has settled."
+        )
+
+
+def _without(signal: Array, margin: int) -> Array:
+    """Return a signal without a margin at either end."""
+    return signal[margin : len(signal) - margin]
+
+
+def _wide_velocity(
+    log: Recording, pipeline: Pipeline, processing: Processing, resting: Mask
+) -> WideVelocity:
+    """Return the wide velocity of a record, zero for joints at rest: their noise has no sign."""
+    rate, cutoff = 1.0 / pipeline.grid.step, processing.cutoff_hz
+    differences = pipeline.differences
+    band = min(_WIDE_BAND * cutoff, max(BAND_OVER_RATE * rate, cutoff))
+    most = max(rate / (_WIDE_RATE_OVER_CUTOFF * cutoff), 1.0)
+    decimation = pipeline.decimation
+    stride = max(d for d in range(1, decimation + 1) if decimation % d == 0 and d <= most)
+    filter_of_efforts = processing.low_pass(rate / stride)
+    lead = filter_of_efforts.lead
+    more = 0 if pipeline.circular else lead * stride
+    wide = replace(
+        pipeline,
+        first=pipeline.first - more,
+        length=pipeline.length + 2 * more,
+        low_pass=low_pass(processing.filter, band, processing.order, rate),
+        decimation=stride,
+        passes=1,
+        margin=differences.margin,
+    )
+    measured = log.velocity if processing.velocity == "measured" else None
+
+    def speed(part: Pipeline, j: int) -> tuple[Array]:
+        if measured is None:
+            smooth = part.mean(log.position[:, j])[0]
+            return (part.kept(differences.velocity(smooth, part.grid.step)),)
+        return (part.kept(_without(part.mean(measured[:, j])[0], differences.margin)),)
+
+    (velocity,) = wide.tables(log.n, speed)
+    velocity[:, resting] = 0.0
+    if pipeline.circular:
+        velocity = np.pad(velocity, ((lead, lead), (0, 0)), mode="wrap")
+    return WideVelocity(
+        velocity=frozen_view(velocity),
+        step=pipeline.grid.step * stride,
+        low_pass=filter_of_efforts,
+        first=lead,
+        stride=decimation // stride,
+        count=pipeline.count,
+    )
+
+
+def efforts_of(
+    log: Recording, pipeline: Pipeline, *, covariance: bool = False
+) -> tuple[Array, Array | None, Array | None, list[str]]:
+    """Filter the efforts of a recording, and add up mean and covariance by Welford's recurrence.
+
+    Returns
+    -------
+    (K, n) ndarray
+        Their mean over the periods, in N·m.
+    (K, n, n) ndarray or None
+        Sigma_k of the paper's (11) [denso]_, of a rank of at most P - 1, if it is wanted.
+    (P, K, n) ndarray or None
+        All periods, where there are several and they take no more than 128 MiB.
+    list of str
+        Why they are not kept.
+    """
+    P, K, n = pipeline.periods, pipeline.count, log.n
+    size = 8 * P * K * n
+    periods = np.empty((P, K, n)) if P > 1 and size <= _MOST_KEPT else None
+    mean, squares = np.zeros((K, n)), np.zeros((K, n, n) if covariance else 0)
+    for p in range(P):
+
+        def effort(part: Pipeline, j: int, p: int = p) -> tuple[Array]:
+            return (part.kept(part.once(log.effort[:, j], p)),)
+
+        (values,) = pipeline.tables(n, effort)
+        change = values - mean
+        mean = mean + change / (p + 1) if p else values
+        if covariance and p:
+            squares += change[:, :, None] * change[:, None, :] * (p / (p + 1))
+        if periods is not None:
+            periods[p] = values
+    notes = []
+    if P > 1 and periods is None:
+        notes = [
+            f"efforts of the single periods not kept: they take {size / 1e6:.4g} MB, more than "
+            f"{_MOST_KEPT / 1e6:.4g} MB"
+        ]
+    return mean, squares / (P - 1) if covariance else None, periods, notes
+
+
+def _slow(velocity: Array, speed: float, circular: bool) -> Mask:
+    """Return which samples of a velocity (N,) are below a speed, or beside a change of sign."""
+    slow = np.abs(velocity) < speed
+    # A fast reversal may pass the slow band between two samples: both are then slow.
+    negative = np.signbit(velocity)
+    turns = negative[1:] != negative[:-1]
+    slow[1:] |= turns
+    slow[:-1] |= turns
+    if circular and negative[0] != negative[-1]:
+        slow[0] = slow[-1] = True
+    return np.asarray(slow)
+
+
+def near(flags: Mask, reach: int, *, circular: bool = False) -> Mask:
+    """Return whether flags (M,) or (M, c) are set at most `reach` samples away.
+
+    With `circular` the last sample is followed by the first.
+    """
+    reach = min(reach, len(flags))
+    rest = [(0, 0)] * (flags.ndim - 1)
+    around = np.pad(flags, [(reach, reach), *rest], mode="wrap" if circular else "constant")
+    count = np.pad(np.cumsum(around, axis=0), [(1, 0), *rest])
+    return np.asarray(count[2 * reach + 1 :] != count[: -2 * reach - 1])
