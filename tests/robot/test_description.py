@@ -466,12 +466,10 @@ def test_a_root_is_that_of_the_file() -> None:
 
 def test_a_file_that_includes_itself_is_refused(tmp_path: Path) -> None:
     path, other = tmp_path / "self.xml", tmp_path / "other.xml"
-    from sdpid.assurance.descriptions.audit import audit_urdf
-
     for name in ("self.xml", "other.xml"):
         path.write_text(f'<mujoco><include file="{name}"/></mujoco>')
         other.write_text('<mujoco><asset><model file="self.xml"/></asset></mujoco>')
-        for read in (sdpid.load_robot, audit_urdf):
+        for read in (sdpid.load_robot, sdpid.audit_urdf):
             refuses(ModelError, r"'self\.xml' includes itself", read, path)
 
 
@@ -489,7 +487,6 @@ SEVERAL = f'<replicate count="200" offset="1 0 0">{BODY * 50}</replicate>'
         '<asset><model name="m" file="many.xml"/></asset><worldbody><replicate count="9999" '
         'offset="1 0 0"><attach model="m" prefix="a"/></replicate></worldbody>',
     ],
-    ids=["bodies", "nested", "cells", "attached"],
 )
 def test_what_stands_for_too_much_is_refused(content: str, tmp_path: Path) -> None:
     (tmp_path / "many.xml").write_text(f"<mujoco><worldbody>{BODY}</worldbody></mujoco>")

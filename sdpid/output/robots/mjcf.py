@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +21,14 @@ from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
     RobotText,
+    child_of,
     source_text,
     standard_parameters,
-    tag,
 )
 from sdpid.robot.description.inertials import Inertial
 from sdpid.robot.description.mjcf import MjcfTendon, read_mjcf
 from sdpid.robot.description.origin import numbers, relative
-from sdpid.robot.description.xml import is_mjcf, is_xml, parse_xml
-from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, parse_xml
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -207,16 +207,15 @@ class Mjcf(RobotText):
         folder: Path | None = None,
         ours: bool = False,
     ) -> None:
-        super().__init__(robot, what)
+        super().__init__(robot, what, text)
         self.folder, self.ours = folder, ours
         self.cleared: list[str] = []
-        parse_xml(text, what)  # refuses document types, so that nothing is expanded below
+        self.root = parse_xml(text, what)
         try:
             found = read_mjcf(text, what, folder=folder)
         except ModelError as cause:
             raise ExportError(str(cause)) from None
         self.bodies, self._values, self._tendons = found.bodies, found.joint_values, found.tendons
-        self.document = Document(text)
         self.elements = self._elements()
         model = RobotModel.from_pinocchio(found.pin_model)
         names = {str(name): k for k, name in enumerate(found.pin_model.names) if k}
@@ -250,18 +249,17 @@ class Mjcf(RobotText):
             named = [k for k, b in enumerate(self.bodies) if b.name == root and b.carrier == 0]
             self._base = self._placements[named[0]] if named else self._base
 
-    def _elements(self) -> list[Element]:
+    def _elements(self) -> list[Any]:
         """Return the element of every compiled body, the world's in the first place."""
-        root = self.document.root
-        found = [e for world in root.find_all("worldbody") for e in _nested(world)]
-        names = [e.attributes.get("name", "") for e in found]
+        found = [e for world in self.root.findall("worldbody") for e in _nested(world)]
+        names = [e.get("name", "") for e in found]
         if names != [body.name for body in self.bodies[1:]]:
             raise ExportError(
                 f"{self.what}: MuJoCo finds {len(self.bodies) - 1} bodies, the text itself has "
                 f"{len(names)}, or others (it includes files, replicates or attaches, or merges "
                 "static bodies); save the compiled model as one file and give that."
             )
-        return [root, *found]
+        return [self.root, *found]
 
     def frame(self, link: int) -> Array:
         """Return the placement of a link's joint frame in that of the text's body."""
@@ -272,11 +270,9 @@ class Mjcf(RobotText):
 
     def write(self, body: int, inertial: Inertial) -> None:
         """Write the ``<inertial>`` of a body by number."""
-        markup = tag("inertial", inertial_values(inertial))
-        if (own := self.elements[body].find("inertial")) is None:
-            self.document.insert_child(self.elements[body], markup)
-        else:
-            self.document.replace(own, markup)
+        own = child_of(self.elements[body], "inertial")
+        own.attrib.clear()
+        own.attrib.update(inertial_values(inertial))
         self.changed.append(self.name(body))
 
     def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
@@ -299,58 +295,56 @@ class Mjcf(RobotText):
             if new:
                 steep = STEEP if new.get("frictionloss") else {}
                 text = {key: numbers(value) for key, value in new.items()}
-                self.document.set_attributes(self._joint(name, carrier), text | steep)
+                self._joint(name, carrier).attrib.update(text | steep)
                 self.joints_changed.append(name)
 
-    def _joint(self, name: str, body: int) -> Element:
+    def _joint(self, name: str, body: int) -> Any:
         """Return the element of a joint, which need not have a name."""
         elements = list(_own(self.elements[body], "joint"))
-        if len(elements) == 1 and elements[0].attributes.get("name", name) == name:
+        if len(elements) == 1 and elements[0].get("name", name) == name:
             return elements[0]
         raise ExportError(f"{self.what}: joint '{name}' is not written where its body is.")
 
     def write_tendons(self, tendons: Sequence[MjcfTendon], joint_names: Sequence[str]) -> None:
         """Write drives of two joints."""
-        lines = []
+        from lxml import etree
+
+        elements = []
         for each in tendons:
             name = "coupling_{}_{}".format(*(joint_names.index(joint) + 1 for joint in each.joints))
-            ends = (
-                tag("joint", {"joint": joint, "coef": numbers(factor)})
-                for joint, factor in zip(each.joints, each.factors, strict=True)
-            )
             given = {key: getattr(each, key) for key in ("armature", "damping", "frictionloss")}
             attributes = {key: numbers(value) for key, value in given.items() if value}
             attributes = {"name": name + "_difference" * (each.factors[1] < 0.0), **attributes}
-            lines.append(f"{tag('fixed', attributes)[:-2]}>{''.join(ends)}</fixed>")
-        self._append("tendon", lines)
+            elements.append(etree.Element("fixed", attributes))
+            for joint, factor in zip(each.joints, each.factors, strict=True):
+                etree.SubElement(elements[-1], "joint", joint=joint, coef=numbers(factor))
+        self._append("tendon", elements)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
         """Write constant efforts: what a drive gives beside them moves the joint."""
-        plain = {"gainprm": "0", "biastype": "affine"}
-        self._append(
-            "actuator",
-            [
-                tag("general", {"joint": joint, **plain, "biasprm": numbers([-value, 0.0, 0.0])})
-                for joint, value in offsets.items()
-            ],
-        )
+        from lxml import etree
 
-    def _append(self, name: str, lines: Sequence[str]) -> None:
-        """Write an element behind all others, if it has lines."""
-        if lines:
-            markup = "\n".join([f"<{name}>", *(f"  {line}" for line in lines), f"</{name}>"])
-            self.document.insert_child(self.document.root, markup, last=True)
+        elements = []
+        for joint, value in offsets.items():
+            bias = {"biastype": "affine", "biasprm": numbers([-value, 0.0, 0.0])}
+            elements.append(etree.Element("general", joint=joint, gainprm="0", **bias))
+        self._append("actuator", elements)
+
+    def _append(self, name: str, elements: Sequence[Any]) -> None:
+        """Write an element behind all others, if there is anything in it."""
+        from lxml import etree
+
+        if elements:
+            whole = etree.Element(name)
+            whole.extend(elements)
+            add_child(self.root, whole, last=True)
 
     def write_gravity(self) -> str:
         """Write gravity in the file's world and return it in words."""
         found = self._base[:3, :3] @ self.robot.gravity
         values = {"gravity": numbers(found)}
-        options = self.document.root.find_all("option")
-        if options:
-            option = max(options, key=lambda each: "gravity" in each.attributes)
-            self.document.set_attributes(option, values)
-        else:
-            self.document.insert_child(self.document.root, tag("option", values))
+        options = self.root.findall("option") or [child_of(self.root, "option")]
+        max(options, key=lambda each: "gravity" in each.attrib).attrib.update(values)
         return f"({', '.join(f'{each:.4g}' for each in found)})"
 
     def read_back(self, bodies: Array) -> Mjcf:
@@ -361,7 +355,7 @@ class Mjcf(RobotText):
         ExportError
             With the difference.
         """
-        written = Mjcf(self.robot, self.document.text(), self.what, folder=self.folder, ours=True)
+        written = Mjcf(self.robot, self.text(), self.what, folder=self.folder, ours=True)
         model = written.model.with_gravity(written._base[:3, :3] @ self.robot.gravity)
         states = self.states()
         self.require_same_efforts(
@@ -406,16 +400,16 @@ class Mjcf(RobotText):
         return tuple((joints, (a, b, c)) for joints, (a, b, c) in found.items())
 
 
-def _own(element: Element, tag: str) -> Iterator[Element]:
+def _own(element: Any, tag: str) -> Iterator[Any]:
     """Yield an element's children of a tag, those in frames included."""
-    for child in element.children:
-        if child.name == tag:
+    for child in element.iterchildren(tag, "frame"):
+        if child.tag == tag:
             yield child
-        elif child.name == "frame":
+        else:
             yield from _own(child, tag)
 
 
-def _nested(element: Element) -> Iterator[Element]:
+def _nested(element: Any) -> Iterator[Any]:
     """Yield all bodies within an element, parents first."""
     for body in _own(element, "body"):
         yield body

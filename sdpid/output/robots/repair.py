@@ -31,8 +31,7 @@ from sdpid.robot.description.bodies import (
     read_urdf_bodies,
 )
 from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
-from sdpid.robot.description.xml_edits import Document
+from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description, xml_text
 from sdpid.robot.inertia import (
     complement,
     inertia_tensor,
@@ -146,7 +145,8 @@ def repair_urdf(
     * points that are moved by a joint with nothing else fixed to them: the same;
     * inertia without mass, and moving links with no mass at all: a token mass of 1e-6 kg.
 
-    All other bytes stay as they are; of a xacro file, those of the URDF that it stands for.
+    All else stays as it is, but for white space and quotes within tags; of a xacro file, the URDF
+    that it stands for.
     Negative masses and numbers that are none are left; they can be had from nothing else in the
     file.
 
@@ -177,15 +177,14 @@ def repair_urdf(
     text, what = found.text, found.what
     if is_mjcf(text, what):
         raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
-    _, bodies = read_urdf_bodies(text, what)
-    repair = _Repair(text, bodies)
-    result = repair.document.text()
+    repair = _Repair(*read_urdf_bodies(text, what))
+    result = xml_text(repair.root, text) if repair.done else text
     if target is not None:
         with atomic_path(target) as temporary:
             temporary.write_bytes(encode_xml(result))
     return RepairReport(
         text=result,
-        bodies=tuple(repair.done[body.name] for body in bodies if body.name in repair.done),
+        bodies=tuple(repair.done[name] for name in repair.bodies if name in repair.done),
         left=tuple(repair.left),
         path=None if target is None else Path(target),
         expanded=found is not read,
@@ -193,10 +192,10 @@ def repair_urdf(
 
 
 class _Repair:
-    """A document, its bodies with the repairs so far, and these repairs."""
+    """A document's root, its bodies with the repairs so far, and these repairs."""
 
-    def __init__(self, text: str, bodies: tuple[DescribedBody, ...]) -> None:
-        self.document = Document(text)
+    def __init__(self, root: Any, bodies: tuple[DescribedBody, ...]) -> None:
+        self.root = root
         self.bodies = {body.name: body for body in bodies}
         self.done: dict[str, RepairedBody] = {}
         self.left = [b.name for b in bodies if b.problems or (b.mass is not None and b.mass < 0.0)]
@@ -250,9 +249,9 @@ class _Repair:
             proof = prove_nearest(
                 exact_second_moment(exact), exact_second_moment(tuple(entries)), Fraction(floor)
             )
-        links = self.document.root.find_all("link")
-        link = next(each for each in links if each.attributes.get("name", "") == body.name)
-        write_inertial(self.document, link, {tag: each for tag, each in values.items() if each})
+        links = self.root.findall("link")
+        link = next(each for each in links if each.get("name", "") == body.name)
+        write_inertial(link, {tag: each for tag, each in values.items() if each})
         self.bodies[body.name] = replace(
             body,
             described=True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +18,15 @@ from sdpid.output.robots.written_bodies import (
     Fixed,
     FixedChild,
     RobotText,
+    child_of,
     source_text,
     standard_parameters,
-    tag,
     write_inertial,
 )
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
 from sdpid.robot.description.inertials import Inertial
 from sdpid.robot.description.level import LINK, base_turn, stand_on_level, without_level
 from sdpid.robot.description.urdf import check_urdf, written_values
-from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -45,10 +45,10 @@ def write_urdf(
 
     Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
     joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
-    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are. A base that
-    was found to be tilted stands on a new root link that is level. Where the problem has terms
-    that a URDF has no place for, damping and friction are fitted to its rows anew, with the
-    identified links held. See docs/guides/exports.md.
+    joints), friction with a Coulomb term (N·m, N). All else stays as it is, but for white space and
+    quotes within tags. A base that was found to be tilted stands on a new root link that is level.
+    Where the problem has terms that a URDF has no place for, damping and friction are fitted to its
+    rows anew, with the identified links held. See docs/guides/exports.md.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def write_urdf(
     text.write_joints(friction.values)
     notes, turn = friction.notes, base_turn(robot.gravity, estimate.model().tilted_gravity)
     if not np.array_equal(turn, np.eye(3)):
-        stand_on_level(text.document, text.root_link, turn)
+        stand_on_level(text.root, text.root_link, turn)
         angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
         notes += (f"its base stands tilted by {angle:.3g}° on a new root link '{LINK}', as found",)
     seen = robot.with_gravity(turn.T @ robot.gravity)
@@ -154,15 +154,12 @@ class Urdf(RobotText):
     bodies: tuple[DescribedBody, ...]
 
     def __init__(self, robot: RobotModel, text: str) -> None:
-        super().__init__(robot, f"URDF of '{robot.name}'")
-        # Also refuses document types, so that nothing is expanded below.
+        super().__init__(robot, f"URDF of '{robot.name}'", text)
         _, mimics = check_urdf(text, "URDF", floating=True)
-        self.document = Document(text)
         # As they are written, in document order.
-        _, self.bodies = read_urdf_bodies(text, "URDF")
-        self.elements = self.document.root.find_all("link")
-        joints = self.document.root.find_all("joint")
-        self._joints = {joint.attributes.get("name", ""): joint for joint in joints}
+        self.root, self.bodies = read_urdf_bodies(text, "URDF")
+        self.elements = self.root.findall("link")
+        self._joints = {joint.get("name", ""): joint for joint in self.root.findall("joint")}
         self._sources = {mimic.joint: mimic.source for mimic in mimics}
         own = {k: body for k, body in enumerate(self.bodies) if body.carrier == body.name}
         roots = [k for k, body in own.items() if not body.moving]
@@ -194,21 +191,21 @@ class Urdf(RobotText):
             Naming what it has several of.
         """
         several = []
-        if len(self._joints) < len(self.document.root.find_all("joint")):
+        if len(self._joints) < len(self.root.findall("joint")):
             several.append("its joints have the same name")
         for name, joint in self._joints.items():
             several += _several(joint, f"<joint> '{name}'", _OF_JOINTS)
         for k in (k for carrier in self.carriers for k in (carrier, *self.children(carrier))):
             several += _several(self.elements[k], f"<link> '{self.name(k)}'", ("inertial",))
-            for inertial in self.elements[k].find_all("inertial"):
-                tags = {child.name for child in inertial.children}
+            for inertial in self.elements[k].findall("inertial"):
+                tags = {child.tag for child in inertial.iterchildren("*")}
                 several += _several(inertial, f"<inertial> of '{self.name(k)}'", sorted(tags))
         if several:
             raise ExportError(f"{self.what}: readers may differ on the source: {several[0]}.")
 
     def write(self, body: int, inertial: Inertial) -> None:
         """Write the ``<inertial>`` of a link by number."""
-        write_inertial(self.document, self.elements[body], written_values(inertial))
+        write_inertial(self.elements[body], written_values(inertial))
         self.changed.append(self.name(body))
 
     def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
@@ -221,13 +218,8 @@ class Urdf(RobotText):
                 written[joint] = dict.fromkeys(values[source], 0.0)
         for name, numbers in written.items():
             attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
-            element = self._joints[name].find("dynamics")
-            if element is not None:
-                self.document.set_attributes(element, attributes)
-            elif attributes:
-                self.document.insert_child(
-                    self._joints[name], tag("dynamics", attributes), last=True
-                )
+            if attributes:
+                child_of(self._joints[name], "dynamics", last=True).attrib.update(attributes)
         self.joints_changed.extend(written)
 
     def _source(self, joint: str) -> str:
@@ -250,7 +242,7 @@ class Urdf(RobotText):
         robot = self.robot
         root: Root | None = "free_flyer" if robot.free_flyer else None
         try:
-            written = load_robot(self.document.text(), root=root, gravity=robot.gravity.tolist())
+            written = load_robot(self.text(), root=root, gravity=robot.gravity.tolist())
         except ModelError as cause:
             raise ExportError(
                 f"{self.what}: the changed file cannot be read back ({cause})."
@@ -270,6 +262,6 @@ class Urdf(RobotText):
         return written
 
 
-def _several(element: Element, what: str, tags: Iterable[str]) -> list[str]:
+def _several(element: Any, what: str, tags: Iterable[str]) -> list[str]:
     """Return what an element has several of: readers might take either."""
-    return [f"{what} has several <{tag}>" for tag in tags if len(element.find_all(tag)) > 1]
+    return [f"{what} has several <{tag}>" for tag in tags if len(element.findall(tag)) > 1]

@@ -10,8 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple, TypeAlias
-from xml.sax.saxutils import quoteattr
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +26,7 @@ from sdpid.robot.description.inertials import NOTHING, Inertial, exists, inside,
 from sdpid.robot.description.mjcf import MjcfBody
 from sdpid.robot.description.origin import relative
 from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import encode_xml, read_description
-from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.description.xml import add_child, encode_xml, read_description, xml_text
 from sdpid.robot.inertia import Consistency, margin, transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel
@@ -66,8 +64,8 @@ class RobotText(ABC):
         The robot.
     what : str
         What it is called in messages.
-    document : Document
-        The text and its edits.
+    root : element
+        The text's root element, which is edited in place.
     bodies, elements : sequence
         All bodies of the text, and their elements.
     carriers : list of int
@@ -78,14 +76,18 @@ class RobotText(ABC):
     """
 
     kind: ClassVar[str]
-    document: Document
+    root: Any
     bodies: Sequence[DescribedBody] | Sequence[MjcfBody]
-    elements: Sequence[Element]
+    elements: Sequence[Any]
     carriers: list[int]
 
-    def __init__(self, robot: RobotModel, what: str) -> None:
-        self.robot, self.what = robot, what
+    def __init__(self, robot: RobotModel, what: str, text: str) -> None:
+        self.robot, self.what, self._given = robot, what, text
         self.changed, self.joints_changed, self.lumped, self.flat = (list[str]() for _ in range(4))
+
+    def text(self) -> str:
+        """Return the text with all edits."""
+        return xml_text(self.root, self._given)
 
     def match(self, moved: Mapping[str, int], root: int | None) -> list[int]:
         """Return the body that each of the robot's joints moves, given those of the text's joints.
@@ -206,7 +208,7 @@ class RobotText(ABC):
     ) -> ExportReport:
         """Write the text to a file, whole or not at all, and return what it holds."""
         with atomic_path(target) as temporary:
-            temporary.write_bytes(encode_xml(self.document.text()))
+            temporary.write_bytes(encode_xml(self.text()))
         return ExportReport(
             path=Path(target),
             links_changed=tuple(self.changed),
@@ -222,26 +224,20 @@ class RobotText(ABC):
         )
 
 
-def tag(name: str, attributes: Mapping[str, str]) -> str:
-    """Return the markup of an element without content."""
-    return f"<{name} {' '.join(f'{key}={quoteattr(x)}' for key, x in attributes.items())}/>"
+def child_of(parent: Any, name: str, *, last: bool = False) -> Any:
+    """Return the first child of that tag, which is added where there is none."""
+    from lxml import etree
+
+    if (child := parent.find(name)) is None:
+        add_child(parent, child := etree.Element(name), last=last)
+    return child
 
 
-def write_inertial(
-    document: Document, link: Element, values: Mapping[str, Mapping[str, str]]
-) -> None:
+def write_inertial(link: Any, values: Mapping[str, Mapping[str, str]]) -> None:
     """Write the attributes of an ``<inertial>`` by tag into a link, which may lack one."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        lines = [f"  {tag(name, attributes)}" for name, attributes in values.items()]
-        document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
-        return
+    inertial = child_of(link, "inertial")
     for name, attributes in values.items():
-        element = inertial.find(name)
-        if element is None:
-            document.insert_child(inertial, tag(name, attributes))
-        else:
-            document.set_attributes(element, attributes)
+        child_of(inertial, name, last=True).attrib.update(attributes)
 
 
 def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:

@@ -66,15 +66,13 @@ class Pattern:
             self.frames = np.array([file.frame(k) for k in range(len(self.names))])
         for k in _inside(file):
             file.write(k, NOTHING)
-        self._document = file.document
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""
-        self._file.document = self._document.branch()
         for carrier, body in zip(self._file.carriers, bodies, strict=True):
             self._file.write(carrier, body)
         self._file.write_joints(joints)
-        return self._file.document.text()
+        return self._file.text()
 
     def require_right(self, bodies: Array) -> None:
         """Refuse a text, the last one, that does not have the efforts of the bodies."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from xml.sax.saxutils import quoteattr
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.robot.description.origin import matrix_rpy, numbers
-from sdpid.robot.description.xml import parse_xml
-from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.description.xml import add_child, parse_xml, xml_text
 
 # Names of the link and of the joint; of others, no file is taken to be ours.
 LINK, JOINT = "level_ground", "level_ground_to_base"
@@ -26,33 +25,27 @@ def base_turn(gravity: Array, found: Array) -> Array:
     return np.asarray(np.eye(3) + K + K @ K / (1.0 + along))
 
 
-def stand_on_level(document: Document, root: str, turn: Array) -> None:
-    """Put the root link, as it is turned, on a new one that is level."""
-    document.insert_child(
-        document.root,
-        f'<link name="{LINK}"/>\n'
-        f'<joint name="{JOINT}" type="fixed">\n'
-        f'  <origin xyz="0 0 0" rpy="{numbers(matrix_rpy(turn))}"/>\n'
-        f'  <parent link="{LINK}"/>\n'
-        f"  <child link={quoteattr(root)}/>\n"
-        "</joint>",
-        last=True,
-    )
+def stand_on_level(robot: Any, root: str, turn: Array) -> None:
+    """Put the root link of a ``<robot>``, as it is turned, on a new one that is level."""
+    from lxml import etree
+
+    joint = etree.Element("joint", name=JOINT, type="fixed")
+    etree.SubElement(joint, "origin", xyz="0 0 0", rpy=numbers(matrix_rpy(turn)))
+    etree.SubElement(joint, "parent", link=LINK)
+    etree.SubElement(joint, "child", link=root)
+    for element in (etree.Element("link", name=LINK), joint):
+        add_child(robot, element, last=True)
 
 
 def without_level(text: str) -> str:
     """Return a URDF without the link and the joint of `stand_on_level`, where it has them."""
-    parse_xml(text, "URDF")  # refuses document types, so that nothing is expanded below
-    document = Document(text)
-    ours = [e for e in document.root.children if _is_ours(e)]
-    if [each.name for each in ours] != ["link", "joint"]:
+    root = parse_xml(text, "URDF")
+    names = {"link": LINK, "joint": JOINT}
+    ours = [e for e in root.iterchildren("link", "joint") if e.get("name") == names[e.tag]]
+    if [each.tag for each in ours] != ["link", "joint"]:
         return text
     for each in ours:
-        document.remove(each)
-    return document.text()
-
-
-def _is_ours(element: Element) -> bool:
-    """Return whether an element is one that `stand_on_level` writes."""
-    names = {"link": LINK, "joint": JOINT}
-    return element.attributes.get("name") == names.get(element.name)
+        if (before := each.getprevious()) is not None:
+            before.tail = each.tail
+        root.remove(each)
+    return xml_text(root, text)

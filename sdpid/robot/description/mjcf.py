@@ -429,7 +429,7 @@ class _Compiled:
         """Yield the forces that act on joints beside gravity, in words."""
         model = self.model
         for i in np.flatnonzero(model.jnt_stiffness):
-            rest = self._at_joint(model.qpos_spring, i)
+            rest = self._at_joint(model.qpos_spring, int(i))
             stiffness = f"stiffness {model.jnt_stiffness[i]:.4g}"
             yield f"spring at {self.names[i]} ({stiffness}, springref {rest:.4g})"
         for i in np.flatnonzero(model.tendon_stiffness):

@@ -182,6 +182,41 @@ def parse_xml(text: str | bytes, what: str) -> Any:
     return root
 
 
+def xml_text(root: Any, source: str) -> str:
+    """Return the text of a document that was parsed from a source and then changed.
+
+    Its byte order mark, declaration and line ends are the source's; white space within tags and
+    quotes are those of the serializer.
+    """
+    from lxml import etree
+
+    declaration = _DECLARATION.match(source)
+    mark = _BYTE_ORDER_MARK if source.startswith(_BYTE_ORDER_MARK) else ""
+    head = f"{declaration.group()}\n" if declaration else mark
+    # With comments before and behind the root.
+    nodes = [*reversed([*root.itersiblings(preceding=True)]), root, *root.itersiblings()]
+    texts = [etree.tostring(each, encoding="unicode", with_tail=False) for each in nodes]
+    text = head + "\n".join(texts)
+    if source.endswith("\n"):
+        text += "\n"
+    return text.replace("\n", "\r\n") if "\r\n" in source else text
+
+
+def add_child(parent: Any, child: Any, *, last: bool = False) -> None:
+    """Add an element to another as its first or its last child, indented."""
+    from lxml import etree
+
+    level = 1 + sum(1 for _ in parent.iterancestors())
+    etree.indent(child, level=level)
+    if not len(parent):
+        parent.text, child.tail = "\n" + level * "  ", "\n" + (level - 1) * "  "
+    elif last:
+        child.tail, parent[-1].tail = parent[-1].tail, parent.text
+    else:
+        child.tail = parent.text
+    parent.insert(len(parent) if last else 0, child)
+
+
 def is_mjcf(text: str, what: str) -> bool:
     """Return whether a description is MJCF: whether its root element is ``<mujoco>``.
 
