@@ -5,8 +5,7 @@ as a robot moves that has this controller. ``fit_controller(log, "pd")`` finds t
 with commanded positions.
 """
 
-from sdpid.experiment.simulation.controllers import PD, PID, ComputedTorque, P
+from sdpid.experiment.simulation.controllers import PD, PID, ComputedTorque, Controller, P
 from sdpid.experiment.simulation.fit_controller import fit_controller
-from sdpid.experiment.simulation.law import Controller
 
 __all__ = ["PD", "PID", "ComputedTorque", "Controller", "P", "fit_controller"]

@@ -156,8 +156,6 @@ FACES = ("sdpid.cli", "sdpid.workflow")
 USED_TWICE = {
     "Choice",
     "Finding",
-    "Law",
-    "Loop",
     "Measure",
     "Motion",
     "Objective",

@@ -19,11 +19,11 @@ from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.drives import load_drives
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
+from sdpid.experiment.simulation.controllers import Controller as ControllerControllers
 from sdpid.experiment.simulation.kernels import loops
 from sdpid.experiment.simulation.kernels.layout import memory_for
-from sdpid.experiment.simulation.law import Controller as ControllerControllers
 from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
-from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
+from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
 from sdpid.experiment.simulation.tip import tip_positions
 from sdpid.friction import Coulomb
 from sdpid.robot.friction.model import FrictionModel
@@ -588,32 +588,16 @@ def test_noise_that_the_controller_saw_does_no_harm(arm_model: RobotDynamics):
 
 def test_much_noise_is_told_and_refused(arm_model: RobotDynamics):
     fitted = fit_controller(logged(arm_model, LAWS["pd"], noise=0.1), "pd")
-    assert fitted.method == "instrumental"
     assert fitted.bias.max() > 0.02
     assert not fitted.usable
     refuses(DataError, r"not known well enough: .*(deviation of|explains)", fitted.require)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("pid", "pd"), ("pid", "p"), ("p", "computed_torque")])
+@pytest.mark.parametrize(("name", "kind"), [("pid", "pd"), ("pid", "p")])
 def test_other_kinds_are_refused(arm_model: RobotDynamics, name: str, kind: str):
-    of_model = {"model": arm_model} if kind == "computed_torque" else {}
-    fitted = fit_controller(logged(arm_model, LAWS[name]), kind, **of_model)
+    fitted = fit_controller(logged(arm_model, LAWS[name]), kind)
     assert not fitted.usable
-    if name == "pid":
-        assert "fit kind='pid'" in fitted.reasons[-1]
-
-
-def test_computed_torque_by_a_model_that_is_not_the_robot(arm_model: RobotDynamics):
-    heavier = replace(
-        arm_model, theta=np.concatenate([1.3 * arm_model.theta[:-4], 0.5 * arm_model.theta[-4:]])
-    )
-    law = ComputedTorque(heavier, kp=np.full(2, 80.0), kd=np.full(2, 14.0))
-    log = logged(arm_model, law)
-    fitted = fit_controller(log, "computed_torque", model=heavier)
-    assert fitted.usable, fitted.reasons
-    np.testing.assert_allclose(fitted.gains["kp"], 80.0, rtol=0.02)
-    np.testing.assert_allclose(fitted.gains["kd"], 14.0, rtol=0.1)
-    assert not fit_controller(log, "pd").usable
+    assert "fit kind='pid'" in fitted.reasons[-1]
 
 
 def test_the_loop_of_the_simulated_robot_is_found():
@@ -638,7 +622,6 @@ def test_what_cannot_be_fitted_is_told_before(arm_model: RobotDynamics):
         (lambda: fit_controller(log, "lqr"), "'lqr' is not known; known are p, pd"),
         (lambda: fit_controller(replace(log, reference=None)), "no commanded positions"),
         (lambda: fit_controller(replace(log, currents=True)), "efforts are currents in A"),
-        (lambda: fit_controller(log, "computed_torque"), "needs the model"),
         (lambda: fit_controller(log, cutoff_hz=400.0), "expected at most 50 Hz"),
         (
             lambda: fit_controller(
@@ -766,7 +749,7 @@ def test_they_are_the_differences_of_simulated_motions(terms: Any, law: Any, lim
     moved = simulated(model, law)
     stiffness, damping = law.slopes(TOLD[:1], TOLD[:1], TOLD[:1], TOLD[:1], None, 0.0 * TOLD[:1])
     ki = law.gains.integral
-    loop = Loop(
+    loop = ControlledMotion(
         time=moved.time,
         position=moved.position,
         velocity=moved.velocity,

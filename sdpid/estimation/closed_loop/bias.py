@@ -36,7 +36,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.law import Controller
+from sdpid.experiment.simulation.controllers import Controller
 
 # Blocks beyond the number of joints that Hotelling's test needs to say anything: with fewer, the
 # joints' numbers are added up to one.

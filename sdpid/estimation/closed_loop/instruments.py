@@ -24,7 +24,7 @@ from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.law import Controller
+from sdpid.experiment.simulation.controllers import Controller
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Instruments = Literal["simulated", "reference", "periods"]

@@ -15,9 +15,9 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import DesiredMotion, Motion, simulate_closed_loop
+from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.fit_controller import fit_controller
-from sdpid.experiment.simulation.law import Controller
-from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
+from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -294,7 +294,7 @@ class ClosedLoop:
             states = (moved.position, moved.velocity, *told.swapaxes(0, 1), integral)
             given = [each[few] for each in states]
             stiffness, damping = self.controller.slopes(*given)
-            loop = Loop(
+            loop = ControlledMotion(
                 time=moved.time[few],
                 position=given[0],
                 velocity=given[1],

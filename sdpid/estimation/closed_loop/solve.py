@@ -29,7 +29,7 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.law import Controller
+from sdpid.experiment.simulation.controllers import Controller
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot

@@ -15,7 +15,7 @@ from sdpid._common.files import load_toml
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.simulation.closed_loop import LONGEST_STEP
-from sdpid.experiment.simulation.law import keep_per_joint
+from sdpid.experiment.simulation.controllers import keep_per_joint
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots

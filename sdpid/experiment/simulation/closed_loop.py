@@ -15,11 +15,10 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import ComputedTorque
+from sdpid.experiment.simulation.controllers import Controller, JointLaw
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS
-from sdpid.experiment.simulation.law import Controller, Law
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -285,7 +284,7 @@ def simulate_closed_loop(
         told = 0.5 * (told[:-1] + told[1:])
     out = np.zeros((5, len(times), n))
     run = _Run(told, noise, times, steps, every, dt, differenced)
-    move = _compiled if isinstance(controller, Law) else _python
+    move = _compiled if isinstance(controller, JointLaw) else _python
     count = move(arm, controller, run, states, out)
     q, v, held, measured, integral = (x[:count] for x in out)
     effort = held
@@ -317,14 +316,13 @@ class _Run(NamedTuple):
 
 def _compiled(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
     """Run the compiled loop; return how many samples there are before the motion diverged."""
-    inverse = isinstance(controller, ComputedTorque)
-    gains = controller.gains
+    gains, model = controller.gains, controller.arm
     law = (
-        INVERSE_DYNAMICS if inverse else JOINT_GAINS,
+        JOINT_GAINS if model is None else INVERSE_DYNAMICS,
         np.array([gains.proportional, gains.derivative, gains.integral, gains.feedforward]),
         np.array(gains.limit),
     )
-    own = controller.arm if inverse else arm
+    own = arm if model is None else model
     memory, fixed = memory_for(arm.arrays, own.arrays), np.zeros(arm.n, dtype=np.bool_)
     count: int = entries().closed_loop(
         arm.arrays, law, own.arrays, memory, *run, fixed, np.ascontiguousarray(start), out

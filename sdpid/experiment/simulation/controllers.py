@@ -2,20 +2,262 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.law import Gains, Law
 from sdpid.robot.model.dynamics import RobotDynamics
+
+# What the effort of a controller depends on, in the order of its arguments.
+_STATES = (
+    "position",
+    "velocity",
+    "reference",
+    "reference_velocity",
+    "reference_acceleration",
+    "integral",
+)
+
+
+def keep_per_joint(
+    owner: Any,
+    what: str,
+    names: Collection[str],
+    *,
+    signed: Collection[str] = (),
+    not_negative: Collection[str] = (),
+) -> None:
+    """Check fields of a frozen dataclass, one number a joint, positive unless said, and keep them.
+
+    Those that are None are left alone.
+    """
+    sizes = {}
+    for name in names:
+        if (values := getattr(owner, name)) is None:
+            continue
+        array = real_array(values, f"{what}.{name}", ndim=1)
+        zero = name not in not_negative and (array == 0.0).any()
+        if name not in signed and (zero or (array < 0.0).any()):
+            raise DataError(
+                f"{what}: {name} is {array.tolist()}; give positive numbers, one a joint."
+            )
+        object.__setattr__(owner, name, frozen(array))
+        sizes[name] = len(array)
+    if len(set(sizes.values())) > 1:
+        raise DataError(f"{what}: lengths differ: {sizes}; give one number a joint in each.")
+
+
+class Controller(ABC):
+    """What turns positions and velocities, measured and desired, into efforts.
+
+    Those of `sdpid.controllers` run in the compiled loop; a class of your own that derives from
+    this one works too, at the speed of Python.
+
+    Examples
+    --------
+    >>> law = sdpid.controllers.PD(np.full(6, 400.0), np.full(6, 40.0))
+    >>> isinstance(law, sdpid.controllers.Controller)
+    True
+    """
+
+    @property
+    @abstractmethod
+    def n(self) -> int:
+        """Number of joints."""
+
+    @abstractmethod
+    def effort(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> Array:
+        """Return the efforts (K, n) at K samples, in N·m or N."""
+
+    @abstractmethod
+    def slopes(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """Return d effort / d position and d effort / d velocity, (K, n, n) each."""
+
+
+class LoopGains(NamedTuple):
+    """Gains (n,) of ``kp·(q_d − q) + kd·(feedforward·v_d − v) + ki·∫(q_d − q)``, and limits."""
+
+    proportional: Array
+    derivative: Array
+    integral: Array
+    feedforward: Array
+    limit: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class P(Law):
+class JointLaw(Controller):
+    """What the controllers of `sdpid.controllers` are: linear in the tracking error, and limited.
+
+    Without a model the law gives efforts; with one it corrects the acceleration of the model.
+    """
+
+    # Names of gains that are positive, and of those that may be zero.
+    _positive: ClassVar[tuple[str, ...]] = ("kp",)
+    _not_negative: ClassVar[tuple[str, ...]] = ("kd",)
+
+    def __post_init__(self) -> None:
+        names = (*self._positive, *self._not_negative, "effort_limit")
+        keep_per_joint(self, type(self).__name__, names, not_negative=self._not_negative)
+
+    @cached_property
+    def _settings(self) -> dict[str, Any]:
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @cached_property
+    def gains(self) -> LoopGains:
+        """Gains of the law, before a model turns accelerations into efforts."""
+        own = self._settings
+        if "velocity_gain" in own:
+            kd, kp = own["velocity_gain"], own["velocity_gain"] * own["proportional_gain"]
+        else:
+            kd, kp = own["kd"], own["kp"]
+        n, limit = len(kp), own.get("effort_limit")
+        return LoopGains(
+            proportional=kp,
+            derivative=kd,
+            integral=own.get("ki", np.zeros(n)),
+            feedforward=np.full(n, float(own.get("feedforward", True))),
+            limit=np.full(n, np.inf) if limit is None else limit,
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.gains.proportional)
+
+    @property
+    def arm(self) -> SimulatedArm | None:
+        """The model of the controller as the compiled loop takes it; None without one."""
+        return None
+
+    def effort(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> Array:
+        """Return the efforts (K, n) at K samples.
+
+        Parameters
+        ----------
+        position, velocity : array_like, shape (K, n)
+            What the controller sees.
+        reference, reference_velocity : array_like, shape (K, n)
+            What it is told to do.
+        reference_acceleration : array_like, shape (K, n), optional
+            For computed torque.
+        integral : array_like, shape (K, n), optional
+            Integral of the position error, rad·s; needed where there is an integral gain.
+        """
+        given = (position, velocity, reference, reference_velocity)
+        states = self._checked(*given, reference_acceleration, integral)
+        return np.clip(self._unlimited(*states), -self.gains.limit, self.gains.limit)
+
+    def slopes(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """Return d effort / d position and d effort / d velocity, (K, n, n) each.
+
+        They are zero where the effort is at its limit. Parameters are those of `effort`.
+        """
+        given = (position, velocity, reference, reference_velocity)
+        states = self._checked(*given, reference_acceleration, integral)
+        free = (np.abs(self._unlimited(*states)) < self.gains.limit)[..., None]
+        by_position, by_velocity = self._slopes(*states)
+        return by_position * free, by_velocity * free
+
+    def _checked(self, *arrays: ArrayLike | None) -> list[Array]:
+        """Return the arguments as arrays (K, n); what is missing and not needed is zero."""
+        found: list[Array] = []
+        for values, name in zip(arrays, _STATES, strict=True):
+            if values is None and name == "integral" and self.gains.integral.any():
+                raise DataError(
+                    f"{type(self).__name__}: integral is missing; give the integral of the "
+                    "position error, (K, n) in rad·s."
+                )
+            array = np.zeros_like(found[0]) if values is None else real_array(values, name, ndim=2)
+            rows = len(found[0]) if found else len(array)
+            if array.shape != (rows, self.n):
+                raise DataError(
+                    f"{name}: shape {array.shape}, expected {(rows, self.n)}: one row a sample, "
+                    "one column a joint of the controller."
+                )
+            found.append(array)
+        return found
+
+    def _unlimited(
+        self, q: Array, v: Array, qd: Array, vd: Array, ad: Array, integral: Array
+    ) -> Array:
+        """Return the law before limits: efforts, or corrections of an acceleration."""
+        g = self.gains
+        error, rate = qd - q, g.feedforward * vd - v
+        return np.asarray(g.proportional * error + g.derivative * rate + g.integral * integral)
+
+    def _slopes(self, q: Array, *states: Array) -> tuple[Array, Array]:
+        """Return the slopes before limits."""
+        shape, g = (len(q), self.n, self.n), self.gains
+        return (
+            np.broadcast_to(np.diag(-g.proportional), shape),
+            np.broadcast_to(np.diag(-g.derivative), shape),
+        )
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n} joints"]
+        for name, value in self._settings.items():
+            if isinstance(value, np.ndarray):
+                low, high = float(value.min()), float(value.max())
+                span = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+                parts.append(f"{name} {span}")
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        settings = self._settings
+        columns: dict[str, list[Any]] = {"joint": [j + 1 for j in range(self.n)]}
+        columns |= {k: v.tolist() for k, v in settings.items() if isinstance(v, np.ndarray)}
+        facts = {
+            k: v if isinstance(v, bool) else repr(v)
+            for k, v in settings.items()
+            if not isinstance(v, np.ndarray) and v is not None
+        }
+        return facts_html(type(self).__name__, facts, Table.of_columns(columns))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class P(JointLaw):
     """A proportional position loop around a velocity loop, as industrial drives have it.
 
     ``effort = velocity_gain·(proportional_gain·(q_d − q) − v)``, with v_d added to the commanded
@@ -55,15 +297,9 @@ class P(Law):
     _positive: ClassVar[tuple[str, ...]] = ("proportional_gain", "velocity_gain")
     _not_negative: ClassVar[tuple[str, ...]] = ()
 
-    @property
-    def gains(self) -> Gains:
-        """Gains of the position error and of the velocity, and limits."""
-        stiffness = self.velocity_gain * self.proportional_gain
-        return PD(stiffness, self.velocity_gain, self.feedforward, self.effort_limit).gains
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PD(Law):
+class PD(JointLaw):
     """Proportional-derivative control of each joint, ``kp·(q_d − q) + kd·(v_d − v)``.
 
     Attributes
@@ -99,7 +335,7 @@ class PD(Law):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PID(Law):
+class PID(JointLaw):
     """Proportional, integral and derivative control of each joint.
 
     ``kp·(q_d − q) + ki·∫(q_d − q) dt + kd·(v_d − v)``. The integral starts at zero, and rests while
@@ -139,7 +375,7 @@ class PID(Law):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ComputedTorque(Law):
+class ComputedTorque(JointLaw):
     """Inverse dynamics of a model at an acceleration corrected by the tracking error.
 
     The model's links and drives move at the measured state and at the acceleration
@@ -187,30 +423,29 @@ class ComputedTorque(Law):
                 f"ComputedTorque: gains of {self.n} joints, the model '{self.model.robot.name}' "
                 f"has {self.model.robot.n}; give one number a joint."
             )
-        object.__setattr__(self, "_arm", SimulatedArm.of(self.model))
+        # What cannot be simulated is told now.
+        _ = self.arm
 
-    @property
+    @cached_property
     def arm(self) -> SimulatedArm:
         """The model as the compiled loop takes it."""
-        found: SimulatedArm = self._arm  # type: ignore[attr-defined]
-        return found
+        return SimulatedArm.of(self.model)
 
-    def _law(self, q: Array, v: Array, qd: Array, vd: Array, ad: Array, integral: Array) -> Array:
-        M, h = self.arm.mass_and_bias(q, v)
-        a = ad + self._command(q, qd, vd, integral) - self.kd * v
-        return np.asarray(np.einsum("kij,kj->ki", M, a) + h + self._friction(vd))
-
-    def _friction(self, v: Array) -> Array:
-        """Return the model's friction without its constants, which are in the bias."""
-        return self.model.friction(v) - self.model.friction(np.zeros_like(v))
-
-    def _slopes(
+    def _unlimited(
         self, q: Array, v: Array, qd: Array, vd: Array, ad: Array, integral: Array
-    ) -> tuple[Array, Array]:
+    ) -> Array:
+        M, h = self.arm.mass_and_bias(q, v)
+        a = ad + super()._unlimited(q, v, qd, vd, ad, integral)
+        # The constants of friction are in the bias.
+        friction = self.model.friction(vd) - self.model.friction(np.zeros_like(vd))
+        return np.asarray(np.einsum("kij,kj->ki", M, a) + h + friction)
+
+    def _slopes(self, q: Array, *states: Array) -> tuple[Array, Array]:
         import pinocchio as pin
 
+        v, _, _, ad, _ = states
         M, _ = self.arm.mass_and_bias(q, v)
-        a = ad + self._command(q, qd, vd, integral) - self.kd * v
+        a = ad + super()._unlimited(q, *states)
         robot = self.model.robot
         links, E = self.model.to_pinocchio(), robot.expansion
         links.armature[:] = 0.0

@@ -1,25 +1,28 @@
-"""Fit a controller's gains to a log with commanded positions."""
+"""Gains of a controller from a log with commanded positions, and how well it shows them."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
+from sdpid.experiment.processing.filters import low_pass, stencil
+from sdpid.experiment.processing.motion import motion_frequency, white_noise
 from sdpid.experiment.recording.floating.robots import require_fixed_base
-from sdpid.experiment.recording.joints import match_joints
-from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import PD, PID, ComputedTorque, P
-from sdpid.experiment.simulation.fitted_controller import FittedController
-from sdpid.experiment.simulation.law import Controller
-from sdpid.experiment.simulation.law_fit import Law, LawFit, fit_law
-from sdpid.experiment.simulation.tracking import Tracking, tracking
-from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.recording import Recording, channels
+from sdpid.experiment.recording.uniform_grid import make_grid
+from sdpid.experiment.simulation.controllers import PD, PID, Controller, P
 
-KINDS = ("p", "pd", "pid", "computed_torque")
-# Above this standard deviation of a gain, output error is no better than without the controller.
-_LARGEST_DEVIATION = 0.1
+KINDS: dict[str, type[P] | type[PD] | type[PID]] = {"p": P, "pd": PD, "pid": PID}
+# Above this standard deviation of a gain, output error is no better than without the controller,
+# nor where noise may take more than this part of a gain.
+_LARGEST_DEVIATION, _LARGEST_BIAS = 0.1, 0.02
 # The right law explains all but noise; wrong ones leave more.
 _LEAST_EXPLAINED = 0.98
 # A law whose weights are off by less than this, squared and over their variances, is not excluded.
@@ -27,32 +30,151 @@ _DECIDED = 16.0
 # An integral that takes this part of what is left belongs to the law, where more than this part
 # of the efforts is left.
 _INTEGRAL, _LEFT = 0.5, 1e-4
+# The law is linear, so every signal may pass one filter; it lets pass what moves the robot, and
+# its friction, and not the noise of encoders. In Hz, and as a part of the sample rate at most.
+_PASS, _LEAST_PASS, _LARGEST_PART = 10.0, 2.0, 0.1
+_ORDER = 2
+# Ends are left out where the filter's guess of what came before still shows to 1e-4.
+_FORGOTTEN = 9.0
+# Rows for each period of the cut-off.
+_ROWS = 4.0
+_LEAST_ROWS = 200
+# A delay is taken where it is this many deviations from zero, up to this many seconds.
+_SURE, _LONGEST = 4.0, 0.02
+# Contiguous blocks whose scores count as independent: of this many rows at least, some periods of
+# the filter's cut-off.
+_MOST_BLOCKS, _LEAST_BLOCKS, _ROWS_OF_BLOCK = 40, 10, 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FittedController(Shown):
+    """A controller's gains as a log shows them, with their errors.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the controller: ``"p"``, ``"pd"`` or ``"pid"``.
+    joint_names : tuple of str
+        The joints.
+    gains : mapping of str to ndarray, shape (n,)
+        By their names in the controller's class.
+    deviations : mapping of str to ndarray, shape (n,)
+        Standard deviations over the gains, from blocks of residuals.
+    bias : ndarray, shape (n,)
+        How much of a gain noise of the positions may take at most, as a part of it, where the
+        controller did not see that noise.
+    r_squared : ndarray, shape (n,)
+        Part of the efforts' variance that the controller explains.
+    offset : ndarray, shape (n,)
+        Constant effort beside the controller's, N·m (N).
+    delay : float
+        By how much the efforts are later than the law, s; zero where the log shows none.
+    feedforward : bool
+        Whether the reference's velocity is in the law.
+    cutoff_hz : float
+        Cut-off of the filter that all signals passed.
+    reasons : tuple of str
+        Why the controller is not to be used; empty where it is.
+    controller : Controller or None
+        Of `sdpid.controllers`; None where gains are not positive.
+
+    Examples
+    --------
+    >>> run = sdpid.simulate(robot, motion, seed=1)
+    >>> fitted = sdpid.controllers.fit_controller(run, "p")
+    >>> fitted.usable, fitted.kind, fitted.feedforward
+    (True, 'p', False)
+    >>> fitted.controller
+    P(6 joints, proportional_gain 1.28... to 4.47..., velocity_gain ...)
+    """
+
+    kind: str
+    joint_names: tuple[str, ...]
+    gains: Mapping[str, Array]
+    deviations: Mapping[str, Array]
+    bias: Array
+    r_squared: Array
+    offset: Array
+    delay: float
+    feedforward: bool
+    cutoff_hz: float
+    reasons: tuple[str, ...]
+    controller: Controller | None
+
+    _facts = ("kind", "usable", "_worst_deviation, %", "feedforward", "delay, s", "_doubts")
+
+    @property
+    def usable(self) -> bool:
+        """Whether gains are known well enough to simulate with, and explain the efforts."""
+        return not self.reasons
+
+    def require(self) -> Controller:
+        """Return the controller.
+
+        Raises
+        ------
+        DataError
+            When it is not usable, with the reasons.
+        """
+        if self.reasons or self.controller is None:
+            raise DataError(
+                f"the controller is not known well enough: {'; '.join(self.reasons)}. Give it, as "
+                "one of sdpid.controllers, or use a method that needs none."
+            )
+        return self.controller
+
+    def table(self) -> Table:
+        """Return one row a joint: gains, their deviations in percent, what is explained."""
+        columns: dict[str, list[Any]] = {"joint": list(self.joint_names)}
+        for name, values in self.gains.items():
+            columns[name] = values.tolist()
+            columns[f"{name}, deviation %"] = (100.0 * self.deviations[name]).tolist()
+        columns["unexplained %"] = (100.0 * (1.0 - self.r_squared)).tolist()
+        return Table.of_columns(columns)
+
+    def describe(self) -> str:
+        """Return gains and errors as a table, and what they may be used for."""
+        law = f"{self.kind}, {'with' if self.feedforward else 'without'} feedforward of velocity"
+        delay = f", delay {1e3 * self.delay:.3g} ms" if self.delay else ""
+        verdict = "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
+        return "\n".join([f"controller {law}{delay}", self.table().text(4), verdict])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        values = {**vars(self), "gains": dict(self.gains), "deviations": dict(self.deviations)}
+        del values["controller"]
+        found: dict[str, Any] = plain({**values, "usable": self.usable})
+        return found
+
+    @property
+    def _worst_deviation(self) -> float:
+        """The largest deviation of a gain but the integral's, in percent."""
+        return 100.0 * max(float(x.max()) for name, x in self.deviations.items() if name != "ki")
+
+    @property
+    def _doubts(self) -> str | None:
+        return "; ".join(self.reasons) or None
+
+    def _tables(self) -> Iterator[Table]:
+        yield self.table()
 
 
 def fit_controller(
-    recording: Recording,
-    kind: str = "pd",
-    *,
-    model: RobotDynamics | None = None,
-    cutoff_hz: float | None = None,
+    recording: Recording, kind: str = "pd", *, cutoff_hz: float | None = None
 ) -> FittedController:
     """Fit a controller's gains to efforts, positions and commanded positions of a log.
 
     Efforts are a linear function of the tracking error, its rate and its integral. All signals
     pass one zero-phase filter, which leaves that function as it is, and gains follow by least
-    squares, joint by joint, with a constant and one delay. Where noise of the encoders, had the
-    controller not seen it, would bias gains by more than 2 %, the commanded motion of all joints
-    serves as instruments.
+    squares, joint by joint, with a constant and one delay.
 
     Parameters
     ----------
     recording : Recording
         With commanded positions (`Recording.reference`), and efforts in N·m (N).
-    kind : {"pd", "p", "pid", "computed_torque"}
+    kind : {"pd", "p", "pid"}
         Which of `sdpid.controllers` it is. Whether the commanded velocity is in the law is chosen
         by the data.
-    model : RobotDynamics, optional
-        The model of the controller, for computed torque.
     cutoff_hz : float, optional
         Cut-off of the filter; by default ten times the frequency below which the motion lies.
 
@@ -60,14 +182,14 @@ def fit_controller(
     -------
     FittedController
         With standard deviations from blocks of residuals, and reasons where it is not to be used:
-        a gain with a standard deviation of more than 10 %, a gain that is not positive, efforts
-        that the law does not explain.
+        a gain with a standard deviation of more than 10 %, or of which noise of the encoders may
+        take more than 2 %, a gain that is not positive, efforts that the law does not explain.
 
     Raises
     ------
     DataError
-        When there are no commanded positions, efforts are currents, the kind is not known, a
-        model is missing, or the recording is too short.
+        When there are no commanded positions, efforts are currents, the kind is not known, or the
+        recording is too short.
 
     Examples
     --------
@@ -77,8 +199,6 @@ def fit_controller(
     True
     >>> fitted.controller
     P(6 joints, proportional_gain 1.28... to 4.47..., velocity_gain ...)
-    >>> sdpid.controllers.fit_controller(run, "computed_torque", model=estimate.model()).usable
-    False
     """
     if kind not in KINDS:
         raise DataError(f"kind: '{kind}' is not known; known are {', '.join(KINDS)}.")
@@ -93,93 +213,93 @@ def fit_controller(
             "fit_controller: efforts are currents in A; give the gains of the drives (gains=), or "
             "read them as torques."
         )
-    if (kind == "computed_torque") != (model is not None):
-        raise DataError(
-            "fit_controller: computed torque needs the model of the controller (model=), and no "
-            f"other kind takes one; the kind is '{kind}'."
-        )
-    if model is not None:
-        recording = match_joints(model.robot, recording)
-    signals = tracking(recording, cutoff_hz)
-    law, doubt = _law(signals, kind, model)
-    best = fit_law(signals, law)
-    gains, deviations = _named(best, kind)
-    reasons = doubt + _doubts(best, gains, deviations, recording.names)
-    if kind in ("p", "pd"):
-        reasons += _missing_integral(signals, best, recording.names)
-    fixed = {name: frozen(values) for name, values in gains.items()}
+    signals, cutoff_hz = _signals(recording, cutoff_hz)
+    off = signals["reference"] - signals["position"]
+    told, seen = signals["reference_velocity"], signals["velocity"]
+    others = [signals["integral"]] if kind == "pid" else []
+    feedforward, reasons = _feedforward(signals, [off, told, -seen, *others])
+    columns = [off, told - seen if feedforward else -seen, *others]
+    fit = _LawFit.of(signals, columns)
+    gains, deviations = _named(fit, kind)
+    bias = _bias(recording, fit, cutoff_hz)
+    reasons += _doubts(fit, gains, deviations, bias, recording.names)
+    if kind != "pid":
+        reasons += _missing_integral(signals, columns, fit, recording.names)
+    limited = {name: np.maximum(x, 0.0) if name == "ki" else x for name, x in gains.items()}
+    controller: Controller | None = None
+    if all(x.min() > 0.0 for name, x in gains.items() if name != "ki"):
+        controller = KINDS[kind](**limited, feedforward=feedforward)
     return FittedController(
         kind=kind,
         joint_names=recording.names,
-        gains=fixed,
-        deviations={name: frozen(values) for name, values in deviations.items()},
-        bias=frozen(best.bias),
-        r_squared=frozen(1.0 - best.left),
-        offset=frozen(best.weights[:, -1]),
-        delay=best.delay,
-        feedforward=best.law.feedforward,
-        method="instrumental" if best.instrumental else "least_squares",
-        cutoff_hz=signals.cutoff_hz,
+        gains={name: frozen(x) for name, x in gains.items()},
+        deviations={name: frozen(x) for name, x in deviations.items()},
+        bias=frozen(bias),
+        r_squared=frozen(1.0 - fit.left),
+        offset=frozen(fit.weights[:, -1]),
+        delay=fit.delay,
+        feedforward=feedforward,
+        cutoff_hz=cutoff_hz,
         reasons=tuple(reasons),
-        controller=_controller(kind, fixed, best.law.feedforward, model),
+        controller=controller,
     )
 
 
-def _law(signals: Tracking, kind: str, model: RobotDynamics | None) -> tuple[Law, list[str]]:
-    """Return the law of a kind, with or without the commanded velocity, and a doubt about that."""
-    s = signals
-    off, slow = s.reference - s.position, s.reference_velocity - s.velocity
-    if model is not None:
-        # The model's mass matrix couples the joints; its inverse takes them apart again.
-        arm = SimulatedArm.of(model)
-        M, _ = arm.mass_and_bias(s.position, s.velocity)
-        without_gains = ComputedTorque(model, kp=np.full(arm.n, 1e-12), kd=np.zeros(arm.n))
-        motion = (s.position, s.velocity, s.reference, s.reference_velocity)
-        known = without_gains.effort(*motion, s.reference_acceleration)
-        pair = np.stack([s.effort - known, s.effort_rate], axis=-1)
-        target, rate = np.moveaxis(np.linalg.solve(M, pair), -1, 0)
-        return Law.of([off, slow], target, rate), []
-    integral = [s.integral] if kind == "pid" else []
-    effort = (s.effort, s.effort_rate)
-    # Either velocity has a weight of its own: equal ones with feedforward, or none for the
-    # commanded one.
-    pair_of_rates = [s.reference_velocity, -s.velocity]
-    both = fit_law(s, Law.of([off, *pair_of_rates, *integral], *effort, velocity=2))
-    told, seen = both.weights[:, 1], both.weights[:, 2]
-    C = both.covariances
+def _feedforward(signals: dict[str, Array], columns: list[Array]) -> tuple[bool, list[str]]:
+    """Return whether the commanded velocity is in the law, and a doubt about that.
+
+    Either velocity has a weight of its own: equal ones with it, or none for the commanded one.
+    """
+    fit = _LawFit.of(signals, columns)
+    (told, seen), C = fit.weights[:, 1:3].T, fit.covariances
     of_difference = C[:, 1, 1] + C[:, 2, 2] - 2.0 * C[:, 1, 2]
     with_it = float(np.mean((told - seen) ** 2 / of_difference))
     without = float(np.mean(told**2 / C[:, 1, 1]))
-    feedforward = with_it < without
-    column = slow if feedforward else -s.velocity
-    law = Law.of([off, column, *integral], *effort, feedforward=feedforward)
     if max(with_it, without) > _DECIDED:
-        return law, []
-    return law, ["the log does not show whether the commanded velocity is in the law"]
+        return with_it < without, []
+    doubt = "the log does not show whether the commanded velocity is in the law"
+    return with_it < without, [doubt]
 
 
-def _named(fit: LawFit, kind: str) -> tuple[dict[str, Array], dict[str, Array]]:
+def _named(fit: _LawFit, kind: str) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return gains, and their deviations as parts of them, by the names of a class."""
-    w = fit.weights[:, :-1]
+    w, C = fit.weights[:, :-1], fit.covariances
     with np.errstate(divide="ignore", invalid="ignore"):
-        deviation = np.nan_to_num(np.sqrt(fit.variances) / np.abs(w), nan=np.inf)
-        if kind != "p":
-            names = ("kp", "kd", "ki")[: w.shape[1]]
-            gains = {name: np.array(w[:, k]) for k, name in enumerate(names)}
-            return gains, {name: deviation[:, k] for k, name in enumerate(names)}
-        common = fit.covariances[:, 0, 1] / (w[:, 0] * w[:, 1])
-        ratio = deviation[:, 0] ** 2 + deviation[:, 1] ** 2 - 2.0 * common
-        return (
-            {"proportional_gain": w[:, 0] / w[:, 1], "velocity_gain": np.array(w[:, 1])},
-            {
-                "proportional_gain": np.sqrt(np.maximum(ratio, 0.0)),
-                "velocity_gain": deviation[:, 1],
-            },
-        )
+        variances = np.einsum("jmm->jm", C)[:, :-1] / w**2
+        if kind == "p":
+            w = np.column_stack([w[:, 0] / w[:, 1], w[:, 1]])
+            common = 2.0 * C[:, 0, 1] / (fit.weights[:, 0] * fit.weights[:, 1])
+            ratio = np.maximum(variances[:, 0] + variances[:, 1] - common, 0.0)
+            variances = np.column_stack([ratio, variances[:, 1]])
+    names = ("proportional_gain", "velocity_gain") if kind == "p" else ("kp", "kd", "ki")
+    deviations = np.nan_to_num(np.sqrt(variances), nan=np.inf)
+    return dict(zip(names, w.T, strict=False)), dict(zip(names, deviations.T, strict=False))
+
+
+def _bias(recording: Recording, fit: _LawFit, cutoff_hz: float) -> Array:
+    """Return the part of the gains (n,) that noise may take which the controller did not see."""
+    longest = max(continuous(recording)[0], key=lambda piece: piece.n_samples)
+    white = np.array([white_noise(longest.position[:, j]) ** 2 for j in range(recording.n)])
+    # What the filter leaves of white noise, and of its rate.
+    f = np.linspace(0.0, recording.rate_hz / 2.0, 20_001)
+    rate = recording.rate_hz
+    power = low_pass("butterworth", cutoff_hz, _ORDER, rate).gain(f, rate) ** 2
+    shares = np.array([np.mean(power), np.mean(power * (2.0 * np.pi * f) ** 2)])
+    bias = np.empty(len(white))
+    for j, X in enumerate(fit.columns):
+        lost = np.zeros(X.shape[1])
+        lost[:2] = len(X) * white[j] * shares * fit.weights[j, :2]
+        part = np.linalg.lstsq(X.T @ X, lost)[0][:2]
+        bias[j] = np.max(np.abs(part) / np.maximum(np.abs(fit.weights[j, :2]), 1e-300))
+    return bias
 
 
 def _doubts(
-    fit: LawFit, gains: dict[str, Array], deviations: dict[str, Array], names: tuple[str, ...]
+    fit: _LawFit,
+    gains: dict[str, Array],
+    deviations: dict[str, Array],
+    bias: Array,
+    names: tuple[str, ...],
 ) -> list[str]:
     """Return why a controller is not to be used."""
     reasons = []
@@ -189,10 +309,13 @@ def _doubts(
             f"the law explains {1.0 - fit.left[left]:.1%} of what moves {names[left]}, limit "
             f"{_LEAST_EXPLAINED:.0%}: it is another controller, or the efforts have other parts"
         )
-    for name, values in gains.items():
-        if name == "ki":
-            continue
-        worst = int(np.argmax(deviations[name]))
+    if bias.max() > _LARGEST_BIAS:
+        reasons.append(
+            f"noise of the encoders may take {bias.max():.0%} of a gain of "
+            f"{names[int(np.argmax(bias))]}, limit {_LARGEST_BIAS:.0%}"
+        )
+    for name in gains.keys() - {"ki"}:
+        values, worst = gains[name], int(np.argmax(deviations[name]))
         if not values.min() > 0.0:
             j = int(np.argmin(values))
             reasons.append(f"{name} of {names[j]} is {values[j]:.3g}, and must be positive")
@@ -204,9 +327,11 @@ def _doubts(
     return reasons
 
 
-def _missing_integral(signals: Tracking, fit: LawFit, names: tuple[str, ...]) -> list[str]:
+def _missing_integral(
+    signals: dict[str, Array], columns: list[Array], fit: _LawFit, names: tuple[str, ...]
+) -> list[str]:
     """Return that the law lacks an integral, where it does."""
-    more = fit_law(signals, fit.law.with_column(signals.integral))
+    more = _LawFit.of(signals, [*columns, signals["integral"]])
     taken = np.where(fit.left > _LEFT, 1.0 - more.left / np.maximum(fit.left, 1e-300), 0.0)
     j = int(np.argmax(taken))
     if taken[j] < _INTEGRAL:
@@ -217,18 +342,135 @@ def _missing_integral(signals: Tracking, fit: LawFit, names: tuple[str, ...]) ->
     ]
 
 
-def _controller(
-    kind: str, gains: dict[str, Array], feedforward: bool, model: RobotDynamics | None
-) -> Controller | None:
-    """Return the controller; None where gains are not those of one."""
-    if "ki" in gains:
-        gains = {**gains, "ki": np.maximum(gains["ki"], 0.0)}
-    try:
-        if model is not None:
-            return ComputedTorque(model, **gains)
-        if kind == "p":
-            return P(**gains, feedforward=feedforward)
-        law = PID if kind == "pid" else PD
-        return law(**gains, feedforward=feedforward)
-    except DataError:
+@dataclass(frozen=True, eq=False)
+class _LawFit:
+    """A law of n joints with m weights: least squares, and one delay of the efforts."""
+
+    columns: Array
+    weights: Array
+    covariances: Array
+    left: Array
+    delay: float
+
+    @classmethod
+    def of(cls, signals: dict[str, Array], columns: list[Array]) -> _LawFit:
+        """Fit the weights of columns (K, n) and a constant to the efforts."""
+        table = np.stack([*columns, np.ones_like(columns[0])], axis=-1).transpose(1, 0, 2)
+        efforts, rates = signals["effort"].T, signals["effort_rate"].T
+        delay, variance = _delay(table, efforts, rates)
+        if delay**2 <= _SURE**2 * variance or abs(delay) > _LONGEST:
+            delay, variance = 0.0, 0.0
+        found = [
+            _solved(*each, delay, variance) for each in zip(table, efforts, rates, strict=True)
+        ]
+        weights, covariances, left = (np.stack([each[k] for each in found]) for k in range(3))
+        return cls(table, weights, covariances, left, delay)
+
+
+def _delay(table: Array, efforts: Array, rates: Array) -> tuple[float, float]:
+    """Return by how much efforts are later than the law, and the variance of that.
+
+    The effort at t + d, to first order in d, follows from the columns at t.
+    """
+    moves = []
+    for X, y, rate in zip(table, efforts, rates, strict=True):
+        rest, move = (each - X @ np.linalg.lstsq(X, each)[0] for each in (y, rate))
+        weight = 1.0 / max(float(np.mean(rest**2)), 1e-12 * float(np.mean(y**2)), 1e-300)
+        moves.append((weight, rest, move))
+    bottom = sum(weight * float(move @ move) for weight, _, move in moves)
+    if bottom <= 0.0:
+        return 0.0, 0.0
+    delay = -sum(weight * float(move @ rest) for weight, rest, move in moves) / bottom
+    rows = np.sum([w * move * (rest + delay * move) for w, rest, move in moves], axis=0)
+    scores = _block_sums(rows)
+    return delay, float(scores @ scores) / bottom**2
+
+
+def _solved(
+    X: Array, y: Array, rate: Array, delay: float, delay_variance: float
+) -> tuple[Array, Array, float]:
+    """Return weights, their covariance and the part of the variance that is left."""
+    target = y + delay * rate
+    inverse = np.linalg.pinv(X)
+    w = inverse @ target
+    residual = target - X @ w
+    scores = _block_sums(X * residual[:, None])
+    spread = inverse @ inverse.T @ scores.T
+    # As many blocks as weights less.
+    covariance = len(scores) / (len(scores) - X.shape[1]) * spread @ spread.T
+    moved = inverse @ rate
+    covariance += delay_variance * np.outer(moved, moved)
+    left = float(np.mean(residual**2)) / max(float(np.var(target)), 1e-300)
+    return w, covariance, left
+
+
+def _block_sums(rows: Array) -> Array:
+    """Return the sums over contiguous blocks of rows, (blocks, ...)."""
+    count = min(max(len(rows) // _ROWS_OF_BLOCK, _LEAST_BLOCKS), _MOST_BLOCKS)
+    starts = np.linspace(0, len(rows), count, endpoint=False).astype(np.intp)
+    return np.asarray(np.add.reduceat(rows, starts, axis=0))
+
+
+def _signals(log: Recording, cutoff_hz: float | None) -> tuple[dict[str, Array], float]:
+    """Return the signals of a controller (K, n), all passed through one filter, and its cut-off.
+
+    The integral is that of the position error from the first sample of each piece on.
+    """
+    pieces, _ = continuous(log)
+    if cutoff_hz is None:
+        motion = motion_frequency(max(pieces, key=lambda piece: piece.n_samples))
+        cutoff_hz = min(max(_PASS * motion, _LEAST_PASS), _LARGEST_PART * log.rate_hz)
+    elif not 0.0 < cutoff_hz <= _LARGEST_PART * log.rate_hz:
+        raise DataError(
+            f"cutoff_hz: is {cutoff_hz:g}, expected at most {_LARGEST_PART * log.rate_hz:.4g} Hz, "
+            f"{_LARGEST_PART:g} of the sample rate."
+        )
+    found = [rows for piece in pieces if (rows := _filtered(piece, cutoff_hz)) is not None]
+    count = sum(len(rows["position"]) for rows in found)
+    if count < _LEAST_ROWS:
+        raise DataError(
+            f"fit_controller: {count} rows are left at a cut-off of {cutoff_hz:.3g} Hz, at least "
+            f"{_LEAST_ROWS} are needed; give a longer recording."
+        )
+    return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}, cutoff_hz
+
+
+def _filtered(log: Recording, cutoff_hz: float) -> dict[str, Array] | None:
+    """Return the signals of a piece without gaps; None if it is too short."""
+    grid = make_grid(log)
+    rate = 1.0 / grid.step
+    low = low_pass("butterworth", cutoff_hz, _ORDER, rate)
+    edge = int(_FORGOTTEN * low.time_constant) + 3
+    stride = max(1, int(rate / (_ROWS * cutoff_hz)))
+    if grid.count < 3 * edge:
         return None
+    tables = {
+        name: np.column_stack([grid.read(table[:, j], 0, grid.count) for j in range(log.n)])
+        for name, table in channels(log).items()
+        if name != "velocity"
+    }
+    scheme = stencil("central4")
+    smooth = {name: low.apply(table) for name, table in tables.items()}
+
+    def rows(signal: Array) -> Array:
+        """Return every so many rows, without the ends."""
+        margin = edge - (grid.count - len(signal)) // 2
+        return np.ascontiguousarray(signal[margin : len(signal) - margin : stride])
+
+    def each(function: Callable[[Array, float], Array], signal: Array) -> Array:
+        return rows(np.column_stack([function(column, grid.step) for column in signal.T]))
+
+    def rate_of(signal: Array) -> Array:
+        return each(scheme.velocity, signal)
+
+    off = smooth["reference"] - smooth["position"]
+    sums = np.cumsum(off, axis=0) * grid.step - off * (grid.step / 2.0)
+    return {
+        "position": rows(smooth["position"]),
+        "velocity": rate_of(smooth["position"]),
+        "reference": rows(smooth["reference"]),
+        "reference_velocity": rate_of(smooth["reference"]),
+        "integral": rows(sums),
+        "effort": rows(smooth["effort"]),
+        "effort_rate": rate_of(smooth["effort"]),
+    }

@@ -36,7 +36,7 @@ _CHUNK = 1024
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Loop:
+class ControlledMotion:
     """What acts along a motion: its states, and how the controller answers them.
 
     Attributes
@@ -61,7 +61,7 @@ class Loop:
 
 
 def sensitivities(
-    model: RobotDynamics, base: BaseParameters, loop: Loop, *, at: Indices | None = None
+    model: RobotDynamics, base: BaseParameters, loop: ControlledMotion, *, at: Indices | None = None
 ) -> Array:
     """Return the derivative of the positions by the base parameters, (N, n, b).
 
@@ -73,7 +73,7 @@ def sensitivities(
         The robot that moved.
     base : BaseParameters
         Its base parameters, b.
-    loop : Loop
+    loop : ControlledMotion
         Its motion, and its controller.
     at : ndarray of int, optional
         Rising numbers of the instants to return; by default all.
@@ -120,7 +120,12 @@ class _Instants:
 
     @classmethod
     def of(
-        cls, arm: SimulatedArm, base: BaseParameters, loop: Loop, part: slice, jumps: Array
+        cls,
+        arm: SimulatedArm,
+        base: BaseParameters,
+        loop: ControlledMotion,
+        part: slice,
+        jumps: Array,
     ) -> _Instants:
         q, v, effort = loop.position[part], loop.velocity[part], loop.effort[part]
         model = arm.model
