@@ -504,28 +504,24 @@ def floating_log(
     if contacts is None or not robot.prior[:, 0].sum() > 0.0:
         return None
     some = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
-    pose, position = np.split(samples.position, [base + 1], axis=1)
-    rates = (samples.velocity[some], samples.acceleration[some])
-    velocity, acceleration = (each[:, base:] for each in rates)
-    effort = samples.effort[some, base:]
+    parts = {
+        name: np.split(getattr(samples, name)[some], [base + (name == "position")], axis=1)
+        for name in (*_STATES, "effort")
+    }
+    signals = {name: of_joints for name, (_, of_joints) in parts.items()}
+    signals["sign"] = smooth_sign(signals["velocity"])
+    position = samples.position[:, base + 1 :]
     known = np.array([name not in without for name in robot.joint_names[base:]])
     usable = moving(position.min(axis=0), position.max(axis=0)) & known
-    usable &= np.ptp(effort, axis=0) > 0.0
+    usable &= np.ptp(signals["effort"], axis=0) > 0.0
     if not usable.any():
         return None
-    signals = {
-        "position": position[some],
-        "velocity": velocity,
-        "acceleration": acceleration,
-        "sign": smooth_sign(velocity),
-        "effort": effort,
-    }
     log = ExplainedLog(
         robot=robot,
         signals=signals,
         usable=usable,
         gravity=robot.gravity,
-        base=(pose[some], *(each[:, :base] for each in rates)),
+        base=tuple(parts[name][0] for name in _STATES),
         contacts=contacts.picked(some),
     ).moved()
     asked = np.sqrt(np.mean(log.equations[0][2][:, base:] ** 2, axis=0))

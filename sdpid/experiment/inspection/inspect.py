@@ -23,7 +23,6 @@ from sdpid.experiment.inspection import (
     imu_checks,
     motion_checks,
 )
-from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, note, refuse
 from sdpid.experiment.inspection.subject import CHECKS, OF_EFFORTS, Subject
 from sdpid.experiment.inspection.view import LogView
@@ -183,7 +182,7 @@ def inspect_recordings(
         return looked_at[0][1]
     between: dict[int, Finding] = {}
     if len(views) > 1:
-        between = dict(other_loads([subject for subject, _ in looked_at]))
+        between = dict(dynamics_checks.other_loads([subject for subject, _ in looked_at]))
     resting = [{f.joint for f in found if f.kind == "joint_at_rest"} for _, found in looked_at]
     always = set.intersection(*resting)
     name = name or "recording"
