@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array
 from sdpid._common.tables import plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import Certificate, certify
@@ -21,6 +21,7 @@ from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
+from sdpid.verifier.reading import listed
 from sdpid.workflow.given_parameters import GivenParameters
 
 # Violated constraints, and refitted parameters, that are named; of more, how many there are.
@@ -91,7 +92,7 @@ class Judgment:
         lines = [f"{self.given.source}: {len(self.given.values)} {what} parameters given"]
         if self.refitted:
             held = "the links" if standard else "the other base parameters"
-            lines.append(f"friction refitted with {held} held: {_some(self.refitted)}")
+            lines.append(f"friction refitted with {held} held: {listed(self.refitted, _NAMED)}")
         lines.append(self._feasibility())
         of_it = ""
         if standard and problem.prior is not None:
@@ -123,7 +124,8 @@ class Judgment:
             if self.certificate.feasible:
                 return "feasible: every constraint holds (proven)"
             broken = self.violations or (f"by less than {FEASIBLE:g}, where rounding ends",)
-            return f"not feasible: {_some(broken, '; ')}"
+            more = [f"{len(broken) - _NAMED} more"] if len(broken) > _NAMED else []
+            return f"not feasible: {'; '.join([*broken[:_NAMED], *more])}"
         if self.audit is None:
             return "base parameters only: not compared with the constraints of bodies"
         found = self.audit
@@ -179,7 +181,7 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
     if not standard and problem.prior is not None:
         # What a prior on the links costs cannot be told of base parameters.
         problem = replace(problem, prior=None)
-    estimate, refitted = (_of_theta if standard else _of_base)(problem, given)
+    estimate, refitted = _completed(problem, given, standard)
     optimum = _optimum(problem)
     certificate = certify(estimate, bound=optimum)
     wls = solve_wls(replace(problem, prior=None))
@@ -217,56 +219,44 @@ def _optimum(problem: Problem) -> Estimate:
         raise
 
 
-def _of_theta(problem: Problem, given: GivenParameters) -> tuple[Estimate, tuple[str, ...]]:
-    """Return the estimate with given standard parameters, and the names of those refitted."""
-    names = problem.base.theta_names
-    theta = np.array([given.values.get(name, 0.0) for name in names])
+def _completed(
+    problem: Problem, given: GivenParameters, standard: bool
+) -> tuple[Estimate, tuple[str, ...]]:
+    """Return the estimate with given parameters, and the names of those refitted beside them."""
+    base, feasible = problem.base, problem.feasible
+    names = base.theta_names if standard else base.names
+    values = np.array([given.values.get(name, 0.0) for name in names])
     free = np.array([k for k, name in enumerate(names) if name not in given.values], dtype=np.intp)
     if len(free):
-        squared = problem.squared
-        theta[free] = _refitted(problem.feasible, squared.matrix, squared.rhs, theta, free)
-    status = "optimal" if problem.feasible.violation(theta) <= FEASIBLE else "infeasible"
-    estimate = Estimate.of_theta(
-        problem, theta, method="given", status="given", message=f"{given.source}: {status}"
-    )
-    return estimate, tuple(names[k] for k in free)
-
-
-def _of_base(problem: Problem, given: GivenParameters) -> tuple[Estimate, tuple[str, ...]]:
-    """Return the estimate with given base parameters, and the names of those refitted."""
-    names, theta_names = problem.base.names, problem.base.theta_names
-    base = np.array([given.values.get(name, 0.0) for name in names])
-    free = np.array([k for k, name in enumerate(names) if name not in given.values], dtype=np.intp)
-    if len(free):
-        # Friction that is a base parameter by itself, with its bounds.
-        own = [theta_names.index(names[k]) for k in free]
-        rest = problem.rhs - problem.A @ base
-        lower, upper = problem.feasible.lower[own], problem.feasible.upper[own]
-        base[free] = _least(problem.A[:, free], rest, np.eye(len(own)), lower, upper)
-    estimate = Estimate(
-        problem=problem,
-        method="given",
-        base=base,
-        theta=None,
-        status="given",
-        message=given.source,
-    )
-    return estimate, tuple(names[k] for k in free)
-
-
-def _refitted(
-    feasible: FeasibleSet, matrix: Array, rhs: Array, theta: Array, free: Indices
-) -> Array:
-    """Return the friction (at `free`) of least cost beside the rest of theta, which is held."""
-    touched = np.flatnonzero(np.any(feasible.rows[:, free] != 0.0, axis=1))
-    held = feasible.rows[touched] @ theta
-    return _least(
-        matrix[:, free],
-        rhs - matrix @ theta,
-        np.vstack([np.eye(len(free)), feasible.rows[np.ix_(touched, free)]]),
-        np.concatenate([feasible.lower[free], feasible.row_lower[touched] - held]),
-        np.concatenate([feasible.upper[free], feasible.row_upper[touched] - held]),
-    )
+        matrix, rhs, own = problem.A, problem.rhs, free
+        rows, limits, held = np.zeros((0, len(free))), np.zeros((2, 0)), np.zeros(0)
+        if standard:
+            matrix, rhs = problem.squared.matrix, problem.squared.rhs
+            touched = np.flatnonzero(np.any(feasible.rows[:, free] != 0.0, axis=1))
+            rows, held = feasible.rows[np.ix_(touched, free)], feasible.rows[touched] @ values
+            limits = np.stack([feasible.row_lower[touched], feasible.row_upper[touched]])
+        else:
+            # Friction that is a base parameter by itself, with its bounds.
+            own = np.array([base.theta_names.index(names[k]) for k in free])
+        ends = zip((feasible.lower[own], feasible.upper[own]), limits, strict=True)
+        lower, upper = (np.concatenate([bound, limit - held]) for bound, limit in ends)
+        C = np.vstack([np.eye(len(free)), rows])
+        values[free] = _least(matrix[:, free], rhs - matrix @ values, C, lower, upper)
+    refitted = tuple(names[k] for k in free)
+    if not standard:
+        estimate = Estimate(
+            problem=problem,
+            method="given",
+            base=values,
+            theta=None,
+            status="given",
+            message=given.source,
+        )
+        return estimate, refitted
+    status = "optimal" if feasible.violation(values) <= FEASIBLE else "infeasible"
+    message = f"{given.source}: {status}"
+    estimate = Estimate.of_theta(problem, values, method="given", status="given", message=message)
+    return estimate, refitted
 
 
 def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> Array:
@@ -347,9 +337,3 @@ def _audit(problem: Problem, given: GivenParameters) -> BaseAudit | None:
     except DataError:
         # Effects that were taken at links which a table does not hold.
         return None
-
-
-def _some(words: tuple[str, ...], between: str = ", ") -> str:
-    """Return the first few of many words, and how many more there are."""
-    more = f" and {len(words) - _NAMED} more" if len(words) > _NAMED else ""
-    return between.join(words[:_NAMED]) + more

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -281,24 +281,16 @@ def compare(
             results.append(result)
             advance(1)
     entries: list[tuple[str, str, Estimate | str]] = [("wls", "-", wls), ("sdp", "-", best)]
-    for (solver, label, start), result in zip(runs, results, strict=True):
-        if isinstance(result, str):
-            entries.append((solver, label, result))
-        else:
-            # A worker's estimate has a copy of the problem; give it this one.
-            fields = {k: getattr(result, k) for k in _RETURNED}
-            entries.append(
-                (solver, label, Estimate.of_theta(problem, result.theta, start=start, **fields))
-            )
+    for (solver, label, _), result in zip(runs, results, strict=True):
+        # A worker's estimate has a copy of the problem; give it this one.
+        own = result if isinstance(result, str) else replace(result, problem=problem)
+        entries.append((solver, label, own))
     entries += [(solver, "-", f"{left_out[solver]}") for solver in local if solver not in able]
     return Comparison(
         rows=tuple(_row(solver, label, result, certificate) for solver, label, result in entries),
-        estimates=tuple(None if isinstance(f, str) else f for _, _, f in entries),
+        estimates=tuple(None if isinstance(each, str) else each for _, _, each in entries),
         certificate=certificate,
     )
-
-
-_RETURNED = ("method", "status", "message", "iterations", "solve_time", "history")
 
 
 def _run(

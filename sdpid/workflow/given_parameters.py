@@ -18,6 +18,7 @@ from sdpid.robot.description.level import without_level
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.reading import listed
 
 # Joints of two descriptions that are this near to each other (m, rad) are the same.
 _SAME_PLACE = 1e-6
@@ -64,8 +65,8 @@ class GivenParameters:
         known = {*base.theta_names, *base.names}
         if unknown := [name for name in self.values if name not in known]:
             raise DataError(
-                f"{self.source}: the problem has no parameters {_listed(unknown)}; name the "
-                "friction terms that have them with friction=(...) (--friction TERM), or leave "
+                f"{self.source}: the problem has no parameters {listed(unknown, _LISTED)}; name "
+                "the friction terms that have them with friction=(...) (--friction TERM), or leave "
                 "them out."
             )
         for name, x in self.values.items():
@@ -82,8 +83,8 @@ class GivenParameters:
         if missing:
             raise DataError(
                 f"{self.source}: holds neither all {len(rigid)} parameters of the links (without "
-                f"{_listed(lacking)}) nor all {len(wanted)} base parameters (without "
-                f"{_listed(missing)})."
+                f"{listed(lacking, _LISTED)}) nor all {len(wanted)} base parameters (without "
+                f"{listed(missing, _LISTED)})."
             )
         return False
 
@@ -131,8 +132,9 @@ def _described(given: RobotModel, robot: RobotModel, file: Path) -> dict[str, fl
     """Return the links, friction and armature of a description, by the robot's names."""
     if given.joint_names != robot.joint_names or given.link_names != robot.link_names:
         raise ModelError(
-            f"{file}: has the joints {_listed(given.joint_names)}, the robot '{robot.name}' "
-            f"{_listed(robot.joint_names)}; give a description of the same robot."
+            f"{file}: has the joints {listed(given.joint_names, _LISTED)}, the robot "
+            f"'{robot.name}' {listed(robot.joint_names, _LISTED)}; give a description of the same "
+            "robot."
         )
     for name, own, other in zip(
         robot.pin_model.names,
@@ -152,10 +154,3 @@ def _described(given: RobotModel, robot: RobotModel, file: Path) -> dict[str, fl
             joints = each[given.n_base :].tolist()
             found.update({f"{symbol}{j + 1}": x for j, x in enumerate(joints)})
     return found
-
-
-def _listed(names: object) -> str:
-    """Return names for a message, the first few of many."""
-    shown = [str(name) for name in names]  # type: ignore[attr-defined]
-    more = f" and {len(shown) - _LISTED} more" if len(shown) > _LISTED else ""
-    return ", ".join(shown[:_LISTED]) + more
