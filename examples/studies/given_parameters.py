@@ -21,9 +21,8 @@ import sdpid
 from sdpid._common.tables import Table
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
-from sdpid.workflow.certify_parameters import certify_parameters
+from sdpid.workflow.certify_parameters import GivenParameters, certify_parameters, read_given
 from sdpid.workflow.formulate import formulate
-from sdpid.workflow.given_parameters import GivenParameters, read_given
 
 DENSO = Path(__file__).resolve().parents[2] / "models" / "denso_vp6242"
 HEADER = (

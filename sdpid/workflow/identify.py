@@ -43,9 +43,8 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
 from sdpid.workflow.formulate import Formulation
-from sdpid.workflow.remedies import tried_remedies
+from sdpid.workflow.remedies import spoiling_effort, tried_remedies
 from sdpid.workflow.result import Identification
-from sdpid.workflow.spoiled import spoiling_effort
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.

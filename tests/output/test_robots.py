@@ -66,7 +66,7 @@ from sdpid.robot.inertia import (
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.given_parameters import read_given
+from sdpid.workflow.certify_parameters import read_given
 from tests.helpers import legged, strategies, world
 from tests.helpers.arm import ARM as FRICTION_ARM
 from tests.helpers.data import friction_model, full_regressor, random_links, random_theta

@@ -49,8 +49,7 @@ def certify(
     if certificate is not None:
         inputs = [parameters, *reading.files(logs, robot, printing.config)]
         opt.require_folder("--certificate", certificate, inputs)
-    from sdpid.workflow.certify_parameters import certify_parameters
-    from sdpid.workflow.given_parameters import read_given
+    from sdpid.workflow.certify_parameters import certify_parameters, read_given
 
     problem, prepared = formulated(
         robot, logs, reading, periods, processing, estimation, acceptance
