@@ -4,6 +4,8 @@ import ast
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -79,40 +81,61 @@ def log(robot: sdpid.RobotModel) -> Recording:
     return simulated(robot, 0)
 
 
-def flipped(*quantities: str, joints: tuple[int, ...] = (JOINT,)) -> Change:
-    sign = np.ones(6)
-    sign[list(joints)] = -1.0
-    return lambda log: replace(log, **{name: sign * getattr(log, name) for name in quantities})
+def every(change: Callable[[np.ndarray], Any], *quantities: str) -> Change:
+    return lambda log: replace(log, **{name: change(getattr(log, name)) for name in quantities})
+
+
+def one(
+    change: Callable[[np.ndarray], Any],
+    *quantities: str,
+    rows: Any = slice(None),
+    joint: int = JOINT,
+) -> Change:
+    """Change one joint's values, in some rows."""
+
+    def changed(table: np.ndarray) -> np.ndarray:
+        values = table.copy()
+        values[rows, joint] = change(values[rows, joint])
+        return values
+
+    return every(changed, *quantities)
+
+
+def flipped(*quantities: str) -> Change:
+    return one(np.negative, *quantities)
 
 
 def ordered(order: list[int], *quantities: str) -> Change:
-    return lambda log: replace(log, **{name: getattr(log, name)[:, order] for name in quantities})
+    return every(lambda table: table[:, order], *quantities)
 
 
 def scaled(quantity: str, factor: float | np.ndarray) -> Change:
-    return lambda log: replace(log, **{quantity: factor * getattr(log, quantity)})
+    return every(partial(np.multiply, factor), quantity)
 
 
-def zeroed(log: Recording) -> Recording:
-    return replace(log, position=log.position + np.pi / 2.0 * (np.arange(6) == JOINT))
+def later(seconds: float, values: np.ndarray) -> np.ndarray:
+    return np.interp(T - seconds, T, values)
 
 
 def late(quantity: str, seconds: float) -> Change:
-    def change(log: Recording) -> Recording:
-        moved = [np.interp(T - seconds, T, column) for column in getattr(log, quantity).T]
-        return replace(log, **{quantity: np.column_stack(moved)})
-
-    return change
+    return every(lambda table: np.apply_along_axis(partial(later, seconds), 0, table), quantity)
 
 
 def clipped(quantity: str) -> Change:
-    return changed_rows(quantity, slice(None), lambda x: np.clip(x, *np.percentile(x, (5, 95))))
+    return one(lambda x: np.clip(x, *np.percentile(x, (5, 95))), quantity)
+
+
+def stays(quantity: str, seconds: float = 1.0) -> Change:
+    return one(lambda x: x[0], quantity, rows=slice(500, 500 + int(seconds * RATE)))
+
+
+def rounded(step: float) -> Change:
+    return one(lambda x: step * np.rint(x / step), "position")
 
 
 def one_way(log: Recording) -> Recording:
-    position = log.position.copy()
-    position[:, JOINT] = np.linspace(-2.0, 0.0, len(T)) + 0.05 * np.sin(T)
-    return replace(log, position=position, velocity=None)
+    moved = one(lambda _: np.linspace(-2.0, 0.0, len(T)) + 0.05 * np.sin(T), "position")(log)
+    return replace(moved, velocity=None)
 
 
 def rested(log: Recording) -> Recording:
@@ -122,33 +145,16 @@ def rested(log: Recording) -> Recording:
 
 
 def losing(log: Recording) -> Recording:
-    kept = np.random.default_rng(0).uniform(size=len(T)) > 0.1
-    return rows_of(log, kept)
+    return rows_of(log, np.random.default_rng(0).uniform(size=len(T)) > 0.1)
 
 
 def jittering(log: Recording) -> Recording:
     return replace(log, time=T + np.random.default_rng(0).uniform(-0.3, 0.3, len(T)) / RATE)
 
 
-def changed_rows(
-    quantity: str, rows: slice, value: Callable[[np.ndarray], object], joint: int = JOINT
-) -> Change:
-    """Change one joint's values in some rows."""
-
-    def change(log: Recording) -> Recording:
-        values = getattr(log, quantity).copy()
-        values[rows, joint] = value(values[rows, joint])
-        return replace(log, **{quantity: values})
-
-    return change
-
-
-def stays(quantity: str, seconds: float = 1.0) -> Change:
-    return changed_rows(quantity, slice(500, 500 + int(seconds * RATE)), lambda values: values[0])
-
-
 REVERSED = list(range(5, -1, -1))
 CURRENTS = 1.0 / np.linspace(14.0, 9.0, 6)
+EXCHANGED, TURNED = [2, 1, 0, 3, 4, 5], [5, 0, 1, 2, 3, 4]
 WRONG: dict[str, tuple[Change, str, str, str]] = {
     "currents": (scaled("effort", CURRENTS), "effort_scale", "refuse", "currents (A)"),
     "N·mm": (scaled("effort", 1e3), "effort_scale", "refuse", "N·mm or mN·m instead of N·m"),
@@ -156,25 +162,20 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
     "efforts": (scaled("effort", -1.0), "effort_sign", "refuse", "effort of all joints has"),
     "position": (flipped(*ALL[:2]), "position_sign", "refuse", "shoulder_lift_joint has the wrong"),
     "axis": (flipped(*ALL), "axis_sign", "refuse", "count the other way round"),
-    "zero": (zeroed, "position_zero", "refuse", "another zero"),
+    "zero": (
+        one(partial(np.add, np.pi / 2.0), "position"),
+        "position_zero",
+        "refuse",
+        "other zero",
+    ),
     "exchanged": (
-        ordered([2, 1, 0, 3, 4, 5], *ALL),
+        ordered(EXCHANGED, *ALL),
         "joint_order",
         "refuse",
-        "order elbow_joint, shoulder_lift_joint, shoulder_pan_joint, wrist_1_joint",
+        "elbow_joint, shoulder_lift_j",
     ),
-    "reversed": (
-        ordered(REVERSED, *ALL),
-        "joint_order",
-        "refuse",
-        "order wrist_3_joint, wrist_2_joint, wrist_1_joint, elbow_joint, shoulder_lift_joint",
-    ),
-    "efforts' order": (
-        ordered([5, 0, 1, 2, 3, 4], "effort"),
-        "effort_order",
-        "refuse",
-        "efforts are in the order wrist_3_joint, shoulder_pan_joint, shoulder_lift_joint",
-    ),
+    "reversed": (ordered(REVERSED, *ALL), "joint_order", "refuse", "wrist_3_joint, wrist_2_joint"),
+    "efforts' order": (ordered(TURNED, "effort"), "effort_order", "refuse", "wrist_3_joint, shoul"),
     "degrees": (scaled("position", 180.0 / np.pi), "position_in_degrees", "refuse", "degrees"),
     "ms as s": (scaled("time", 1e3), "time_unit", "refuse", "must be in ms (100 Hz)"),
     "s as ms": (scaled("time", 1e-3), "time_unit", "refuse", "were read as ms"),
@@ -185,70 +186,31 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
     "clipped velocity": (clipped("velocity"), "velocity_clipped", "note", "it is clipped"),
     "one way": (one_way, "one_direction", "warning", "shoulder_lift_joint moves in one direction"),
     "rest": (rested, "long_rest", "warning", "stands still in 49 %"),
-    **{
-        f"{quantity} for {seconds:g} s": (
-            stays(quantity, seconds),
-            f"{quantity}_frozen",
-            severity,
-            f"{quantity} of shoulder_lift_joint stays at",
-        )
-        for quantity, severity in (
-            ("effort", "warning"),
-            ("velocity", "note"),
-            ("position", "refuse"),
-        )
-        for seconds in (0.5, 1.0, 6.0)
-    },
-    **{
-        f"effort {size:g} N·m off": (
-            changed_rows("effort", slice(700, 701), lambda values, size=size: values + size),
-            "effort_spike",
-            "warning",
-            "at row 701",
-        )
-        for size in (400.0, 1e5)
-    },
-    **{
-        f"position {angle:g} rad off": (
-            changed_rows("position", slice(700, 701), lambda values, angle=angle: values + angle),
-            "position_lone",
-            "refuse",
-            f"shoulder_lift_joint is {angle:.3g} rad off those before and after it at row 701",
-        )
-        for angle in (0.05, 0.3, 30.0)
-    },
-    **{
-        f"rounded to {step:g} rad": (
-            changed_rows(
-                "position", slice(None), lambda values, step=step: step * np.rint(values / step)
-            ),
-            "position_coarse",
-            "warning",
-            "shoulder_lift_joint has",
-        )
-        for step in (0.03, 0.1)
-    },
-    **{
-        f"effort {seconds:g} s late": (
-            changed_rows(
-                "effort", slice(None), lambda values, late=seconds: np.interp(T - late, T, values)
-            ),
-            "effort_late",
-            "warning",
-            "effort of shoulder_lift_joint alone is late by",
-        )
-        for seconds in (0.04, 0.1)
-    },
-    **{
-        f"{factor:g} times the time": (
-            *(scaled("time", factor), "time_scale", "refuse"),
-            f"the time stamps count {factor:g} s for every second",
-        )
-        for factor in (0.5, 1.25, 2.0)
-    },
     "lost": (losing, "lost_samples", "warning", "are missing"),
     "jitter": (jittering, "jitter", "note", "time stamps jitter by"),
 }
+ROW = slice(700, 701)
+STAYS = (("effort", "warning"), ("velocity", "note"), ("position", "refuse"))
+for (name, severity), x in product(STAYS, (0.5, 1.0, 6.0)):
+    words = f"{name} of shoulder_lift_joint stays at"
+    WRONG[f"{name} for {x:g} s"] = stays(name, x), f"{name}_frozen", severity, words
+for x in (400.0, 1e5):
+    off = one(partial(np.add, x), "effort", rows=ROW)
+    WRONG[f"effort {x:g} N·m off"] = off, "effort_spike", "warning", "at row 701"
+for x in (0.05, 0.3, 30.0):
+    off = one(partial(np.add, x), "position", rows=ROW)
+    words = f"shoulder_lift_joint is {x:.3g} rad off those before and after it at row 701"
+    WRONG[f"position {x:g} rad off"] = off, "position_lone", "refuse", words
+for x in (0.03, 0.1):
+    words = "shoulder_lift_joint has"
+    WRONG[f"rounded to {x:g} rad"] = rounded(x), "position_coarse", "warning", words
+for x in (0.04, 0.1):
+    words = "effort of shoulder_lift_joint alone is late by"
+    change = one(partial(later, x), "effort")
+    WRONG[f"effort {x:g} s late"] = change, "effort_late", "warning", words
+for x in (0.5, 1.25, 2.0):
+    words = f"the time stamps count {x:g} s for every second"
+    WRONG[f"{x:g} times the time"] = scaled("time", x), "time_scale", "refuse", words
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -341,7 +303,7 @@ def test_a_delay_is_told_without_false_precision(log: Recording, robot: sdpid.Ro
 
 
 def test_several_errors_are_found_one_after_another(log: Recording, robot: sdpid.RobotModel):
-    found = kinds(flipped("effort", joints=(1, 2))(log), robot)
+    found = kinds(every(partial(np.multiply, [1, -1, -1, 1, 1, 1]), "effort")(log), robot)
     assert {*found} == {("effort_sign", name) for name in robot.joint_names[1:3]}
 
 
@@ -385,9 +347,7 @@ def current(effort: np.ndarray) -> np.ndarray:
 def test_an_effort_that_says_nothing_is_left_out_and_accuses_no_other(
     log: Recording, robot: sdpid.RobotModel, joint: int, change: Callable, kind: str, words: str
 ):
-    effort, name = log.effort.copy(), robot.joint_names[joint]
-    effort[:, joint] = change(effort[:, joint])
-    wrong = replace(log, effort=effort)
+    wrong, name = one(change, "effort", joint=joint)(log), robot.joint_names[joint]
     finding = only(wrong, robot)
     assert (finding.severity, finding.kind, finding.joint) == ("warning", kind, name)
     assert words in finding.message
@@ -505,7 +465,7 @@ def test_what_is_right_raises_no_alarm(log: Recording, robot: sdpid.RobotModel):
 def test_wrong_signals_are_named(
     log: Recording, robot: sdpid.RobotModel, quantity: str, factor: float, kind: str, words: str
 ):
-    wrong = changed_rows(quantity, slice(None), lambda values: factor * values)(log)
+    wrong = one(partial(np.multiply, factor), quantity)(log)
     finding = only(wrong, robot, kind)
     assert finding.joint == log.names[JOINT]
     assert words.format(finding.joint) in finding.message
@@ -544,7 +504,7 @@ def test_references_that_are_not_followed_are_named(
 
 
 def test_a_position_that_jumps_is_named_with_its_row(log: Recording):
-    jumps = changed_rows("position", slice(700, None), lambda values: values + 4.8)(log)
+    jumps = one(partial(np.add, 4.8), "position", rows=slice(700, None))(log)
     finding = only(replace(jumps, velocity=None))
     assert (finding.kind, finding.severity) == ("position_jumps", "refuse")
     assert "changes by 4.79" in finding.message
@@ -648,7 +608,7 @@ def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):
 
 
 def resting(log: Recording) -> Recording:
-    still = changed_rows("position", slice(None), lambda values: 0.3 + 0.0 * values, joint=5)
+    still = one(lambda values: 0.3 + 0.0 * values, "position", joint=5)
     return replace(still(log), velocity=None)
 
 
