@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid.errors import DataError, ExportError, MissingExtraError, SdpidError
-from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, SANDBOXED
+from sdpid.experiment.readers.formats.loaders import BY_SUFFIX
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.timestamps import guess_time_unit
@@ -71,7 +71,7 @@ def test_mat_of_what_cannot_be_read(tmp_path: Path):
     savemat(file, {"t": T, "q": cell, "tau": TAU})
     refuses(DataError, "'q' is a cell array", read_recording, file)
     savemat(file, {"t": T, "q": 1j * Q, "tau": TAU})
-    refuses(DataError, "position: holds complex", read_recording, file)
+    refuses(DataError, "position: 'q' holds complex", read_recording, file)
 
 
 def matlab_73(file: Path, **arrays: Any) -> None:
@@ -223,7 +223,7 @@ def test_missing_packages_are_named_with_what_installs_them(
         monkeypatch.setitem(sys.modules, module, None)
     file = tmp_path / f"log{suffix}"
     file.write_bytes(b"0")
-    refuses(MissingExtraError, rf"with: pip install .*'{wanted}>=", LOADERS[suffix], file)
+    refuses(MissingExtraError, rf"with: pip install .*'{wanted}>=", BY_SUFFIX[suffix].load, file)
 
 
 def test_several_logs_at_once(tmp_path: Path):
@@ -416,7 +416,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
     file = WRITERS[kind](tmp_path)
     log = tmp_path / "log.npz" if kind == "toml" else file
     content = file.read_bytes()
-    count = COUNT_IN_SANDBOX if log.suffix in SANDBOXED else COUNT
+    count = COUNT_IN_SANDBOX if BY_SUFFIX[log.suffix].sandboxed else COUNT
     rng = np.random.default_rng([COUNT, *kind.encode()])
     with warnings.catch_warnings():
         # Libraries may warn of what they find in a damaged file; that is not ours.
@@ -434,12 +434,12 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
     print(f"{kind}: {refused} of {count} damaged files refused, the others read")
 
 
-@pytest.mark.parametrize("suffix", sorted(set(LOADERS) - {".gz", MATRICES}))
+@pytest.mark.parametrize("suffix", sorted(BY_SUFFIX))
 def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
     file = tmp_path / f"log{suffix}"
     contents = [np.random.default_rng(0).bytes(500), b"", b"\x00" * 64, b"a,b\n1\n", b"1,2\n3,4\n"]
     # A child process for each takes a moment.
-    for content in contents[: 1 if suffix in SANDBOXED else None]:
+    for content in contents[: 1 if BY_SUFFIX[suffix].sandboxed else None]:
         file.write_bytes(content)
         refuses(DataError, r"log\.", sdpid.read_recording, file)
 
@@ -957,7 +957,7 @@ def test_arrays_are_read_as_told(tmp_path: Path) -> None:
         ({"base": {}}, "the order of its quaternions is not known; say base="),
         ({"base": {"quaternion": "zyxw"}}, "expected one of xyzw, wxyz"),
         ({"base": {"held": "trunk"}}, "held at 'trunk', and the log has the motion of one"),
-        ({"base": {"held": True}}, "base.held: is True, expected the name of the link"),
+        ({"base": {"held": True}}, "base.held is True, expected the name of the link"),
         ({"base": {"held": "trunk", "topic": "/odom"}}, "'trunk', and topic is about one that"),
         ({"base": {"orientation": [0, 0, 0, 1]}}, "say which link was, held ="),
         ({"base": {"quat": "xyzw"}}, "base: quat is not known; known are quaternion"),
@@ -967,7 +967,7 @@ def test_arrays_are_read_as_told(tmp_path: Path) -> None:
         ({"columns": {"gyroscope": "tau"}}, "gyroscope: has 2 columns, expected 3"),
         ({"columns": {"position": "q[2:3]"}}, "asks for columns 2 to 3 of an array"),
         ({"rows": (5, 100)}, "rows: asks for row 100, the log has 40"),
-        ({"rows": (0, 10)}, "rows: is .*, expected the first and the last row"),
+        ({"rows": (0, 10)}, "rows is .*, expected the first and the last row"),
     ],
 )
 def test_what_is_not_told_or_not_there_is_refused(

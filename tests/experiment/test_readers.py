@@ -46,7 +46,7 @@ ARGUMENTS: list[tuple[dict[str, Any], str]] = [
         for units in ({"time": ["s"]}, {"position": 3}, {"position": [["rad"]]})
         for given in ({"units": units}, {"mapping": {"units": units}})
     ),
-    ({"missing": "guess"}, "missing: is 'guess', expected one of refuse, drop"),
+    ({"missing": "guess"}, "missing is 'guess', expected one of refuse, drop"),
     ({"misssing": "drop"}, "misssing is no argument"),
     ({"topic": "/states"}, "topic is for ROS bags"),
     ({"mapping": True}, "no mapping beside it"),

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.floating.build import base_of, contacts_of
+from sdpid.experiment.readers.floating import base_of, contacts_of
 from sdpid.experiment.readers.mapping import Arguments, only_signs
 from sdpid.experiment.readers.missing import mend_missing
+from sdpid.experiment.readers.names import UNITS, is_current
 from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection
-from sdpid.experiment.readers.unit_names import UNITS, is_current
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import transformed
 from sdpid.experiment.recording.timestamps import guess_time_unit
 
@@ -29,6 +29,7 @@ _SINCE_1970 = 1e9
 
 # What sources say of a unit of time that is not given.
 _INFERRED = "taken for"
+_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 _Tables = dict[str, NDArray[Any]]
 
@@ -55,52 +56,59 @@ def convert(
         When a unit is not known, currents have no factor, a value is missing or absurd, or the
         arrays do not make a recording.
     """
-    found = _some_rows(file, found, arguments.rows)
+    held = arguments.base.get("held")
+    if held is not None and "base_orientation" in found.tables:
+        raise DataError(
+            f"{file}: base.held: the base was held at '{held}', and the log has the motion of one; "
+            "leave it out with columns={'base_orientation': None}, or leave held out."
+        )
+    found, first_row = _some_rows(file, found, arguments.rows)
     motors, units = arguments.motors, {**found.units, **arguments.units}
-    if arguments.amperes:
-        _require_amperes(file, arguments, units)
     if "position" in units:
         # Where nothing is said of references, they are as positions are.
         units = {"reference": units["position"], **units}
     scale = _effort_scale(file, found, arguments, units)
-    labels = None if found.labels is None else tuple(found.labels)
+    labels = None if found.names is None else tuple(found.names)
     count = found.tables["position"].shape[1]
     names, order = _joint_order(file, labels, arguments.joint_names, count)
     # Motors may be coupled, so joints are picked behind them; else before, since joints that are
     # not wanted may lack values.
     first = order if motors is None else None
+    columns = {name: _column_names(found, name, first) for name in found.tables}
     tables = _picked(file, found.tables, first)
-    columns = {name: _column_names(found, name, first) for name in tables}
     time, sources = _time(file, found, arguments, len(tables["position"]))
-    if arguments.without_effort and "effort" in tables:
-        shown = labels if first is None else names
-        tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
-    floating = found.floating.tables
-    columns |= {name: _of_floating(found, name) for name in floating}
-    begin = 0 if arguments.rows is None else arguments.rows[0] - 1
-    time, mended_tables, mended = mend_missing(
-        file, time, {**tables, **floating}, columns, lambda k: place(k + begin), arguments.missing
+    shown = labels if first is None else names
+    tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
+    tables, mended = mend_missing(
+        file,
+        {"time": time[:, None], **tables},
+        {"time": ["time"], **columns},
+        lambda k: place(k + first_row),
+        arguments.missing,
     )
-    tables = {name: _in_si(name, mended_tables[name], units, first) for name in tables}
-    floating = {name: _in_si(name, mended_tables[name], units, None) for name in floating}
+    time = tables.pop("time")[:, 0]
+    for name, table in tables.items():
+        tables[name] = _in_si(name, table, units, first if name in CHANNELS else None)
     if motors is not None:
-        joints = {n: transformed(t, partial(motors.to_joints, n)) for n, t in tables.items()}
-        tables = _picked(file, joints, order)
+        for name in set(CHANNELS) & set(tables):
+            tables[name] = transformed(tables[name], partial(motors.to_joints, name))
+        tables = _picked(file, tables, order)
     if scale is not None:
         if arguments.effort_scale is None and order is not None and scale.size > max(order):
             scale = scale[order]
         tables["effort"] = _torques(file, tables["effort"], scale)
-    stated: dict[str, Any] = {
-        name: getattr(arguments, name) for name in ("period", "start", "periods")
-    }
-    stated = {n: found.numbers.get(n) if v is None else v for n, v in stated.items()}
-    stated["periods"] = _whole(stated["periods"])
+    stated: dict[str, Any] = {name: tables[name] for name in CHANNELS if name in tables}
+    for name in ("period", "start", "periods"):
+        given = getattr(arguments, name)
+        stated[name] = found.numbers.get(name) if given is None else given
+    if isinstance(stated["periods"], float) and stated["periods"].is_integer():
+        stated["periods"] = int(stated["periods"])  # `Recording` refuses the rest.
     notes = [f"time: {sources['time']}"] if _INFERRED in sources.get("time", "") else []
     each = {n: [u] if isinstance(u, str) else sorted(set(u)) for n, u in units.items()}
     converted = [
         f"{name} in {'/'.join(own)}"
         for name, own in each.items()
-        if name in tables.keys() | floating.keys() and {UNITS[name][one] for one in own} != {1.0}
+        if name in tables and {UNITS[name][one] for one in own} != {1.0}
     ]
     if converted:
         notes.append(f"units: {', '.join(converted)}, converted")
@@ -110,9 +118,9 @@ def convert(
             joint_names=names,
             notes=tuple(notes),
             currents=arguments.amperes,
-            base=base_of(file, found.floating, floating, arguments.floating),
-            contacts=contacts_of(file, found.floating, floating, arguments.floating),
-            **{**tables, **stated},
+            base=base_of(file, found, tables),
+            contacts=contacts_of(file, found, tables, arguments),
+            **stated,
         )
         if arguments.gains is not None:
             recording = scaled(recording, arguments.gains)
@@ -122,40 +130,43 @@ def convert(
     sources = {**_sources(found, units, arguments), **sources}
     if recording.gains is not None:
         sources["gains"] = recording.gains.in_words
-    return recording, {**sources, "missing values": mended} if mended else sources
+    if mended is not None:
+        sources["missing values"] = mended
+    if held is not None:
+        sources["base"] = f"held at {held}"
+        orientation = arguments.base.get("orientation", _UPRIGHT)
+        recording = recording.with_held_base(held, orientation=orientation)
+    return recording, sources
 
 
-def _some_rows(file: Path, found: Selection, rows: tuple[int, int] | None) -> Selection:
-    """Return the wanted rows of all that was found."""
+def _some_rows(file: Path, found: Selection, rows: tuple[int, int] | None) -> tuple[Selection, int]:
+    """Return the wanted rows of all that was found, and the number of the first, from 0."""
     if rows is None:
-        return found
+        return found, 0
     count, part = len(found.tables["position"]), slice(rows[0] - 1, rows[1])
     if rows[1] > count:
         raise DataError(f"{file}: rows: asks for row {rows[1]}, the log has {count}.")
-    tables = {name: table[part] for name, table in found.floating.tables.items()}
-    return replace(
-        found,
-        tables={name: table[part] for name, table in found.tables.items()},
-        time=None if found.time is None else found.time.reshape(-1)[part],
-        floating=replace(found.floating, tables=tables),
-    )
-
-
-def _of_floating(found: Selection, quantity: str) -> list[str]:
-    """Return a name for each column of a table of the base, for messages."""
-    used, count = list(found.used[quantity]), found.floating.tables[quantity].shape[1]
-    return used if len(used) == count else [f"{used[0]}[{j + 1}]" for j in range(count)]
+    tables = {name: table[part] for name, table in found.tables.items()}
+    time = None if found.time is None else found.time.reshape(-1)[part]
+    return replace(found, tables=tables, time=time), part.start
 
 
 def _effort_scale(
     file: Path, found: Selection, arguments: Arguments, units: Mapping[str, Any]
 ) -> NDArray[np.float64] | None:
     """Return the factors from the unit of effort to N.m; None where there are none."""
-    given = found.numbers.get("effort_scale")
-    given = given if arguments.effort_scale is None else arguments.effort_scale
-    motors = arguments.motors
+    given, motors, unit = arguments.effort_scale, arguments.motors, units.get("effort")
+    given = found.numbers.get("effort_scale") if given is None else given
+    asked = "currents=True is" if arguments.currents else "gains are"
+    if arguments.amperes and unit is not None and not is_current(unit):
+        raise DataError(f"{file}: {asked} for currents in A, but the unit of the effort is {unit}.")
+    if arguments.amperes and motors is not None and motors.torque_constants is not None:
+        raise DataError(
+            f"{file}: {asked} for currents, and torque_constants of motors make torques of them "
+            "already; leave one out."
+        )
     if given is None:
-        if is_current(units.get("effort")) and not arguments.scaled:
+        if is_current(unit) and not arguments.scaled:
             raise DataError(f"{file}: {IN_AMPERES}")
         return None
     if motors is not None and "effort" in motors.applies_to:
@@ -170,19 +181,6 @@ def _effort_scale(
             "signs, 1 and -1, are taken beside gains."
         )
     return np.atleast_1d(real_array(given, f"{file}: effort_scale", ndim=np.ndim(given)))
-
-
-def _require_amperes(file: Path, arguments: Arguments, units: Mapping[str, Any]) -> None:
-    """Refuse gains for what is no current."""
-    unit, motors = units.get("effort"), arguments.motors
-    asked = "currents=True is" if arguments.currents else "gains are"
-    if unit is not None and not is_current(unit):
-        raise DataError(f"{file}: {asked} for currents in A, but the unit of the effort is {unit}.")
-    if motors is not None and motors.torque_constants is not None:
-        raise DataError(
-            f"{file}: {asked} for currents, and torque_constants of motors make torques of them "
-            "already; leave one out."
-        )
 
 
 def _torques(file: Path, efforts: NDArray[Any], scale: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -213,30 +211,31 @@ def _joint_order(
     return wanted, [labels.index(name) for name in wanted]
 
 
-def _picked(file: Path, tables: Mapping[str, NDArray[Any]], order: list[int] | None) -> _Tables:
-    """Return some columns of every table."""
-    if order is None:
-        return dict(tables)
-    for name, table in tables.items():
-        if table.shape[1] <= max(order):
+def _picked(file: Path, tables: _Tables, order: list[int] | None) -> _Tables:
+    """Return tables with some columns of those of joints."""
+    picked = dict(tables)
+    for name in CHANNELS if order is not None else ():
+        if name not in tables:
+            continue
+        if (count := tables[name].shape[1]) <= max(order or ()):
             raise DataError(
-                f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
+                f"{file}: {name} has {count} columns, too few for column {max(order or ()) + 1}."
             )
-    return {name: transformed(table, lambda rows: rows[:, order]) for name, table in tables.items()}
+        picked[name] = transformed(tables[name], lambda rows: rows[:, order])
+    return picked
 
 
 def _zero_where_absent(
     efforts: NDArray[Any], labels: tuple[str, ...] | None, joints: tuple[str, ...]
 ) -> NDArray[Any]:
     """Return efforts with zeros for those of some joints that have no value in any row."""
-    count = efforts.shape[1]
-    if efforts.dtype.kind != "f":
+    if not joints or efforts.dtype.kind != "f":
         return efforts
-    called = [str(j + 1) for j in range(count)] if labels is None else list(labels)
+    numbers = [str(j + 1) for j in range(efforts.shape[1])]
     absent = [
         j
-        for j in range(min(count, len(called)))
-        if called[j] in joints and bool(np.isnan(efforts[:, j]).all())
+        for j, name in zip(range(efforts.shape[1]), labels or numbers, strict=False)
+        if name in joints and bool(np.isnan(efforts[:, j]).all())
     ]
     if not absent:
         return efforts
@@ -252,10 +251,13 @@ def _zero_where_absent(
 def _column_names(found: Selection, quantity: str, order: list[int] | None) -> list[str]:
     """Return a name for each column of a table, for messages."""
     used, count = list(found.used.get(quantity, [quantity])), found.tables[quantity].shape[1]
+    numbers = [str(j + 1) for j in range(count)]
+    if quantity not in CHANNELS:
+        return used if len(used) == count else [f"{used[0]}[{number}]" for number in numbers]
     if len(used) != count:
         # Of a table that is turned, there are more columns than joints.
-        labels = [*(found.labels or ()), *map(str, range(len(found.labels or ()) + 1, count + 1))]
-        used = [f"{used[0]} of joint {labels[j]}" for j in range(count)]
+        labels = [*(found.names or ()), *numbers[len(found.names or ()) :]]
+        used = [f"{used[0]} of joint {label}" for label in labels[:count]]
     return used if order is None else [used[j] for j in order]
 
 
@@ -272,11 +274,13 @@ def _sources(found: Selection, units: Mapping[str, Any], arguments: Arguments) -
     return sources | {quantity: f"left out: {why}" for quantity, why in found.left_out.items()}
 
 
-def _whole(count: Any) -> Any:
-    """Return a whole number of any numeric type as an int; `Recording` refuses the rest."""
-    if isinstance(count, float) and count.is_integer():
-        return int(count)
-    return count
+def _factor(quantity: str, unit: str) -> float:
+    """Return the factor of a unit to SI."""
+    if unit not in UNITS[quantity]:
+        raise DataError(
+            f"units: '{unit}' is not known for {quantity}; known are {', '.join(UNITS[quantity])}."
+        )
+    return UNITS[quantity][unit]
 
 
 def _in_si(
@@ -284,25 +288,17 @@ def _in_si(
 ) -> NDArray[Any]:
     """Convert a table to SI units; amperes stay amperes."""
     unit = units.get(quantity)
-    if unit is None:
+    if unit is None or (isinstance(unit, str) and _factor(quantity, unit) == 1.0):
         return values
     each = [unit] if isinstance(unit, str) else list(unit)
-    for one in each:
-        if one not in UNITS[quantity]:
+    factors = np.array([_factor(quantity, one) for one in each])
+    if not isinstance(unit, str):
+        if order is not None and len(factors) > max(order):
+            factors = factors[order]
+        if len(factors) != values.shape[1]:
             raise DataError(
-                f"units: '{one}' is not known for {quantity}; known are "
-                f"{', '.join(UNITS[quantity])}."
+                f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
             )
-    factors = np.array([UNITS[quantity][one] for one in each])
-    if isinstance(unit, str):
-        if factors[0] == 1.0:
-            return values
-    elif order is not None and len(each) > max(order):
-        factors = factors[order]
-    if not isinstance(unit, str) and len(factors) != values.shape[1]:
-        raise DataError(
-            f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
-        )
     return transformed(values, lambda part: part * factors)
 
 
@@ -320,7 +316,6 @@ def _time(
         time = time.ravel()
     if time.ndim != 1:
         raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
-    name = found.used["time"][0]
     if time.dtype.kind in "Mm":
         # Relative, since seconds since 1970 in a double resolve no microsecond.
         return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
@@ -328,18 +323,14 @@ def _time(
         raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
     if time.dtype.kind == "f":
         time = time.astype(np.float64, copy=False)
-    unit = arguments.units.get("time", found.units.get("time"))
-    if unit is not None and unit not in UNITS["time"]:
-        raise DataError(
-            f"units: '{unit}' is not known for time; known are {', '.join(UNITS['time'])}."
-        )
-    note = {}
+    unit, note = arguments.units.get("time", found.units.get("time")), {}
     if unit is None:
         unit = guess_time_unit(time)
-        if unit != "s":
-            note = {"time": f"{name}, {_INFERRED} {unit} by the steps of its numbers"}
+        said = f"{found.used['time'][0]}, {_INFERRED} {unit} by the steps of its numbers"
+        note = {} if unit == "s" else {"time": said}
+    factor = _factor("time", unit)
     if unit == "s":
         return time, note
-    if time.size and time[0] * UNITS["time"][unit] > _SINCE_1970:
+    if time.size and time[0] * factor > _SINCE_1970:
         time = time - time[0]
-    return time * UNITS["time"][unit], note
+    return time * factor, note

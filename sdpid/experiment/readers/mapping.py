@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,21 @@ from sdpid._common.files import load_toml
 from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.readers.column_names import CONVENTIONS
-from sdpid.experiment.readers.floating.quantities import HELD, SETTINGS, checked_settings
-from sdpid.experiment.readers.missing import MISSING
-from sdpid.experiment.readers.unit_names import UNITS
+from sdpid.experiment.readers.names import QUANTITIES, UNITS
 from sdpid.experiment.recording.floating.columns import mapping_beside
 from sdpid.experiment.recording.motor_side import MotorSide
 
+# What to do with samples that lack a value.
+MISSING = ("refuse", "drop", "interpolate")
+# What the arguments, or tables of a mapping, of a floating base may say.
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "base": ("quaternion", "velocity_frame", "topic", "held", "orientation"),
+    "imu": ("translation", "rotation", "topic"),
+    "contacts": ("frames", "kind", "offset", "threshold"),
+}
+# Of these, what is said of a base that was held.
+_HELD = ("held", "orientation")
+_ORDERS = ("xyzw", "wxyz")
 # Arguments that a mapping does not take.
 _NO_MAPPING = ("currents", "without_effort")
 _TEXTS = "a text or a list of texts"
@@ -57,8 +66,7 @@ class Arguments:
     def scaled(self) -> bool:
         """Whether there are factors that turn currents into torques, or currents are wanted."""
         constants = None if self.motors is None else self.motors.torque_constants
-        given = (self.effort_scale, constants, self.gains)
-        return self.currents or any(each is not None for each in given)
+        return self.amperes or self.effort_scale is not None or constants is not None
 
     @property
     def amperes(self) -> bool:
@@ -66,22 +74,10 @@ class Arguments:
         return self.currents or self.gains is not None
 
     @property
-    def selection(self) -> dict[str, Any]:
-        """Arguments of `select`."""
-        return {
-            "columns": self.columns,
-            "wanted": self.joint_names,
-            "scaled": self.scaled,
-            "timeless": self.rate_hz is not None,
-            "floating": self.floating,
-        }
-
-    @property
-    def floating(self) -> dict[str, Any]:
+    def floating(self) -> dict[str, dict[str, Any]]:
         """What is said of the columns of base, IMU and contacts."""
-        said: dict[str, Any] = {name: plain(getattr(self, name)) for name in SETTINGS}
-        said["base"] = {key: value for key, value in said["base"].items() if key not in HELD}
-        return said
+        base = {} if "held" in self.base else self.base
+        return {"base": base, "imu": self.imu, "contacts": self.contacts}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the arguments that differ from their defaults, as plain values.
@@ -120,13 +116,17 @@ def complete_arguments(
             f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
             f"stored, {', '.join(known)}."
         )
-    chosen = checked(how)
-    beside = find_mapping(log) if log is not None and mapping in (None, True) else None
-    if mapping is True and beside is None:
-        raise DataError(f"{log}: there is no mapping beside it.")
-    if beside is None and not isinstance(mapping, (bool, type(None), Mapping)):
-        beside = Path(mapping)
-    stated = read_mapping(beside or mapping) if beside or isinstance(mapping, Mapping) else {}
+    chosen, stated, file = checked(how), {}, None
+    if log is not None and mapping in (None, True):
+        file = mapping_beside(log)
+        file = file if file.is_file() and file != log else None
+        if mapping is True and file is None:
+            raise DataError(f"{log}: there is no mapping beside it.")
+    elif isinstance(mapping, Mapping):
+        stated = read_mapping(mapping)
+    elif not isinstance(mapping, (bool, type(None))):
+        file = Path(mapping)
+    stated = stated if file is None else read_mapping(file)
     # Either turns currents into torques: what is given wins over what the mapping says.
     if "gains" in chosen and not only_signs(stated.get("effort_scale")):
         stated.pop("effort_scale", None)
@@ -137,7 +137,7 @@ def complete_arguments(
     arguments = Arguments(**{**stated, **chosen, **merged})
     if arguments.currents and arguments.gains is not None:
         raise DataError("gains: turn currents into torques, and currents=True asks for currents.")
-    return arguments, None if beside is None else str(beside)
+    return arguments, None if file is None else str(file)
 
 
 def only_signs(scale: Any) -> bool:
@@ -146,12 +146,6 @@ def only_signs(scale: Any) -> bool:
         return scale is not None and bool(np.all(np.abs(np.asarray(scale, dtype=float)) == 1.0))
     except (TypeError, ValueError):
         return False
-
-
-def find_mapping(log: Path) -> Path | None:
-    """Return the mapping beside a log, if there is one."""
-    beside = mapping_beside(log)
-    return beside if beside.is_file() and beside != log else None
 
 
 def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str, Any]:
@@ -170,17 +164,18 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
     DataError
         When the file cannot be read, or a key or value is not as expected.
     """
-    inline = isinstance(source, Mapping)
-    where = "mapping" if isinstance(source, Mapping) else os.fspath(source)
-    content = dict(source) if isinstance(source, Mapping) else load_toml(source)
+    if isinstance(source, Mapping):
+        where, content = "mapping", dict(source)
+    else:
+        where, content = os.fspath(source), load_toml(source)
+        if isinstance(content.get("gains"), str):
+            content["gains"] = os.fspath(Path(where).parent / content["gains"])
     known = [each.name for each in fields(Arguments) if each.name not in _NO_MAPPING]
     if unknown := sorted(map(str, set(content) - set(known))):
         raise DataError(
             f"{where}: {', '.join(unknown)} is not known; known are {', '.join(known)}. "
             "Where this is no mapping of a log, read the log with mapping=False."
         )
-    if isinstance(content.get("gains"), str) and not inline:
-        content["gains"] = os.fspath(Path(where).parent / content["gains"])
     return checked(content, f"{where}: ")
 
 
@@ -199,47 +194,97 @@ def checked(given: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     DataError
         When a value is not as expected.
     """
-    found = {name: value for name, value in given.items() if value is not None}
-
-    def require(holds: bool, name: str, expected: str, value: Any) -> None:
-        if not holds:
-            raise DataError(f"{where}{name} is {value!r:.80}, expected {expected}.")
-
-    for name, allowed in (("columns", CONVENTIONS), ("units", UNITS), ("motors", None)):
-        table = found.get(name, {})
-        if name != "motors" or not isinstance(table, MotorSide):
-            require(isinstance(table, Mapping), name, f"a table [{name}]", table)
-        if allowed is not None and (unknown := sorted(map(str, set(table) - set(allowed)))):
-            raise DataError(
-                f"{where}{name}: {', '.join(unknown)} is not a quantity; known are "
-                f"{', '.join(allowed)}."
-            )
-    for quantity, value in found.get("columns", {}).items():
-        several = isinstance(value, (list, tuple))
-        each = value if several else [value]
-        # TOML, which has no null, says so that a quantity is not to be read.
-        nothing = value is None or value is False or value == "none"
-        right = all(isinstance(x, (str, int, np.integer)) and x is not True for x in each)
-        require(right or nothing, f"columns.{quantity}", _TEXTS, value)
-        names = [text for x in each for text in _columns(str(x))]
-        wanted: Any = names if several or len(names) > 1 else names[0]
-        found["columns"] = {**found["columns"], quantity: None if nothing else wanted}
-    for quantity, value in found.get("units", {}).items():
-        right = isinstance(value, str) or (quantity != "time" and _are_texts(value))
-        require(right, f"units.{quantity}", _TEXTS, value)
-    for name, (holds, expected) in _EXPECTED.items():
-        label = f"{name}:" if name in ("missing", "rows") else name
-        require(name not in found or holds(found[name]), label, expected, found.get(name))
-    found |= {name: tuple(found[name]) for name in _LISTS if name in found}
-    for name in set(SETTINGS) & set(found):
-        found[name] = checked_settings(name, found[name])
-    if isinstance(found.get("motors"), Mapping):
+    found = {}
+    for name, value in given.items():
         try:
-            found["motors"] = MotorSide.from_mapping(found["motors"])
+            if value is not None:
+                found[name] = _CHECKS[name](name, value) if name in _CHECKS else value
         except DataError as cause:
             raise DataError(f"{where}{cause}") from None
-    if "gains" in found:
-        found["gains"] = as_gains(found["gains"])
+    return found
+
+
+def _require(holds: bool, name: str, value: Any, expected: str) -> None:
+    """Raise where a value is not as expected."""
+    if not holds:
+        raise DataError(f"{name} is {value!r:.80}, expected {expected}.")
+
+
+def _is(right: Callable[[Any], bool], expected: str, name: str, value: Any) -> Any:
+    """Return a value that stands for itself; of lists a tuple."""
+    _require(right(value), name, value, expected)
+    several = isinstance(value, Collection) and not isinstance(value, str)
+    return tuple(value) if several else value
+
+
+def _table(name: str, value: Any, known: Iterable[str], what: str = "known") -> dict[str, Any]:
+    """Return a table of a mapping whose keys are known."""
+    _require(isinstance(value, Mapping), name, value, f"a table [{name}]")
+    if unknown := sorted(map(str, set(value) - set(known))):
+        raise DataError(
+            f"{name}: {', '.join(unknown)} is not {what}; known are {', '.join(known)}."
+        )
+    return dict(value)
+
+
+def _columns(name: str, value: Any) -> dict[str, Any]:
+    """Return the names of columns as texts; None for what is not to be read."""
+    found = _table(name, value, QUANTITIES, "a quantity")
+    for quantity, given in found.items():
+        # TOML, which has no null, says so that a quantity is not to be read.
+        if given is None or given is False or given == "none":
+            found[quantity] = None
+            continue
+        several = isinstance(given, (list, tuple))
+        each = given if several else [given]
+        right = all(isinstance(x, (str, int, np.integer)) and x is not True for x in each)
+        _require(right, f"columns.{quantity}", given, _TEXTS)
+        names: list[str] = []
+        for text in map(str, each):
+            span = _RANGE.fullmatch(text)
+            names += map(str, range(int(span[1]), int(span[2]) + 1)) if span else [text]
+        found[quantity] = names if several or len(names) > 1 else names[0]
+    return found
+
+
+def _units(name: str, value: Any) -> dict[str, Any]:
+    """Return the units of quantities."""
+    found = _table(name, value, UNITS, "a quantity")
+    for quantity, given in found.items():
+        right = isinstance(given, str) or (quantity != "time" and _are_texts(given))
+        _require(right, f"units.{quantity}", given, _TEXTS)
+    return found
+
+
+def _motors(name: str, value: Any) -> MotorSide:
+    """Return what is said of the motors' side."""
+    if isinstance(value, MotorSide):
+        return value
+    _require(isinstance(value, Mapping), name, value, f"a table [{name}]")
+    return MotorSide.from_mapping(value)
+
+
+def _settings(name: str, value: Any) -> dict[str, Any]:
+    """Return what is said of base, IMU or contacts."""
+    found = _table(name, value, SETTINGS[name])
+    if name != "base":
+        return found
+    order, held = found.get("quaternion", "xyzw"), found.get("held")
+    expected = f"one of {', '.join(_ORDERS)}: the order in which the log has it"
+    _require(order in _ORDERS, "base.quaternion", order, expected)
+    if "held" not in found and "orientation" in found:
+        raise DataError(
+            "base.orientation: is that of a base that was held; say which link was, "
+            'held = "base_link".'
+        )
+    if "held" in found:
+        expected = 'the name of the link that was held, such as "base_link"'
+        _require(isinstance(held, str) and held != "", "base.held", held, expected)
+        if others := [key for key in found if key not in _HELD]:
+            raise DataError(
+                f"base.held: the base was held at '{held:.80}', and {', '.join(others)} is "
+                "about one that moves; leave one of them out."
+            )
     return found
 
 
@@ -255,27 +300,6 @@ def _are_rows(value: Any) -> bool:
     return whole and len(value) == 2 and 1 <= value[0] < value[1]
 
 
-_LISTS = ("joint_names", "without_effort", "rows")
-# Of arguments that stand for themselves: whether they are right, and what is expected.
-_EXPECTED: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "joint_names": (_are_texts, "names"),
-    "without_effort": (_are_texts, "names"),
-    "topic": (lambda value: isinstance(value, str), "a text"),
-    "missing": (lambda value: value in MISSING, f"one of {', '.join(MISSING)}"),
-    **dict.fromkeys(("period", "start", "periods", "rate_hz"), (is_number, "a number")),
-    "rows": (
-        _are_rows,
-        "the first and the last row to read, counted from 1, as in [1, 2000]",
-    ),
-}
-
-
-def _columns(text: str) -> list[str]:
-    """Return the columns that a text stands for: itself, or of ``2:7`` those from 2 to 7."""
-    match = _RANGE.fullmatch(text)
-    return [str(k) for k in range(int(match[1]), int(match[2]) + 1)] if match else [text]
-
-
 def as_gains(given: Any) -> Any:
     """Return gains that are given as such, by their file, by `DriveGains.to_dict`, or as numbers.
 
@@ -287,3 +311,20 @@ def as_gains(given: Any) -> Any:
     if isinstance(given, (str, os.PathLike)):
         return DriveGains.from_toml(given)
     return DriveGains.from_dict(given) if isinstance(given, Mapping) else given
+
+
+# How each argument is checked; what is not here is checked where it is used.
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "columns": _columns,
+    "units": _units,
+    "motors": _motors,
+    "gains": lambda _, value: as_gains(value),
+    **dict.fromkeys(SETTINGS, _settings),
+    **dict.fromkeys(("joint_names", "without_effort"), partial(_is, _are_texts, "names")),
+    **dict.fromkeys(("period", "start", "periods", "rate_hz"), partial(_is, is_number, "a number")),
+    "topic": partial(_is, lambda value: isinstance(value, str), "a text"),
+    "missing": partial(_is, MISSING.__contains__, f"one of {', '.join(MISSING)}"),
+    "rows": partial(
+        _is, _are_rows, "the first and the last row to read, counted from 1, as in [1, 2000]"
+    ),
+}

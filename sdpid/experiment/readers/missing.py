@@ -10,38 +10,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.floating.quantities import NAMES
+from sdpid.experiment.readers.names import FLOATING
 from sdpid.experiment.recording.recording import LARGEST
 
-# What to do with samples that lack a value.
-MISSING = ("refuse", "drop", "interpolate")
 # Linear interpolation over more samples than this would invent motion.
 _LONGEST_GAP = 10
-
 # Of a type of its own, so that it is not cut to that of a table.
 _LARGEST = np.float64(LARGEST)
+# What to do where a column has no value at all.
+_REMEDIES = {
+    "effort": "leave a joint that the robot lacks out with joint_names=, and the effort of "
+    "one that it has with without_effort=",
+    "velocity": "leave the velocity out with columns={'velocity': None}",
+}
 
 _Tables = dict[str, NDArray[Any]]
 
 
 def mend_missing(
     file: Path,
-    time: NDArray[Any],
-    tables: Mapping[str, NDArray[Any]],
+    tables: _Tables,
     names: Mapping[str, Sequence[str]],
     place: Callable[[int], str],
     how: str,
-) -> tuple[NDArray[Any], _Tables, str | None]:
+) -> tuple[_Tables, str | None]:
     """Check that every value is a finite number, or mend what is missing by the rule given.
 
     Parameters
     ----------
     file : Path
         For messages.
-    time : (N,) ndarray
-        Stamps.
-    tables : mapping of (N, n) ndarrays
-        The quantities.
+    tables : dict of (N, n) ndarrays
+        The quantities, and the stamps as ``time``.
     names : mapping of sequences of str
         What the columns of each table are called in the file.
     place : callable
@@ -51,7 +51,7 @@ def mend_missing(
 
     Returns
     -------
-    time, tables, note
+    tables, note
         The last says in words what was mended, None where nothing was missing.
 
     Raises
@@ -59,39 +59,35 @@ def mend_missing(
     DataError
         Naming the place and column of the first bad value, or of a gap that is too long.
     """
-    columns = {"time": time[:, None], **tables}
-    if any(len(table) != len(time) for table in tables.values()):
-        return time, dict(tables), None  # the recording says which length is wrong
-    if all(sound(table) for table in columns.values()):
-        return time, dict(tables), None
-    for quantity, table in columns.items():
+    # Of tables of different lengths the recording says which is wrong.
+    if len(set(map(len, tables.values()))) > 1 or all(map(sound, tables.values())):
+        return tables, None
+    for quantity, table in tables.items():
         bad = np.isinf(table) | (np.abs(table) > _LARGEST)
         if bad.any():
             raise _bad_value(file, quantity, table, bad, names, place)
-    lacking = {quantity: np.isnan(table) for quantity, table in columns.items()}
+    lacking = {quantity: np.isnan(table) for quantity, table in tables.items()}
     rows = np.logical_or.reduce([lacks.any(axis=1) for lacks in lacking.values()])
     if how == "refuse" or (how == "interpolate" and lacking["time"].any()):
         first = next(name for name, lacks in lacking.items() if lacks.any())
-        raise _bad_value(file, first, columns[first], lacking[first], names, place)
+        raise _bad_value(file, first, tables[first], lacking[first], names, place)
+    count = f"{np.count_nonzero(rows)} of {rows.size} samples"
     if how == "drop":
-        kept = ~rows
-        mended = {name: table[kept] for name, table in tables.items()}
-        return time[kept], mended, f"{np.count_nonzero(rows)} of {rows.size} samples dropped"
+        return {name: table[~rows] for name, table in tables.items()}, f"{count} dropped"
     filled: _Tables = {}
     for quantity, table in tables.items():
-        if quantity in NAMES and lacking[quantity].any():
+        if quantity in FLOATING and lacking[quantity].any():
             raise DataError(
                 f"{file}: {quantity} lacks values, and missing='interpolate' fills only what "
                 "belongs to joints; read it with missing='drop'."
             )
-        table = np.array(table, dtype=np.float64)
+        filled[quantity] = table = np.array(table, dtype=np.float64)
+        time = filled["time"][:, 0]
         for j in map(int, np.flatnonzero(lacking[quantity].any(axis=0))):
             lacks = lacking[quantity][:, j]
             _check_gaps(file, lacks, names[quantity][j], place)
             table[lacks, j] = np.interp(time[lacks], time[~lacks], table[~lacks, j])
-        filled[quantity] = table
-    note = f"interpolated in {np.count_nonzero(rows)} of {rows.size} samples"
-    return time, filled, note
+    return filled, f"interpolated in {count}"
 
 
 def sound(table: NDArray[Any]) -> bool:
@@ -112,18 +108,14 @@ def _bad_value(
 ) -> DataError:
     """Return the error that names the first of some bad values."""
     row, column = (int(k) for k in np.argwhere(bad)[0])
-    name = "time" if quantity == "time" else names[quantity][column]
-    value, count = float(table[row, column]), int(np.count_nonzero(bad[:, column]))
+    name, value = names[quantity][column], float(table[row, column])
+    count = int(np.count_nonzero(bad[:, column]))
     where = f"{file}: {place(row)}: {quantity}: '{name}'"
     if not np.isnan(value):
         what = "not finite" if np.isinf(value) else f"more than {LARGEST:g}, which no robot has"
         return DataError(f"{where} is {value:.3g}, {what}; repair that sample, or name its unit.")
     if count == len(table):
-        remedy = {
-            "effort": "leave a joint that the robot lacks out with joint_names=, and the effort of "
-            "one that it has with without_effort=",
-            "velocity": "leave the velocity out with columns={'velocity': None}",
-        }.get(quantity, f"name another column for the {quantity} with columns=")
+        remedy = _REMEDIES.get(quantity, f"name another column for the {quantity} with columns=")
         return DataError(f"{file}: {quantity}: '{name}' has no value in any row; {remedy}.")
     return DataError(
         f"{where} has no value (NaN), as in {count} of {len(table)} rows; repair the file, or read "

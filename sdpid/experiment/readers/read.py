@@ -10,20 +10,24 @@ from pathlib import Path
 from typing import Any, TypeAlias, overload
 
 from sdpid._common.files import Source, unchanged
+from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
 from sdpid.experiment.readers.conversion import convert
-from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, load_frame
-from sdpid.experiment.readers.formats.matrices import is_folder_of_matrices
-from sdpid.experiment.readers.mapping import Arguments, complete_arguments
-from sdpid.experiment.readers.selection import Selection, read_selection, select
+from sdpid.experiment.readers.formats.loaders import (
+    BY_SUFFIX,
+    MATRICES,
+    Format,
+    load_frame,
+    suffix_of,
+)
+from sdpid.experiment.readers.formats.text_file import is_folder_of_matrices
+from sdpid.experiment.readers.mapping import Arguments, checked, complete_arguments
+from sdpid.experiment.readers.selection import Selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
 
 # A file, or a data frame of pandas or polars.
 Readable: TypeAlias = "str | os.PathLike[str] | Any"
-
-# Formats whose loaders choose among topics and joints.
-_BAGS = (".db3", ".mcap", ".bag")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,40 +188,39 @@ def read_described(
     DataError
         As `read_recording`; also when an argument is not known.
     """
-    frame = is_frame(path)
-    file = Path("data frame") if frame else _checked_path(path)
-    arguments, mapped = complete_arguments(None if frame else file, mapping, how)
+    if is_frame(path):
+        file = Path("data frame")
+        arguments, mapped = complete_arguments(None, mapping, how)
+        found = select(file, load_frame(path), arguments)
+        recording, sources = convert(file, found, arguments, row_number)
+        return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+    try:
+        file = Path(path)
+    except TypeError:
+        raise DataError(
+            f"read_recording: is given {type(path).__name__}, expected the path of a log, a data "
+            "frame, or a list of paths."
+        ) from None
+    arguments, mapped = complete_arguments(file, mapping, how)
+    kind = _format(file)
     place: Callable[[int], str] = row_number
-    if frame:
-        found = select(file, load_frame(path), **arguments.selection)
-        recording, sources = _converted(file, found, arguments, place)
-    else:
-        suffix = _suffix(file)
-        choices = _choices(file, suffix, arguments, stored)
-        with unchanged(file):
-            found, place = read_selection(file, suffix, choices, arguments.selection)
-            recording, sources = _converted(file, found, arguments, place)
-            recording = with_source(recording, Source.of(file, arguments.to_dict()))
+    choices = _choices(file, kind, arguments, stored)
+    with unchanged(file):
+        if kind.sandboxed:
+            plain = (str(file), choices, arguments.to_dict())
+            found = Selection(**run_in_sandbox(_plain_selection, *plain, subject=str(file)))
+        else:
+            table = kind.load(file, **choices)
+            found, place = select(file, table, arguments), table.place
+        recording, sources = convert(file, found, arguments, place)
+        recording = with_source(recording, Source.of(file, arguments.to_dict()))
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
 
 
-def _converted(
-    file: Path, found: Selection, arguments: Arguments, place: Callable[[int], str]
-) -> tuple[Recording, dict[str, str]]:
-    """Return the recording and where its quantities are from, with a base that was held."""
-    held = arguments.base.get("held")
-    if held is not None and found.floating.tables:
-        raise DataError(
-            f"{file}: base.held: the base was held at '{held}', and the log has the motion of one; "
-            "leave it out with columns={'base_orientation': None}, or leave held out."
-        )
-    recording, sources = convert(file, found, arguments, place)
-    if held is None:
-        return recording, sources
-    upright = (0.0, 0.0, 0.0, 1.0)
-    orientation = arguments.base.get("orientation", upright)
-    recording = recording.with_held_base(held, orientation=orientation)
-    return recording, {**sources, "base": f"held at {held}"}
+def _plain_selection(path: str, choices: dict[str, Any], how: dict[str, Any]) -> dict[str, Any]:
+    """Load a log in a child process and return its `Selection` as plain values."""
+    file = Path(path)
+    return vars(select(file, _format(file).load(file, **choices), Arguments(**checked(how))))
 
 
 def is_frame(source: Any) -> bool:
@@ -225,52 +228,42 @@ def is_frame(source: Any) -> bool:
     return hasattr(source, "columns") and not isinstance(source, (str, os.PathLike))
 
 
-def _choices(file: Path, suffix: str, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
+def _choices(file: Path, kind: Format, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
     """Return the arguments that only the loader of one format takes."""
-    if arguments.topic is not None and suffix not in _BAGS:
-        raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix}.")
-    if stored and suffix != ".parquet":
+    said = {"base": arguments.base.get("topic"), "imu": arguments.imu.get("topic")}
+    offered = {
+        "topic": arguments.topic,
+        "joint_names": arguments.joint_names,
+        "topics": {name: topic for name, topic in said.items() if topic is not None},
+        "stored": stored,
+    }
+    if arguments.topic is not None and "topic" not in kind.choices:
+        raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix_of(file)}.")
+    if stored and "stored" not in kind.choices:
         raise DataError(
             f"{file}: stored=True keeps the values of Parquet files on disk; this is a file "
-            f"{suffix}. Write it as Parquet (Recording.to_parquet), or leave stored out."
+            f"{suffix_of(file)}. Write it as Parquet (Recording.to_parquet), or leave stored out."
         )
-    if suffix in _BAGS:
-        said = {"base": arguments.base.get("topic"), "imu": arguments.imu.get("topic")}
-        topics = {name: topic for name, topic in said.items() if topic is not None}
-        return {"topic": arguments.topic, "joint_names": arguments.joint_names, "topics": topics}
-    return {"stored": stored} if suffix == ".parquet" else {}
+    return {name: offered[name] for name in kind.choices}
 
 
-def _checked_path(path: Any) -> Path:
-    """Return a path."""
-    try:
-        return Path(path)
-    except TypeError:
-        raise DataError(
-            f"read_recording: is given {type(path).__name__}, expected the path of a log, a data "
-            "frame, or a list of paths."
-        ) from None
-
-
-def _suffix(file: Path) -> str:
-    """Return what tells the format; the folder of a ROS 2 bag counts as a ``.db3``."""
+def _format(file: Path) -> Format:
+    """Return the format of a log, which its suffix tells, or what is in a folder."""
     if file.is_dir():
         if (file / "metadata.yaml").is_file():
-            return ".db3"
+            return BY_SUFFIX[".db3"]
         if is_folder_of_matrices(file):
             return MATRICES
         raise DataError(
             f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag, and without text "
             "files (.dat, .txt, .csv, .tsv) that could be matrices."
         )
-    suffix = file.suffix.lower()
-    if suffix == ".gz":
-        suffix = "".join(file.suffixes[-2:]).lower()
-    if suffix not in LOADERS:
+    suffix = suffix_of(file)
+    if suffix not in BY_SUFFIX:
         raise DataError(
-            f"{file}: format '{suffix}' is not known; supported are {', '.join(sorted(LOADERS))}."
+            f"{file}: format '{suffix}' is not known; supported are {', '.join(sorted(BY_SUFFIX))}."
         )
     if not file.is_file():
         what = "is no regular file" if file.exists() else "there is no such file"
         raise DataError(f"{file}: {what}.")
-    return suffix
+    return BY_SUFFIX[suffix]

@@ -12,16 +12,14 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.column_names import Columns
-from sdpid.experiment.readers.formats.loaders import LOADERS
+from sdpid.experiment.readers.columns import Columns
+from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
+from sdpid.experiment.readers.names import UNITS
 from sdpid.experiment.readers.table import Table
-from sdpid.experiment.readers.unit_names import UNITS
 from sdpid.experiment.trajectory.curve import rests_at_ends
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
-# Formats of samples; a bag or a MATLAB file of a motion can be exported as one of them.
-_FORMATS = (".csv", ".csv.gz", ".npz", ".parquet", ".tsv", ".txt")
 # Names of accelerations, which logs do not have; those of the rest are the readers'.
 _ACCELERATIONS = ("acceleration", "accelerations", "ddq", "qdd", "acc")
 # A column is the derivative of another when it integrates to it within this factor: far from the
@@ -70,15 +68,15 @@ def read_trajectory(
         if joint_names is not None and motion.joint_names != tuple(joint_names):
             raise _other_joints(file, motion.joint_names, joint_names)
         return motion
-    suffix = "".join(file.suffixes[-2:] if file.suffix.lower() == ".gz" else file.suffixes[-1:])
-    if suffix.lower() not in _FORMATS:
+    known = {suffix: each for suffix, each in sorted(BY_SUFFIX.items()) if each.moves}
+    suffix = suffix_of(file)
+    if suffix not in known:
         raise DataError(
-            f"{file}: '{suffix}' is no format of trajectories; known are .toml, "
-            f"{', '.join(_FORMATS)}."
+            f"{file}: '{suffix}' is no format of trajectories; known are .toml, {', '.join(known)}."
         )
     if not file.is_file():
         raise DataError(f"{file}: there is no such file.")
-    curve, names = _sampled(file, LOADERS[suffix.lower()](file), joint_names)
+    curve, names = _sampled(file, known[suffix].load(file), joint_names)
     return Trajectory(
         joint_names=names,
         series=curve,
@@ -109,8 +107,8 @@ def _sampled(
     """Return the curve through the samples of a file, and the names of its joints."""
     acceleration = next((key for key in _ACCELERATIONS if _begins(key, table)), None)
     log = Columns(file, table, {"acceleration": acceleration})
-    time = log.single("time")
-    position, labels = log.table("position", wanted)
+    time, _ = log.read("time")
+    position, labels = log.read("position", wanted)
     if time is None or position is None:
         raise DataError(
             f"{file}: column {'time' if time is None else 'position_<joint>'} is missing; give "
@@ -120,7 +118,7 @@ def _sampled(
     names, order = _joints(file, labels or log.names(), wanted, position.shape[1])
     values = {"time": np.asarray(time).ravel(), "position": position}
     for quantity in ("velocity", "acceleration"):
-        found, label = log.table(quantity, labels)
+        found, label = log.read(quantity, labels)
         if found is not None and (label != labels or found.shape != position.shape):
             raise DataError(
                 f"{file}: {quantity} has {found.shape[1]} columns ({_listed(label)}), position "

@@ -6,6 +6,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,10 @@ from numpy.typing import NDArray
 
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.formats.hdf5 import load_hdf5
-from sdpid.experiment.readers.formats.matlab import load_mat
-from sdpid.experiment.readers.formats.matrices import load_matrices
+from sdpid.experiment.readers.formats.hdf5 import load_hdf5, load_mat
 from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
-from sdpid.experiment.readers.formats.text_file import load_text
+from sdpid.experiment.readers.formats.text_file import load_matrices, load_text
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.recording.memory_budget import check_claim
 
@@ -110,26 +109,58 @@ def _frame_column(column: Any, name: Any) -> NDArray[Any]:
         raise NoNumbersError(f"data frame: '{name}' holds objects, expected numbers.") from None
 
 
-# The format of a folder of text matrices, which has no suffix.
-MATRICES = "folder"
-# A new format is one function and one line here.
-LOADERS: dict[str, Callable[..., Table]] = {
-    MATRICES: load_matrices,
-    ".bag": load_rosbag,
-    ".csv": load_text,
-    ".csv.gz": load_text,
-    ".db3": load_rosbag,
-    ".feather": load_feather,
-    ".h5": load_hdf5,
-    ".hdf5": load_hdf5,
-    ".mat": load_mat,
-    ".mcap": load_rosbag,
-    ".npz": load_npz,
-    ".parquet": load_parquet,
-    ".tsv": load_text,
-    ".tsv.gz": load_text,
-    ".txt": load_text,
-    ".txt.gz": load_text,
-}
-# Formats whose libraries hang, crash or ask for all memory on some damaged files.
-SANDBOXED = (".bag", ".db3", ".feather", ".h5", ".hdf5", ".mat", ".mcap")
+@dataclass(frozen=True)
+class Format:
+    """A format of logs.
+
+    Attributes
+    ----------
+    load : callable
+        From a path to a `Table`.
+    suffixes : tuple of str
+        What names of its files end with; of a folder none.
+    sandboxed : bool
+        Whether the library hangs, crashes or asks for all memory on some damaged files, so that
+        it runs in a child process.
+    choices : tuple of str
+        The arguments that its loader takes beside the path: of ``topic``, ``joint_names`` and
+        ``topics`` of a bag, and ``stored``.
+    moves : bool
+        Whether motions to run are read from it; others can be exported as one of these.
+    """
+
+    load: Callable[..., Table]
+    suffixes: tuple[str, ...]
+    sandboxed: bool = False
+    choices: tuple[str, ...] = ()
+    moves: bool = False
+
+
+MATRICES = Format(load_matrices, ())
+# A new format is one function and one row here.
+FORMATS = (
+    Format(
+        load_text,
+        (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".txt.gz"),
+        moves=True,
+    ),
+    Format(load_parquet, (".parquet",), choices=("stored",), moves=True),
+    Format(load_npz, (".npz",), moves=True),
+    Format(load_feather, (".feather",), sandboxed=True),
+    Format(load_mat, (".mat",), sandboxed=True),
+    Format(load_hdf5, (".h5", ".hdf5"), sandboxed=True),
+    Format(
+        load_rosbag,
+        (".bag", ".db3", ".mcap"),
+        sandboxed=True,
+        choices=("topic", "joint_names", "topics"),
+    ),
+    MATRICES,
+)
+BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
+
+
+def suffix_of(file: Path) -> str:
+    """Return the suffix that tells the format, with the one before ``.gz``."""
+    last = file.suffix.lower()
+    return "".join(file.suffixes[-2:]).lower() if last == ".gz" else last

@@ -25,11 +25,11 @@ LARGE = 1 << 28
 # Bytes read from the file at a time, so that the size of row groups is no matter.
 _BUFFER = 1 << 20
 _MOST_JOINTS = 10_000
-_OPTIONAL = ("velocity", "reference")
 # What pyarrow calls plain numbers.
 _KINDS = {"double": "f8", "float": "f4"}
-_KINDS |= {f"int{8 * k}": f"i{k}" for k in (1, 2, 4, 8)}
-_KINDS |= {f"uint{8 * k}": f"u{k}" for k in (1, 2, 4, 8)}
+_KINDS |= {f"{sign}int{8 * k}": f"{sign or 'i'}{k}" for sign in ("", "u") for k in (1, 2, 4, 8)}
+
+_Arrays = dict[str, Callable[[], NDArray[Any]]]
 
 
 def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
@@ -55,16 +55,17 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
     if stored is None:
         stored = 8 * file.rows * len(plain) > LARGE
     several = partial(file.numbers, stored=stored)
-    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
-    for name in file.kinds:
-        arrays[name] = partial(_first, several, name) if name in plain else partial(file.any, name)
-    recorded = _recorded_arrays(path, file.metadata, plain, several)
+    arrays: _Arrays = {name: partial(file.any, name) for name in file.kinds}
+    arrays |= {name: partial(_first, several, name) for name in plain}
+    if KEY not in file.metadata:
+        return Table(arrays, columns=several, plain=frozenset(plain))
+    recorded, stated = _recorded(path, file.metadata[KEY], plain, several)
     return Table(
-        {**arrays, **recorded},
+        arrays | recorded,
         columns=several,
         plain=frozenset(plain),
-        units={"time": "s"} if recorded else {},
-        stated=_of_base(file.metadata) if recorded else {},
+        units={"time": "s"},
+        stated=stated,
     )
 
 
@@ -79,6 +80,7 @@ class _ParquetFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._pa, self._pq = require("pyarrow", extra="io"), require("pyarrow.parquet", extra="io")
+        self._errors = (self._pa.lib.ArrowException, OSError, ValueError, MemoryError)
         try:
             # Buffered ahead, the whole file would be in memory beside the arrays.
             self._file = self._pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
@@ -107,13 +109,13 @@ class _ParquetFile:
     def any(self, name: str) -> NDArray[Any]:
         """Return a column of lists, times or anything else."""
         check_claim(self._path, name, (self._held(name),), 8)
-        types = self._pa.types
         try:
             values = self._pq.read_table(self._path, columns=[name]).column(0).combine_chunks()
             if values.null_count:
                 raise DataError(
                     f"{self._path}: column '{name}' has {values.null_count} missing values."
                 )
+            types = self._pa.types
             if not (types.is_list(values.type) or types.is_fixed_size_list(values.type)):
                 return np.asarray(values.to_numpy(zero_copy_only=False))
             if not len(values):
@@ -153,10 +155,6 @@ class _ParquetFile:
                     count += max(chunk.num_values, group.num_rows)
         return count
 
-    @property
-    def _errors(self) -> tuple[type[Exception], ...]:
-        return (self._pa.lib.ArrowException, OSError, ValueError, MemoryError)
-
     def _unreadable(self, cause: Exception) -> DataError:
         line = (str(cause).splitlines() or [type(cause).__name__])[0]
         return DataError(f"{self._path}: not a readable Parquet file ({line}).")
@@ -171,29 +169,18 @@ def _values(column: Any) -> NDArray[Any]:
     return np.frombuffer(column.buffers()[1], dtype=kind)[begin : begin + len(column)]
 
 
-def _of_base(raw: Mapping[bytes, bytes]) -> dict[str, Any]:
-    """Return what `Recording.to_parquet` kept of an IMU and of contacts."""
-    stated = json.loads(raw[KEY])
-    return {key: stated[key] for key in ("imu", "contacts") if isinstance(stated.get(key), dict)}
-
-
-def _recorded_arrays(
-    path: Path,
-    raw: Mapping[bytes, bytes],
-    plain: Sequence[str],
-    several: Callable[[Sequence[str]], Array],
-) -> dict[str, Callable[[], NDArray[Any]]]:
-    """Return the arrays of a file that `Recording.to_parquet` wrote; none for other files.
+def _recorded(
+    path: Path, raw: bytes, plain: Sequence[str], several: Callable[[Sequence[str]], Array]
+) -> tuple[_Arrays, dict[str, Any]]:
+    """Return the arrays that `Recording.to_parquet` wrote, and what it kept of IMU and contacts.
 
     Raises
     ------
     DataError
         When its metadata are damaged or of a later format, or a column is missing.
     """
-    if KEY not in raw:
-        return {}
     try:
-        stated = json.loads(raw[KEY])
+        stated = json.loads(raw)
     except (ValueError, RecursionError):
         stated = None
     if not isinstance(stated, dict):
@@ -204,21 +191,21 @@ def _recorded_arrays(
         )
     count, names = stated.get("n"), stated.get("joint_names")
     if names is None and isinstance(count, int) and 0 < count <= _MOST_JOINTS:
-        labels = [str(j + 1) for j in range(count)]
-    elif names and isinstance(names, list) and all(isinstance(name, str) for name in names):
-        labels = names
-    else:
+        names = [str(j + 1) for j in range(count)]
+    elif not (names and isinstance(names, list) and all(isinstance(n, str) for n in names)):
         raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
-    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
+    arrays: _Arrays = {}
     for quantity in CHANNELS:
         called = "current" if quantity == "effort" and stated.get("currents") else quantity
-        columns = [f"{called}_{label}" for label in labels]
-        if quantity in _OPTIONAL and not set(columns) & set(plain):
+        columns = [f"{called}_{name}" for name in names]
+        absent = [name for name in columns if name not in plain]
+        if quantity in ("velocity", "reference") and absent == columns:
             continue
-        if absent := [name for name in columns if name not in plain]:
+        if absent:
             raise DataError(f"{path}: lacks the columns {', '.join(absent)}.")
         arrays[called] = partial(several, columns)
     for name in ("joint_names", "period", "start", "periods"):
         if stated.get(name) is not None:
             arrays[name] = partial(np.asarray, stated[name])
-    return arrays
+    of_base = {key: stated[key] for key in ("imu", "contacts") if isinstance(stated.get(key), dict)}
+    return arrays, of_base

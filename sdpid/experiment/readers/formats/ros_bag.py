@@ -19,7 +19,7 @@ from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.table import Table
 
-_MESSAGE = "sensor_msgs/msg/JointState"
+_STATES = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
@@ -71,10 +71,17 @@ def load_rosbag(
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     with highlevel.AnyReader([path], default_typestore=store) as reader:
         states = _States(path, None if joint_names is None else tuple(joint_names))
-        wanted = _connections(path, reader, topic)
-        streams = _streams(path, reader, topics or {})
-        wanted += [c for c in reader.connections if c.topic in streams]
-        for connection, recorded, raw in reader.messages(connections=wanted):
+        streams: dict[str, _Stream] = {}
+        for message, (name, row) in _MESSAGES.items():
+            wanted = (topics or {}).get(name)
+            of_base = _topic(path, reader, message, wanted, f"{name}={{'topic': ...}}")
+            if of_base is None:
+                break
+            streams[of_base] = _Stream(row)
+        taken = dict(zip(streams, _MESSAGES, strict=False))
+        taken[_topic(path, reader, _STATES, topic, "topic=", _USUAL_TOPIC) or ""] = _STATES
+        connections = [c for c in reader.connections if taken.get(c.topic) == c.msgtype]
+        for connection, recorded, raw in reader.messages(connections=connections):
             stream = streams.get(connection.topic, states)
             stream.add(recorded, reader.deserialize(raw, connection.msgtype))
     columns = states.columns()
@@ -84,6 +91,33 @@ def load_rosbag(
     return Table(
         {name: partial(np.asarray, values) for name, values in columns.items()}, stated=said
     )
+
+
+def _topic(
+    path: Path, reader: Any, message: str, wanted: str | None, argument: str, usual: str = ""
+) -> str | None:
+    """Return the topic with messages of a kind: the one wanted, the usual or the only one.
+
+    Raises
+    ------
+    DataError
+        When there are several and none is wanted, or the one wanted, or needed, is not there.
+    """
+    kinds = {(c.topic, c.msgtype) for c in reader.connections}
+    topics = sorted(topic for topic, kind in kinds if kind == message)
+    if wanted is None and usual and (usual in topics or not topics):
+        wanted = usual
+    if wanted is None and len(topics) > 1:
+        raise DataError(
+            f"{path}: several topics carry {message}: {', '.join(topics)}; name one with "
+            f"{argument}."
+        )
+    if wanted is not None and wanted not in topics:
+        others = topics or sorted(f"{topic} ({kind})" for topic, kind in kinds)
+        raise DataError(
+            f"{path}: no topic {wanted} with {message}; there is {', '.join(others) or 'nothing'}."
+        )
+    return wanted or next(iter(topics), None)
 
 
 class _Stream:
@@ -119,57 +153,6 @@ def _imu(message: Any) -> Iterable[float]:
     """Return angular velocity and linear acceleration."""
     parts = (message.angular_velocity, message.linear_acceleration)
     return [value for part in parts for value in (part.x, part.y, part.z)]
-
-
-def _streams(path: Path, reader: Any, topics: Mapping[str, str]) -> dict[str, _Stream]:
-    """Return what takes the messages of the base, by topic; nothing without odometry."""
-    found: dict[str, _Stream] = {}
-    for message, (name, row) in _MESSAGES.items():
-        topic = _topic_of(path, reader, message, topics.get(name))
-        if topic is None:
-            break
-        found[topic] = _Stream(row)
-    return found
-
-
-def _topic_of(path: Path, reader: Any, message: str, wanted: str | None) -> str | None:
-    """Return the topic with messages of a kind: the one wanted, or the only one.
-
-    Raises
-    ------
-    DataError
-        When there are several and none is wanted, or the one wanted is not there.
-    """
-    topics = sorted({c.topic for c in reader.connections if c.msgtype == message})
-    if wanted is not None and wanted not in topics:
-        listed = ", ".join(topics) or "none"
-        raise DataError(f"{path}: no topic {wanted} with {message}; there is {listed}.")
-    if wanted is None and len(topics) > 1:
-        name = _MESSAGES[message][0]
-        raise DataError(
-            f"{path}: several topics carry {message}: {', '.join(topics)}; name one with "
-            f"{name}={{'topic': ...}}."
-        )
-    return wanted or (topics[0] if topics else None)
-
-
-def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
-    """Return the connections of the topic to read."""
-    offered = [c for c in reader.connections if c.msgtype == _MESSAGE]
-    topics = sorted({c.topic for c in offered})
-    if topic is None:
-        if len(topics) > 1 and _USUAL_TOPIC not in topics:
-            raise DataError(
-                f"{path}: several topics carry joint states: {', '.join(topics)}; name one "
-                "with topic=."
-            )
-        topic = _USUAL_TOPIC if _USUAL_TOPIC in topics or not topics else topics[0]
-    if topic not in topics:
-        others = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections}))
-        raise DataError(
-            f"{path}: no topic {topic} with {_MESSAGE}; there is {others or 'nothing'}."
-        )
-    return [c for c in offered if c.topic == topic]
 
 
 class _States(_Stream):

@@ -1,4 +1,7 @@
-"""Text files of numbers: CSV and its kin, with or without a header, compressed or not."""
+"""Text files of numbers: CSV and its kin, with or without a header, compressed or not.
+
+A folder of such files without names is a log too: one matrix a quantity.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,6 @@ import re
 import warnings
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -22,8 +24,9 @@ from numpy.typing import NDArray
 from sdpid._common.sandbox import memory_limit
 from sdpid._common.text import printable
 from sdpid.errors import DataError
+from sdpid.experiment.readers.names import unit_of
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.readers.unit_names import unit_of
+from sdpid.experiment.recording.memory_budget import check_memory
 
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20
@@ -38,12 +41,14 @@ _COMMENTS = ("#", "%", "//")
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "1.#qnan", "-nan(ind)")
 _CASES = (str.lower, str.upper, str.title, lambda _: "NaN")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
-_EXCHANGED = str.maketrans(",.", ".,")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
 # Integers from here on do not fit a double; they are read relative to the first one.
 _BEYOND_DOUBLE = 10**15
 # What reading damaged text or a damaged archive can raise.
-_DAMAGE = (OSError, EOFError, UnicodeError, ValueError, zlib.error, csv.Error)
+_DAMAGE = (OSError, EOFError, UnicodeError, ValueError, zlib.error)
+_SUFFIXES = (".dat", ".txt", ".csv", ".tsv")
+# A number takes at least two bytes as text, and eight in an array.
+_MOST_GROWTH = 4
 
 
 def load_text(path: Path) -> Table:
@@ -60,23 +65,14 @@ def load_text(path: Path) -> Table:
         When the file is no text, or holds no table.
     """
     try:
-        encoding = _encoding(path)
-        with _opened(path, encoding) as stream:
-            lines = list(islice(enumerate(_bounded(path, stream), 1), _LOOKED_AT))
+        text = _Text(path)
     except _DAMAGE as cause:
         raise DataError(f"{path}: not a readable text file ({cause}).") from None
-    kept = [(k, line) for k, line in lines if line.strip() and not line.startswith(_COMMENTS)]
-    if not kept:
-        raise DataError(f"{path}: has no header and no data.")
-    if any(ord(c) < ord(" ") and c not in "\t\r\n\f" for _, line in kept[:2] for c in line):
-        raise DataError(f"{path}: the first line is no line of column names.")
-    comments = [line for k, line in lines if k < kept[0][0] and line.startswith(_COMMENTS)]
-    text, unnamed = _described(path, encoding, kept, comments)
     arrays = {name: partial(text.column, k) for k, name in enumerate(text.names) if name}
-    return Table(arrays, place=text.place, unnamed=unnamed)
+    return Table(arrays, place=text.place, unnamed=text.unnamed)
 
 
-class _LinesAsFile(io.TextIOBase):
+class _Lines(io.TextIOBase):
     """Lines as a file that pandas reads."""
 
     def __init__(self, lines: Iterator[str]) -> None:
@@ -86,16 +82,58 @@ class _LinesAsFile(io.TextIOBase):
         return "".join(islice(self._lines, _AT_ONCE))
 
 
-@dataclass(frozen=True)
 class _Text:
-    """The values of a text file, all read when the first column is needed."""
+    """A text file: how its first lines say that it is written, and its values."""
 
-    path: Path
-    encoding: str
-    names: list[str]
-    delimiter: str | None
-    first: int  # the line with the first values, counted from 1
-    comma: bool  # whether decimals have commas
+    def __init__(self, path: Path) -> None:
+        self.path, self.encoding = path, _encoding(path)
+        with _opened(path, self.encoding) as stream:
+            lines = list(islice(enumerate(_bounded(path, stream), 1), _LOOKED_AT))
+        kept = [(k, line) for k, line in lines if _is_row(line)]
+        if not kept:
+            raise DataError(f"{path}: has no header and no data.")
+        if any(ord(c) < ord(" ") and c not in "\t\r\n\f" for _, line in kept[:2] for c in line):
+            raise DataError(f"{path}: the first line is no line of column names.")
+        head = kept[0][1]
+        self.delimiter = _delimiter(head)
+        self.names, self.unnamed = _fields(head, self.delimiter), False
+        # Where commas do not separate columns, they may be decimal marks.
+        self.comma = self.delimiter != ","
+        values = [self._number(name) is not None for name in self.names]
+        if all(values):
+            # The first line holds values: names may stand in the last comment before.
+            before = (line for k, line in lines if k < kept[0][0] and line.startswith(_COMMENTS))
+            bare = ["", *before][-1].lstrip("#%/ ")
+            named, count = _fields(bare, _delimiter(bare)), len(self.names)
+            self.unnamed = len(named) != count
+            self.names = [str(k + 1) for k in range(count)] if self.unnamed else named
+        elif any(values):
+            raise DataError(
+                f"{path}: the first line must name the columns, but some of its fields are numbers "
+                f"({printable(head.strip()[:60])})."
+            )
+        else:
+            kept = kept[1:]
+        if kept and (units := self._units(kept[0][1])):
+            kept = kept[1:]
+            pairs = zip(self.names, units, strict=True)
+            self.names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
+        named = [name for name in self.names if name]
+        if not kept or not named:
+            raise DataError(f"{path}: has no header and no data.")
+        if len(set(named)) != len(named):
+            raise DataError(
+                f"{path}: {len(named)} column names, {len(set(named))} of them distinct; every "
+                "column needs a name of its own."
+            )
+        self._first, rows = kept[0][0], [_fields(line, self.delimiter) for _, line in kept]
+        if len(rows[0]) != len(self.names):
+            raise DataError(
+                f"{path}: {len(self.names)} column names for {len(rows[0])} values in line "
+                f"{self._first}."
+            )
+        marks = (_DECIMAL_COMMA.fullmatch(text) for row in rows for text in row)
+        self.comma = self.comma and any(marks)
 
     def column(self, k: int) -> NDArray[Any]:
         """Return one column."""
@@ -108,7 +146,7 @@ class _Text:
 
     def place(self, sample: int) -> str:
         """Return the line of a sample, counted from 1 as editors do."""
-        return f"line {next(islice(self._lines(), sample, None))[0]}"
+        return f"line {next(islice(self._rows(), sample, None))[0]}"
 
     @cached_property
     def _frame(self) -> Any:
@@ -120,8 +158,9 @@ class _Text:
                 # Newer versions read all digits by default, and warn of the argument.
                 warnings.simplefilter("ignore")
                 return pd.read_csv(
-                    _LinesAsFile(line for _, line in self._lines()),
+                    _Lines(line for _, line in self._rows()),
                     sep=self.delimiter or r"\s+",
+                    decimal="," if self.comma else ".",
                     header=None,
                     names=range(len(self.names)),
                     index_col=False,
@@ -144,12 +183,15 @@ class _Text:
             stamps = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
             numbers = (stamps - stamps.iloc[0]) / pd.Timedelta(seconds=1)
         else:
-            numbers = texts.map(_number).astype(float)
+            numbers = texts.map(self._number).astype(float)
+            if self.comma:
+                # A point beside commas marks thousands, and is no part of a number.
+                numbers = numbers.mask(texts.str.contains(".", regex=False))
         bad = numbers.isna()
         if not bad.any():
             return numbers
         sample, name = int(texts.index[bad][0]), printable(self.names[k])
-        word = texts[sample].translate(_EXCHANGED) if self.comma else texts[sample]
+        word = texts[sample]
         said = f"{self.path}: {self.place(sample)}: '{name}' holds '{printable(word[:40])}'"
         if bad[:_LOOKED_AT].all():
             raise NoNumbersError(f"{said}, not {kind}.")
@@ -158,81 +200,53 @@ class _Text:
         hint = "; decimals need a point" if _DECIMAL_COMMA.fullmatch(word) else ""
         raise DataError(f"{said}, not {kind}{hint}.")
 
-    def _lines(self) -> Iterator[tuple[int, str]]:
+    def _number(self, text: str) -> float | None:
+        """Return the number that a text is, if it is one."""
+        if self.comma and _DECIMAL_COMMA.fullmatch(text):
+            text = text.replace(",", ".")
+        try:
+            return float(text)
+        except ValueError:
+            return None
+
+    def _units(self, line: str) -> list[str] | None:
+        """Return the units of the columns where a line holds nothing else."""
+        units = [text.strip("[]() ") for text in _fields(line, self.delimiter)]
+        known = [unit for unit in units if unit]
+        all_known = known and all(unit_of(unit) is not None for unit in known)
+        return units if all_known and len(units) == len(self.names) else None
+
+    def _rows(self) -> Iterator[tuple[int, str]]:
         """Yield the lines with values and their numbers, checked to have as many as columns."""
-        count = len(self.names)
+        count, delimiter = len(self.names), self.delimiter
         most = memory_limit() // (8 * count)
         with _opened(self.path, self.encoding) as stream:
             for number, line in enumerate(_bounded(self.path, stream), 1):
-                if number < self.first or not line.strip() or line.startswith(_COMMENTS):
+                if number < self._first or not _is_row(line):
                     continue
-                if number - self.first > most:
+                if number - self._first > most:
                     raise DataError(
                         f"{self.path}: has more than {most:,} rows, which do not fit the memory "
                         "limit for one log; cut it into parts, or thin it."
                     )
-                plain = self.delimiter is not None and '"' not in line
-                fields = line.split(self.delimiter) if plain else _fields(line, self.delimiter)
-                held = len(fields)
+                if delimiter is None or '"' in line:
+                    held = len(_fields(line, delimiter))
+                else:
+                    held = line.count(delimiter) + 1
                 if held != count:
                     hint = "; repair or delete that line"
-                    if self.delimiter == "," and held > count:
+                    if delimiter == "," and held > count:
                         hint = "; where commas are decimal marks, separate columns by semicolons"
                     raise DataError(
                         f"{self.path}: line {number} has {held} values for {count} columns{hint}."
                     )
-                # A point beside commas marks thousands: as a comma it is no part of a number.
-                yield number, line.translate(_EXCHANGED) if self.comma else line
-
-
-def _described(
-    path: Path, encoding: str, kept: list[tuple[int, str]], comments: list[str]
-) -> tuple[_Text, bool]:
-    """Return the text that the first lines show, and whether its columns have no names."""
-    head = kept[0][1]
-    delimiter = _delimiter(head)
-    names, unnamed = _fields(head, delimiter), False
-    comma = delimiter != ","
-    values = [_number(name, comma=comma) is not None for name in names]
-    if all(values):
-        # The first line holds values: names may stand in the last comment before.
-        kept = [(0, ""), *kept]
-        bare = comments[-1].lstrip("#%/ ") if comments else ""
-        commented = _fields(bare, _delimiter(bare))
-        unnamed = len(commented) != len(names)
-        names = [str(k + 1) for k in range(len(names))] if unnamed else commented
-    elif any(values):
-        raise DataError(
-            f"{path}: the first line must name the columns, but some of its fields are numbers "
-            f"({printable(head.strip()[:60])})."
-        )
-    if len(kept) > 1 and (units := _units_row(kept[1][1], delimiter, len(names))):
-        kept = kept[1:]
-        names = [
-            f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)
-        ]
-    named = [name for name in names if name]
-    if len(kept) < 2 or not named:
-        raise DataError(f"{path}: has no header and no data.")
-    if len(set(named)) != len(named):
-        raise DataError(
-            f"{path}: {len(named)} column names, {len(set(named))} of them distinct; every "
-            "column needs a name of its own."
-        )
-    rows = [_fields(line, delimiter) for _, line in kept[1:]]
-    if len(rows[0]) != len(names):
-        raise DataError(
-            f"{path}: {len(names)} column names for {len(rows[0])} values in line {kept[1][0]}."
-        )
-    comma = comma and any(_DECIMAL_COMMA.fullmatch(text) for row in rows for text in row)
-    return _Text(path, encoding, names, delimiter, kept[1][0], comma), unnamed
+                yield number, line
 
 
 def _opened(path: Path, encoding: str) -> TextIO:
     """Open a text file, compressed or not."""
     unpack: Any = gzip.open if path.suffix.lower() == ".gz" else open
-    raw = unpack(path, "rb")
-    return io.TextIOWrapper(raw, encoding=encoding, errors="replace", newline="")
+    return io.TextIOWrapper(unpack(path, "rb"), encoding=encoding, errors="replace", newline="")
 
 
 def _encoding(path: Path) -> str:
@@ -260,6 +274,11 @@ def _bounded(path: Path, stream: TextIO) -> Iterator[str]:
         yield line
 
 
+def _is_row(line: str) -> bool:
+    """Tell whether a line is neither blank nor a comment."""
+    return not (line.isspace() or line.startswith(_COMMENTS))
+
+
 def _delimiter(line: str) -> str | None:
     """Return what separates the fields of a line; None for blanks."""
     return next((mark for mark in ";\t," if mark in line), None)
@@ -276,20 +295,47 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
     return [text.strip() for text in row]
 
 
-def _units_row(line: str, delimiter: str | None, count: int) -> list[str] | None:
-    """Return the units of the columns where a line holds nothing else."""
-    units = [text.strip("[]() ") for text in _fields(line, delimiter)]
-    known = [unit for unit in units if unit]
-    if len(units) != count or not known or any(unit_of(unit) is None for unit in known):
-        return None
-    return units
+def is_folder_of_matrices(folder: Path) -> bool:
+    """Tell whether a folder holds text files that may be matrices."""
+    return any(path.suffix.lower() in _SUFFIXES for path in folder.iterdir())
 
 
-def _number(text: str, comma: bool = False) -> float | None:
-    """Return the number that a text is, if it is one."""
-    if comma and _DECIMAL_COMMA.fullmatch(text):
-        text = text.replace(",", ".")
+def load_matrices(folder: Path) -> Table:
+    """List the text matrices of a folder, by the names of their files.
+
+    The longer side of each matrix is time, whichever way it is written.
+
+    Raises
+    ------
+    DataError
+        When two files have the same name but for their suffix.
+    """
+    files: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in _SUFFIXES or not path.is_file():
+            continue
+        name = printable(path.stem)
+        if name in files:
+            raise DataError(f"{folder}: {files[name].name} and {path.name} have the same name.")
+        files[name] = path
+    return Table({name: partial(_matrix, path) for name, path in files.items()})
+
+
+def _matrix(path: Path) -> NDArray[Any]:
+    """Return samples × channels of one file."""
+    check_memory(path, _MOST_GROWTH * path.stat().st_size)
     try:
-        return float(text)
-    except ValueError:
-        return None
+        with path.open(encoding="utf-8") as stream:
+            delimiter = _delimiter(stream.read(_SNIFFED))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # An empty file is refused below.
+            matrix = np.loadtxt(path, delimiter=delimiter, ndmin=2, encoding="utf-8")
+    except (OSError, ValueError) as cause:
+        line = (str(cause).splitlines() or [type(cause).__name__])[0]
+        raise DataError(f"{path}: is no matrix of numbers ({printable(line)}).") from None
+    rows, columns = matrix.shape
+    if rows == columns or not matrix.size:
+        raise DataError(
+            f"{path}: is {rows} × {columns} numbers, so that it is not known which side is time."
+        )
+    return np.ascontiguousarray(matrix.T) if columns > rows else matrix

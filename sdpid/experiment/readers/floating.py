@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,29 +11,26 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.floating.find import Floating
-from sdpid.experiment.readers.floating.quantities import PARTS
+from sdpid.experiment.readers.mapping import Arguments
+from sdpid.experiment.readers.names import QUANTITIES
+from sdpid.experiment.readers.selection import Selection
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.floating.contacts import Contacts
 
 _FIELDS = {"contact": "down", "contact_force": "forces", "contact_wrench": "wrenches"}
 
 
-def base_of(
-    file: Path, found: Floating, tables: Mapping[str, Array], settings: Mapping[str, Any]
-) -> BaseMotion | None:
+def base_of(file: Path, found: Selection, tables: Mapping[str, Array]) -> BaseMotion | None:
     """Return the motion of the base, None without one.
 
     Parameters
     ----------
     file : Path
         For messages.
-    found : Floating
-        What was found, and what the names say.
+    found : Selection
+        What the names say, and what was said of ``base`` and ``imu``.
     tables : mapping of (N, m) ndarray
         The values in SI units.
-    settings : mapping
-        What was said of ``base`` and ``imu``.
 
     Raises
     ------
@@ -44,20 +41,27 @@ def base_of(
     if "base_orientation" not in tables:
         return None
     for quantity, table in tables.items():
-        parts = PARTS[quantity]
-        if not quantity.startswith("contact") and table.shape[1] != len(parts):
+        parts = QUANTITIES[quantity].parts
+        if parts and not quantity.startswith("contact") and table.shape[1] != len(parts):
             raise DataError(
                 f"{file}: {quantity}: has {table.shape[1]} columns, expected {len(parts)}: "
                 f"{', '.join(parts)}."
             )
-    base = {**found.stated.get("base", {}), **settings.get("base", {})}
-    imu = {**found.stated.get("imu", {}), **settings.get("imu", {})}
-    order = settings.get("base", {}).get("quaternion") or found.order or base.get("quaternion")
+    base, imu = found.said["base"], found.said["imu"]
+    order = base.get("quaternion") or found.labels.get("base_orientation")
     if order is None:
         raise DataError(
             f"{file}: base_orientation: the order of its quaternions is not known; say "
             "base={'quaternion': 'xyzw'} or 'wxyz' (quaternion in the table [base] of a mapping), "
             "or leave the base out with columns={'base_orientation': None}."
+        )
+    velocities = [name for name in tables if name.startswith("base") and name.endswith("velocity")]
+    said = (base.get("velocity_frame"),)
+    frames = [next(iter(found.labels.get(name, said))) for name in velocities]
+    if len(set(frames)) > 1:
+        raise DataError(
+            f"{file}: {' and '.join(velocities)} have different axes; leave one out, as with "
+            f"columns={{'{velocities[0]}': None}}."
         )
     placed = {key: imu[key] for key in ("translation", "rotation") if key in imu}
     sensors = {name: tables[name] for name in ("gyroscope", "accelerometer") if name in tables}
@@ -66,29 +70,13 @@ def base_of(
         position=tables.get("base_position"),
         linear_velocity=tables.get("base_linear_velocity"),
         angular_velocity=tables.get("base_angular_velocity"),
-        velocity_frame=_frame(file, found, tables, base),
+        velocity_frame=frames[0] if frames else None,
         imu=Imu(**sensors, **placed) if sensors else None,
     )
 
 
-def _frame(
-    file: Path, found: Floating, tables: Mapping[str, Array], base: Mapping[str, Any]
-) -> Any:
-    """Return the axes of the velocities."""
-    there = [name for name in tables if name.endswith("_velocity")]
-    if not there:
-        return None
-    frames = {found.velocity_frames.get(name, base.get("velocity_frame")) for name in there}
-    if len(frames) > 1:
-        raise DataError(
-            f"{file}: {' and '.join(there)} have different axes; leave one out, as with "
-            f"columns={{'{there[0]}': None}}."
-        )
-    return frames.pop()
-
-
 def contacts_of(
-    file: Path, found: Floating, tables: Mapping[str, Array], settings: Mapping[str, Any]
+    file: Path, found: Selection, tables: Mapping[str, Array], arguments: Arguments
 ) -> Contacts | None:
     """Return the contacts, None without any.
 
@@ -97,19 +85,20 @@ def contacts_of(
     DataError
         When the frames are not known, or are another number than there are columns.
     """
-    there = {name: table for name, table in tables.items() if name in _FIELDS}
-    said = {**found.stated.get("contacts", {}), **settings.get("contacts", {})}
+    there = {name: tables[name] for name in _FIELDS if name in tables}
+    said = found.said["contacts"]
     if not there:
-        if settings.get("contacts"):
+        if arguments.contacts:
             raise DataError(
                 f"{file}: contacts is given, but there are no columns of contacts; name them with "
                 "columns={'contact': ...}, or 'contact_force' or 'contact_wrench'."
             )
         return None
-    frames, order = _frames(file, found.frames, said.get("frames"), list(there))
+    columns = next((found.labels[name] for name in there if name in found.labels), None)
+    frames, order = _frames(file, columns, said.get("frames"), list(there))
     shaped: dict[str, Any] = {}
     for quantity, table in there.items():
-        size = len(PARTS[quantity]) or 1
+        size = len(QUANTITIES[quantity].parts) or 1
         if table.shape[1] != size * len(frames):
             raise DataError(
                 f"{file}: {quantity}: has {table.shape[1]} columns, expected {size} for each of "
@@ -117,13 +106,17 @@ def contacts_of(
             )
         values: NDArray[Any] = table.reshape(len(table), len(frames), size)
         values = values if order is None else values[:, order]
-        shaped[_FIELDS[quantity]] = values if quantity != "contact" else _flags(values, said)
+        if quantity == "contact":
+            # Flags, or what is above the threshold where contacts are closed.
+            values, threshold = values[:, :, 0], said.get("threshold")
+            values = values if threshold is None else np.asarray(values > float(threshold))
+        shaped[_FIELDS[quantity]] = values
     placed = {key: said[key] for key in ("kind", "offset") if key in said}
     return Contacts(frames=frames, **shaped, **placed)
 
 
 def _frames(
-    file: Path, columns: tuple[str, ...] | None, said: Any, there: list[str]
+    file: Path, columns: Sequence[str] | None, said: Any, there: list[str]
 ) -> tuple[tuple[str, ...], list[int] | None]:
     """Return the contacts' frames, and which columns are theirs where they are in another order."""
     if columns is not None and all(label.isdigit() for label in columns):
@@ -140,10 +133,3 @@ def _frames(
     frames = tuple(said)
     same = set(frames) == set(columns)
     return frames, [columns.index(frame) for frame in frames] if same else None
-
-
-def _flags(values: NDArray[Any], said: Mapping[str, Any]) -> NDArray[Any]:
-    """Return which contacts are closed: flags, or what is above the threshold."""
-    threshold = said.get("threshold")
-    flags = values[:, :, 0]
-    return flags if threshold is None else np.asarray(flags > float(threshold))

@@ -1,1 +1,0 @@
-"""What logs hold of a floating base and its contacts: found, checked and put together."""

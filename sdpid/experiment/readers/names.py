@@ -1,0 +1,157 @@
+"""The quantities of logs: their usual names, parts and units, one row each.
+
+A column is called by a quantity, the joint or foot that it is of, a part and a unit:
+``position_elbow [deg]``, ``joint_2_velocity``, ``base_position_x``, ``contact_force_left_z``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+_DEGREE = np.pi / 180.0
+_GRAVITY = 9.80665
+# Amperes stay amperes: `effort_scale`, or constants of motors, give torques.
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
+_ANGLES = {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3}
+_TURNING = {"rad/s": 1.0, "deg/s": _DEGREE}
+_XYZ = ("x", "y", "z")
+_POSITIONS = ("q", "position", "positions", "pos", "joint_position", "joint_positions", "angle")
+# Words of positions that are commanded, and not what the robot did.
+_COMMANDS = (
+    *("reference", "ref", "desired", "des", "commanded", "command", "cmd", "target"),
+    "setpoint",
+)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a quantity is called in logs.
+
+    Attributes
+    ----------
+    names : tuple of str
+        In the order in which they are looked for.
+    units : mapping
+        Factors to SI.
+    endings : mapping
+        Units by how they are spelled at the end of names, as in ``time_ms`` or ``position_deg_1``.
+    parts : tuple of str
+        The parts of a sample of a base, of contacts those of each.
+    """
+
+    names: tuple[str, ...]
+    units: Mapping[str, float] = field(default_factory=dict)
+    endings: Mapping[str, str] = field(default_factory=dict)
+    parts: tuple[str, ...] = ()
+
+
+def _q(names: str, units: Mapping[str, float], parts: Sequence[str] = ()) -> Quantity:
+    """Return a quantity of a base or of contacts."""
+    return Quantity(tuple(names.split()), units, parts=tuple(parts))
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "time": Quantity(
+        ("time", "t", "timestamp", "time_s", "stamp", "times", "__time", "elapsed_time"),
+        {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+        {"ms": "ms", "us": "us", "ns": "ns", "sec": "s"},
+    ),
+    "position": Quantity(
+        (
+            *("position", "q", "positions", "pos", "joint_position", "joint_positions"),
+            *("actual_q", "actual_position", "measured_position", "position_measured"),
+            *("q_measured", "angle"),
+        ),
+        _ANGLES,
+        {"deg": "deg", "rad": "rad"},
+    ),
+    "effort": Quantity(
+        (
+            *("effort", "tau", "torque", "efforts", "torques", "joint_effort", "joint_torque"),
+            *("joint_torques", "tau_j", "tau_measured", "actual_torque", "measured_torque"),
+            *("torque_measured", "eff", "trq"),
+        ),
+        {"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0, **_CURRENTS},
+        {"nm": "N.m", "mnm": "mN.m"},
+    ),
+    "velocity": Quantity(
+        (
+            *("velocity", "dq", "qd", "velocities", "vel", "qdot", "joint_velocity"),
+            *("joint_velocities", "actual_qd", "actual_velocity", "measured_velocity"),
+            *("velocity_measured", "dq_measured", "qd_measured", "speed"),
+        ),
+        {**_TURNING, "rpm": 2.0 * np.pi / 60.0, "m/s": 1.0, "mm/s": 1e-3},
+        {
+            **{"deg_s": "deg/s", "rad_s": "rad/s", "degs": "deg/s", "rads": "rad/s"},
+            "rpm": "rpm",
+        },
+    ),
+    # What is commanded may be a velocity or a torque as well: the name must say position.
+    "reference": Quantity(
+        (
+            *(f"{name}_{word}" for name in _POSITIONS for word in _COMMANDS),
+            *(f"{word}_{name}" for name in _POSITIONS for word in _COMMANDS),
+            *("q_d", "reference"),
+        ),
+        _ANGLES,
+        {"deg": "deg", "rad": "rad"},
+    ),
+    "joint_names": Quantity(("joint_names", "names")),
+    "rate": Quantity(("fs", "rate_hz", "rate", "sample_rate")),
+    "period": Quantity(("period",)),
+    "start": Quantity(("start",)),
+    "periods": Quantity(("periods",)),
+    "effort_scale": Quantity(("effort_scale",)),
+    "base_orientation": _q("base_orientation base_quaternion base_quat", {"1": 1.0}, (*_XYZ, "w")),
+    "base_position": _q("base_position base_pos", {"m": 1.0, "mm": 1e-3}, _XYZ),
+    "base_linear_velocity": _q(
+        "base_linear_velocity base_lin_vel base_velocity", {"m/s": 1.0, "mm/s": 1e-3}, _XYZ
+    ),
+    "base_angular_velocity": _q("base_angular_velocity base_ang_vel", _TURNING, _XYZ),
+    "gyroscope": _q("gyroscope gyro imu_gyroscope imu_gyro imu_angular_velocity", _TURNING, _XYZ),
+    "accelerometer": _q(
+        "accelerometer accel imu_accelerometer imu_accel imu_acceleration imu_linear_acceleration",
+        {"m/s²": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "g": _GRAVITY, "mg": 1e-3 * _GRAVITY},
+        _XYZ,
+    ),
+    "contact": _q("contact contacts contact_state foot_contact foot_contacts", {"1": 1.0}),
+    "contact_force": _q(
+        "contact_force contact_forces foot_force foot_forces", {"N": 1.0, "kN": 1e3}, _XYZ
+    ),
+    "contact_wrench": _q(
+        "contact_wrench contact_wrenches", {"N": 1.0}, ("fx", "fy", "fz", "mx", "my", "mz")
+    ),
+}
+UNITS = {name: row.units for name, row in QUANTITIES.items() if row.units}
+# Of a floating base and its contacts, the orientation first.
+FLOATING = tuple(QUANTITIES)[list(QUANTITIES).index("base_orientation") :]
+# What is one array, by itself.
+SINGLE = ("time", *(name for name in QUANTITIES if name not in UNITS))
+# Other spellings of units, in small letters.
+_SPELLINGS = {unit.lower(): unit for known in UNITS.values() for unit in known if unit != "1"}
+_SPELLINGS |= {"sec": "s", "seconds": "s", "µs": "us", "μs": "us", "msec": "ms", "usec": "us"}
+_SPELLINGS |= {"°": "deg", "degree": "deg", "degrees": "deg", "radians": "rad", "rev": "turn"}
+_SPELLINGS |= {"°/s": "deg/s", "deg/sec": "deg/s", "rad/sec": "rad/s", "1/min": "rpm"}
+_SPELLINGS |= {"n*m": "N.m", "n m": "N.m", "mn*m": "mN.m", "amp": "A", "ampere": "A"}
+_BRACKETED = re.compile(r"(.*?)\s*[\[({]\s*([^\[\](){}]+?)\s*[\])}]\s*")
+
+
+def unit_of(text: str) -> str | None:
+    """Return the unit that a text spells, None where it is none."""
+    return _SPELLINGS.get(text.strip().lower())
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Split ``Joint 1 [deg]`` into the name and the unit; None where no unit stands there."""
+    match = _BRACKETED.fullmatch(name)
+    unit = None if match is None else unit_of(match[2])
+    return (name, None) if match is None or unit is None else (match[1], unit)
+
+
+def is_current(unit: str | Sequence[str] | None) -> bool:
+    """Tell whether a unit, or one of several, is of currents."""
+    return any(one in _CURRENTS for one in ([unit] if isinstance(unit, str) else unit or ()))
