@@ -87,11 +87,13 @@ class Memory(NamedTuple):
 
     Attributes
     ----------
-    rotations : ndarray, shape (L, 3, 3)
-    links : ndarray, shape (6, L, 3)
-        Origins, angular velocities and accelerations, accelerations, forces, torques.
-    bodies : ndarray, shape (L, 10)
+    rotations, places : ndarray, shape (L + 1, 3, 3), (L + 1, 3)
+        Axes and origins of the base and the links.
+    links : ndarray, shape (4, L + 1, 6)
+        Axes of joints, velocities, accelerations, forces.
+    bodies : ndarray, shape (L + 1, 10)
         Links with all that hangs on them.
+    scratch, force : ndarray, shape (4, 3), (6,)
     system : ndarray, shape (n + J, n + J + 1)
         Equations that are solved.
     vectors : ndarray, shape (24, n)
@@ -103,8 +105,11 @@ class Memory(NamedTuple):
     """
 
     rotations: Any
+    places: Any
     links: Any
     bodies: Any
+    scratch: Any
+    force: Any
     system: Any
     vectors: Any
     matrices: Any
@@ -118,9 +123,12 @@ def memory_for(*robots: Robot) -> Memory:
     J = max(len(robot.contacts) for robot in robots)
     n = len(robots[0].constant)
     return Memory(
-        rotations=np.zeros((L, 3, 3)),
-        links=np.zeros((6, L, 3)),
-        bodies=np.zeros((L, 10)),
+        rotations=np.zeros((L + 1, 3, 3)),
+        places=np.zeros((L + 1, 3)),
+        links=np.zeros((4, L + 1, 6)),
+        bodies=np.zeros((L + 1, 10)),
+        scratch=np.zeros((4, 3)),
+        force=np.zeros(6),
         system=np.zeros((n + J, n + J + 1)),
         vectors=np.zeros((VECTORS, n)),
         matrices=np.zeros((MATRICES, n, n)),

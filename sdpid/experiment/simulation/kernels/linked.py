@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from sdpid.experiment.simulation.kernels import friction, links, loops, solve, step
+from sdpid.experiment.simulation.kernels import friction, links, loops, solve
 
-_MODULES: tuple[ModuleType, ...] = (links, friction, solve, step, loops)
+_MODULES: tuple[ModuleType, ...] = (links, friction, solve, loops)
 
 # What is called from outside, and kept on the disk.
 _ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")

@@ -5,41 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.simulation.kernels import layout as slot
 from sdpid.experiment.simulation.kernels.friction import bounds_at, sign_of, smooth_at
-from sdpid.experiment.simulation.kernels.layout import (
-    ACCELERATION,
-    BEFORE,
-    BIAS,
-    BIAS2,
-    CARRIED,
-    CHANGE,
-    DAMPING,
-    EFFORT,
-    ERROR,
-    FEEDBACK,
-    GIVEN,
-    INTEGRAL,
-    MASSES,
-    MASSES2,
-    NEXT,
-    NEXT_SPEED,
-    NOW,
-    PUSH,
-    SEEN,
-    SIGHT,
-    SIGHT_SPEED,
-    SLOPES,
-    SMOOTH,
-    SPEED,
-    TRIAL,
-    VISCOUS,
-)
 from sdpid.experiment.simulation.kernels.links import dynamics_at
-from sdpid.experiment.simulation.kernels.solve import change_over
-from sdpid.experiment.simulation.kernels.step import (
+from sdpid.experiment.simulation.kernels.solve import (
     LOAD_ROUNDS,
-    SETTLED,
+    carry_load,
+    change_over,
     has_diverged,
+    is_settled,
     step_of,
 )
 
@@ -63,26 +37,30 @@ def law_at(
     memory: Any,
     effort: Array,
     slope: Array,
+    error: Array,
 ) -> None:
-    """Write the effort of a controller but for its feedback of velocity, and the gains of that."""
+    """Write a controller's effort but for its feedback of velocity, the gains of that, and errors.
+
+    At the limit of the effort the error is zero: its integral rests.
+    """
     kind, gains, limit = law
-    M, h, u = memory.matrices[MASSES], memory.vectors[BIAS], memory.vectors[TRIAL]
-    F, S, carried = memory.vectors[SMOOTH], memory.matrices[SLOPES], memory.vectors[CARRIED]
+    vectors, M, S = memory.vectors, memory.matrices[slot.MASSES], memory.matrices[slot.SLOPES]
+    h, u, F, carried = (
+        vectors[slot.BIAS],
+        vectors[slot.TRIAL],
+        vectors[slot.SMOOTH],
+        vectors[slot.CARRIED],
+    )
     n = len(q)
     for i in range(n):
         carried[i] = 0.0
+        error[i] = desired[0, i] - q[i]
+        u[i] = gains[0, i] * error[i] + gains[1, i] * gains[3, i] * desired[1, i]
+        u[i] += gains[2, i] * integral[i]
         for j in range(n):
-            slope[i, j] = 0.0
-        u[i] = (
-            gains[0, i] * (desired[0, i] - q[i])
-            + gains[1, i] * gains[3, i] * desired[1, i]
-            + gains[2, i] * integral[i]
-        )
-    if kind == JOINT_GAINS:
-        for i in range(n):
-            effort[i] = u[i]
-            slope[i, i] = gains[1, i]
-    else:
+            slope[i, j] = gains[1, i] if i == j else 0.0
+        effort[i] = u[i]
+    if kind == INVERSE_DYNAMICS:
         contacts, values = inverse.contacts, inverse.jumps
         dynamics_at(inverse, q, v, memory)
         smooth_at(inverse, carried, desired[1], F, S)
@@ -90,7 +68,7 @@ def law_at(
             effort[i] = h[i] + F[i]
             for j in range(n):
                 effort[i] += M[i, j] * (desired[2, j] + u[j])
-                effort[i] += inverse.matrices[VISCOUS, i, j] * desired[1, j]
+                effort[i] += inverse.matrices[slot.VISCOUS, i, j] * desired[1, j]
                 slope[i, j] = M[i, j] * gains[1, j]
         for k in range(len(contacts)):
             i, j = contacts[k, 0], contacts[k, 1]
@@ -104,7 +82,7 @@ def law_at(
         for j in range(n):
             total -= slope[i, j] * v[j]
         if abs(total) > limit[i]:
-            effort[i] = limit[i] if total > 0.0 else -limit[i]
+            effort[i], error[i] = (limit[i] if total > 0.0 else -limit[i]), 0.0
             for j in range(n):
                 slope[i, j] = 0.0
 
@@ -131,60 +109,44 @@ def closed_loop(
     mean of both ends of each step. No joint is `fixed`, (n,). Return how many samples were written
     before the motion diverged.
     """
-    vectors, gains = memory.vectors, law[1]
-    q, v, a, q1, v1 = (
-        vectors[NOW],
-        vectors[SPEED],
-        vectors[ACCELERATION],
-        vectors[NEXT],
-        vectors[NEXT_SPEED],
+    vectors, V = memory.vectors, robot.matrices[slot.VISCOUS]
+    q, v, a = vectors[slot.NOW], vectors[slot.SPEED], vectors[slot.ACCELERATION]
+    q1, v1, given = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.GIVEN]
+    qm, vm, seen = vectors[slot.SIGHT], vectors[slot.SIGHT_SPEED], vectors[slot.SEEN]
+    integral, error, before = vectors[slot.INTEGRAL], vectors[slot.ERROR], vectors[slot.BEFORE]
+    effort, D, slope = (
+        vectors[slot.EFFORT],
+        memory.matrices[slot.DAMPING],
+        memory.matrices[slot.FEEDBACK],
     )
-    qm, vm, integral, seen = vectors[SIGHT], vectors[SIGHT_SPEED], vectors[INTEGRAL], vectors[SEEN]
-    effort, before, error, given = vectors[EFFORT], vectors[BEFORE], vectors[ERROR], vectors[GIVEN]
-    D, slope = memory.matrices[DAMPING], memory.matrices[FEEDBACK]
-    n = len(q)
+    n, sample = len(q), 0
     for i in range(n):
         q[i], v[i] = start[0, i], start[1, i]
         for j in range(n):
-            D[i, j] = robot.matrices[VISCOUS, i, j]
-    sample = 0
+            D[i, j] = V[i, j]
     for step in range(steps):
-        if every > 0:
-            if step % every == 0:
-                period = dt * every
-                row = step // every
-                for i in range(n):
-                    seen[i] = noise[row % len(noise), i]
-                    qm[i] = q[i] + seen[i]
-                    vm[i] = v[i]
-                    if differenced and row > 0:
-                        vm[i] = (qm[i] - before[i]) / period
-                    before[i] = qm[i]
-                law_at(law, inverse, qm, vm, desired[row], integral, memory, effort, slope)
-                for i in range(n):
-                    free = False
-                    for j in range(n):
-                        free = free or slope[i, j] != 0.0
-                        effort[i] -= slope[i, j] * vm[j]
-                    # The integral grows over this period, and rests at the limit of effort.
-                    error[i] = 0.0
-                    if free or gains[1, i] == 0.0:
-                        error[i] = desired[row, 0, i] - qm[i]
-        else:
+        if every == 0:
             for i in range(n):
                 # The mean of both ends, as that of the desired positions.
                 qm[i] = q[i] + 0.5 * dt * (v[i] + 0.5 * dt * a[i])
                 vm[i] = v[i] + 0.5 * dt * a[i]
-                error[i] = desired[step, 0, i] - qm[i]
-                before[i] = integral[i] + 0.5 * dt * error[i]
-            law_at(law, inverse, qm, vm, desired[step], before, memory, effort, slope)
+                before[i] = integral[i] + 0.5 * dt * (desired[step, 0, i] - qm[i])
+            law_at(law, inverse, qm, vm, desired[step], before, memory, effort, slope, error)
             for i in range(n):
-                free = False
                 for j in range(n):
-                    free = free or slope[i, j] != 0.0
-                    D[i, j] = robot.matrices[VISCOUS, i, j] + slope[i, j]
-                if not free and gains[1, i] != 0.0:
-                    error[i] = 0.0
+                    D[i, j] = V[i, j] + slope[i, j]
+        elif step % every == 0:
+            row = step // every
+            for i in range(n):
+                seen[i] = noise[row % len(noise), i]
+                qm[i], vm[i] = q[i] + seen[i], v[i]
+                if differenced and row > 0:
+                    vm[i] = (qm[i] - before[i]) / (dt * every)
+                before[i] = qm[i]
+            law_at(law, inverse, qm, vm, desired[row], integral, memory, effort, slope, error)
+            for i in range(n):
+                for j in range(n):
+                    effort[i] -= slope[i, j] * vm[j]
         step_of(robot, q, v, a, step > 0, effort, D, dt, fixed, given, memory, q1, v1)
         if has_diverged(v1):
             return sample
@@ -226,37 +188,33 @@ def open_loop(
     Joints that are `fixed`, (S, n), follow the record (2, S, T + 1, n). `count` gets the states of
     each segment before it diverged.
     """
-    vectors, viscous = memory.vectors, robot.matrices[VISCOUS]
-    q0, v0, a, given = vectors[NOW], vectors[SPEED], vectors[ACCELERATION], vectors[GIVEN]
-    q1, v1 = vectors[NEXT], vectors[NEXT_SPEED]
+    vectors, D = memory.vectors, robot.matrices[slot.VISCOUS]
+    q0, v0, a = vectors[slot.NOW], vectors[slot.SPEED], vectors[slot.ACCELERATION]
+    q1, v1, given = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.GIVEN]
     n = len(q0)
     for s in range(len(q)):
-        count[s] = 0
-        if has_diverged(v[s]):
-            continue
         for i in range(n):
-            q0[i], v0[i] = q[s, i], v[s, i]
-            out[0, s, 0, i], out[1, s, 0, i] = q0[i], v0[i]
-        count[s] = 1
-        for k in range(effort.shape[1]):
-            for i in range(n):
-                if fixed[s, i]:
-                    q0[i] = 0.5 * (record[0, s, k, i] + record[0, s, k + 1, i])
-                    given[i] = (record[1, s, k + 1, i] - record[1, s, k, i]) / dt
-                    v0[i] = record[1, s, k, i]
-                    q0[i] -= 0.5 * dt * v0[i]
-            step_of(
-                robot, q0, v0, a, k > 0, effort[s, k], viscous, dt, fixed[s], given, memory, q1, v1
-            )
-            for i in range(n):
-                if fixed[s, i]:
-                    q1[i], v1[i] = record[0, s, k + 1, i], record[1, s, k + 1, i]
+            q1[i], v1[i] = q[s, i], v[s, i]
+        for k in range(effort.shape[1] + 1):
+            count[s] = k
             if has_diverged(v1):
                 break
             for i in range(n):
                 q0[i], v0[i] = q1[i], v1[i]
-                out[0, s, k + 1, i], out[1, s, k + 1, i] = q1[i], v1[i]
-            count[s] = k + 2
+                out[0, s, k, i], out[1, s, k, i] = q1[i], v1[i]
+            count[s] = k + 1
+            if k == effort.shape[1]:
+                break
+            for i in range(n):
+                if fixed[s, i]:
+                    v0[i] = record[1, s, k, i]
+                    given[i] = (record[1, s, k + 1, i] - v0[i]) / dt
+                    q0[i] = 0.5 * (record[0, s, k, i] + record[0, s, k + 1, i] - dt * v0[i])
+            push = effort[s, k]
+            step_of(robot, q0, v0, a, k > 0, push, D, dt, fixed[s], given, memory, q1, v1)
+            for i in range(n):
+                if fixed[s, i]:
+                    q1[i], v1[i] = record[0, s, k + 1, i], record[1, s, k + 1, i]
 
 
 def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Array) -> None:
@@ -265,40 +223,27 @@ def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Arra
     for k in range(len(q)):
         dynamics_at(robot, q[k], v[k], memory)
         for i in range(n):
-            h[k, i] = memory.vectors[BIAS, i]
+            h[k, i] = memory.vectors[slot.BIAS, i]
             for j in range(n):
-                M[k, i, j] = memory.matrices[MASSES, i, j]
+                M[k, i, j] = memory.matrices[slot.MASSES, i, j]
 
 
 def many_accelerations(
     robot: Any, memory: Any, q: Array, v: Array, effort: Array, fixed: Any, out: Array
 ) -> None:
     """Write accelerations of many states; joints at rest stay there where friction holds them."""
-    vectors, matrices = memory.vectors, memory.matrices
-    h, h2, g, carried = vectors[BIAS], vectors[BIAS2], vectors[PUSH], vectors[CARRIED]
-    dv, F, given = vectors[CHANGE], vectors[SMOOTH], vectors[GIVEN]
-    M2, S = matrices[MASSES2], matrices[SLOPES]
-    n = q.shape[1]
+    vectors, D, S = memory.vectors, robot.matrices[slot.VISCOUS], memory.matrices[slot.SLOPES]
+    h, g, carried = vectors[slot.BIAS], vectors[slot.PUSH], vectors[slot.CARRIED]
+    dv, F, given = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.GIVEN]
     for k in range(len(q)):
         dynamics_at(robot, q[k], v[k], memory)
-        for i in range(n):
+        for i in range(q.shape[1]):
             g[i] = effort[k, i] - h[i]
             out[k, i] = 0.0
         for _ in range(LOAD_ROUNDS if robot.loaded else 1):
-            if robot.loaded:
-                for i in range(n):
-                    total = h2[i]
-                    for j in range(n):
-                        total += M2[i, j] * out[k, j]
-                    carried[i] = abs(total)
+            carry_load(robot, memory, out[k])
             bounds_at(robot, carried, memory.bounds)
             smooth_at(robot, carried, v[k], F, S)
-            change_over(robot, robot.matrices[VISCOUS], v[k], INSTANT, fixed, given, memory)
-            moved, size = 0.0, 0.0
-            for i in range(n):
-                found = dv[i] / INSTANT
-                moved = max(moved, abs(found - out[k, i]))
-                size = max(size, abs(found))
-                out[k, i] = found
-            if moved <= SETTLED * size:
+            change_over(robot, D, v[k], INSTANT, fixed, given, memory)
+            if is_settled(dv, INSTANT, out[k]):
                 break

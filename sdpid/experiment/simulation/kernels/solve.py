@@ -1,4 +1,7 @@
-"""Velocities after a time with one mass matrix and effort, friction solved for, for a compiler.
+"""Steps of motion, friction solved for, written for a compiler.
+
+A step is of second order in its length: positions go half a step on, mass matrix and bias are
+taken there once (leapfrog), and the step's velocities bring the positions to its end.
 
 Contacts are what rubs with a jump: a joint, or the motor of two coupled ones. One that reaches its
 jump within the time stops there, and sticks or goes on. Between jumps, slopes enter linearly
@@ -11,19 +14,16 @@ import math
 from typing import Any
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.simulation.kernels import layout as slot
 from sdpid.experiment.simulation.kernels.friction import bounds_at, smooth_at
-from sdpid.experiment.simulation.kernels.layout import (
-    CARRIED,
-    CHANGE,
-    MASSES,
-    PUSH,
-    SLOPES,
-    SLOPES1,
-    SMOOTH,
-    SMOOTH1,
-    TRIAL,
-    VISCOUS,
-)
+from sdpid.experiment.simulation.kernels.links import dynamics_at
+
+# No joint of a working robot moves this fast (rad/s or m/s): what does has diverged.
+RUNAWAY = 1e3
+
+# Rounds for friction that grows with the load, each shrinking the error by the share that it takes.
+LOAD_ROUNDS = 100
+SETTLED = 1e-10
 
 # A joint this near (rad/s) to where its friction jumps is there: rounding of steps is far smaller.
 AT_JUMP = 1e-9
@@ -83,38 +83,52 @@ def weight_of_feedback(z: float) -> float:
     return 1.0 - 1.0 / z if z > 2.0 else 0.5
 
 
+def is_settled(change: Array, dt: float, a: Array) -> bool:
+    """Write accelerations that change velocities over a time; tell whether they were so before."""
+    moved, size = 0.0, 0.0
+    for i in range(len(a)):
+        found = change[i] / dt
+        moved, size = max(moved, abs(found - a[i])), max(size, abs(found))
+        a[i] = found
+    return moved <= SETTLED * size
+
+
+def carry_load(robot: Any, memory: Any, a: Array) -> None:
+    """Write the load that joints carry at some accelerations."""
+    vectors, M = memory.vectors, memory.matrices[slot.MASSES2]
+    h, carried = vectors[slot.BIAS2], vectors[slot.CARRIED]
+    if robot.loaded:
+        for i in range(len(a)):
+            total = h[i]
+            for j in range(len(a)):
+                total += M[i, j] * a[j]
+            carried[i] = abs(total)
+
+
 def change_over(
-    robot: Any,
-    D: Array,
-    v: Array,
-    dt: float,
-    fixed: Any,
-    given: Array,
-    memory: Any,
+    robot: Any, D: Array, v: Array, dt: float, fixed: Any, given: Array, memory: Any
 ) -> None:
     """Write the change of velocities over a time in which nothing reaches a jump of friction.
 
     Masses, effort less bias, friction and its slopes are read from the memory, and the change is
     written there. Contacts at their jump are stuck, or slip where what holds them is not enough.
+    Each contact has a row of the system, in which its impulse is found.
     """
-    K, M, S = memory.system, memory.matrices[MASSES], memory.matrices[SLOPES]
-    V = robot.matrices[VISCOUS]
-    dv, F, g = memory.vectors[CHANGE], memory.vectors[SMOOTH], memory.vectors[PUSH]
+    vectors, matrices, V = memory.vectors, memory.matrices, robot.matrices[slot.VISCOUS]
+    K, M, S = memory.system, matrices[slot.MASSES], matrices[slot.SLOPES]
+    dv, F, g = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.PUSH]
     mode, at, bounds = memory.states[0], memory.states[1], memory.bounds
     contacts, values = robot.contacts, robot.jumps
     n, count = len(v), len(contacts)
-    moves = dt > AT_JUMP
+    size, moves = n + count, dt > AT_JUMP
     for k in range(count):
         i, j = contacts[k, 0], contacts[k, 1]
         apart = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
         held = fixed[i] and (j < 0 or fixed[j])
-        at[k] = 1 if abs(apart) <= AT_JUMP and bounds[k, 0] < bounds[k, 1] and not held else 0
-        mode[k] = 0 if abs(apart) <= AT_JUMP else (1 if apart > 0.0 else -1)
+        near = abs(apart) <= AT_JUMP
+        at[k] = 1 if near and bounds[k, 0] < bounds[k, 1] and not held else 0
+        mode[k] = 0 if near else (1 if apart > 0.0 else -1)
     for _ in range(DECISIONS):
-        size = n
-        for k in range(count):
-            if at[k] and mode[k] == 0:
-                size += 1
         for i in range(size):
             for j in range(size + 1):
                 K[i, j] = 0.0
@@ -129,59 +143,41 @@ def change_over(
                 total -= D[i, j] * v[j]
                 K[i, j] = M[i, j] + weight * (V[i, j] + S[i, j]) + gain * (D[i, j] - V[i, j])
             K[i, size] = dt * total
-        row = n
         for k in range(count):
-            i, j = contacts[k, 0], contacts[k, 1]
-            if at[k] and mode[k] == 0:
+            i, j, row = contacts[k, 0], contacts[k, 1], n + k
+            sticks = at[k] and mode[k] == 0
+            force = 0.5 * (bounds[k, 0] + bounds[k, 1])
+            if mode[k] != 0:
+                force = bounds[k, 1] if mode[k] > 0 else bounds[k, 0]
+            K[row, row], K[row, size] = 1.0, dt * force
+            if sticks:
                 apart = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
                 K[row, row] = -COMPLIANCE / abs(M[i, i])
                 K[row, size] = -apart if moves else 0.0
-                K[row, i] = 1.0
-                if not fixed[i]:
-                    K[i, row] = 1.0
-                if j >= 0:
-                    K[row, j] = 1.0
-                    if not fixed[j]:
-                        K[j, row] = 1.0
-                row += 1
-                continue
-            force = 0.5 * (bounds[k, 0] + bounds[k, 1])
-            if mode[k] > 0:
-                force = bounds[k, 1]
-            elif mode[k] < 0:
-                force = bounds[k, 0]
-            if not fixed[i]:
-                K[i, size] -= dt * force
-            if j >= 0 and not fixed[j]:
-                K[j, size] -= dt * force
+            for end in range(2):
+                joint = contacts[k, end]
+                if joint >= 0 and sticks:
+                    K[row, joint] = 1.0
+                if joint >= 0 and not fixed[joint]:
+                    K[joint, row] = 1.0 if sticks else 0.0
+                    K[joint, size] -= 0.0 if sticks else dt * force
         solve_in_place(K, size)
         # The stuck contact that is held worst lets go; one that let go to the wrong side sticks.
-        worst, changed, row = 0.0, -1, n
+        worst, changed, side = 0.0, -1, 0
         for k in range(count):
-            if not at[k]:
-                continue
-            if mode[k] == 0:
-                force = K[row, size] / dt
-                row += 1
-                over = max(force - bounds[k, 1], bounds[k, 0] - force)
-                if over > worst and over > 1e-12 * (bounds[k, 1] - bounds[k, 0]):
-                    worst, changed = over, k
+            over, under = K[n + k, size] / dt - bounds[k, 1], bounds[k, 0] - K[n + k, size] / dt
+            far = max(over, under)
+            least = max(worst, 1e-12 * (bounds[k, 1] - bounds[k, 0]))
+            if at[k] and mode[k] == 0 and far > least:
+                worst, changed, side = far, k, 1 if over > 0.0 else -1
+        for k in range(count if changed < 0 else 0):
+            i, j = contacts[k, 0], contacts[k, 1]
+            moved = K[i, size] + (K[j, size] if j >= 0 else 0.0)
+            if at[k] and moved * mode[k] < 0.0:
+                changed = k
         if changed < 0:
-            for k in range(count):
-                if at[k] and mode[k] != 0:
-                    i, j = contacts[k, 0], contacts[k, 1]
-                    moved = K[i, size] + (K[j, size] if j >= 0 else 0.0)
-                    if moved * mode[k] < 0.0:
-                        changed = k
-            if changed < 0:
-                break
-            mode[changed] = 0
-            continue
-        row = n
-        for k in range(changed):
-            if at[k] and mode[k] == 0:
-                row += 1
-        mode[changed] = 1 if K[row, size] / dt > bounds[changed, 1] else -1
+            break
+        mode[changed] = side
     for i in range(n):
         dv[i] = K[i, size]
     for k in range(count):
@@ -191,64 +187,116 @@ def change_over(
             dv[i] = values[k, 0] - v[i] if moves else 0.0
 
 
+def reached_at(robot: Any, v: Array, dv: Array) -> Any:
+    """Return the share of a change of velocities at which a contact reaches its jump, and which."""
+    contacts, values = robot.contacts, robot.jumps
+    share, reached = 1.0, -1
+    for k in range(len(contacts)):
+        i, j = contacts[k, 0], contacts[k, 1]
+        before = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
+        after = before + dv[i] + (dv[j] if j >= 0 else 0.0)
+        if abs(before) > AT_JUMP and before * after < 0.0 and before / (before - after) < share:
+            share, reached = before / (before - after), k
+    return share, reached
+
+
+def is_curved(robot: Any, v: Array, share: float, part: float, memory: Any) -> bool:
+    """Return whether friction leaves its slopes within a share of the change over a part."""
+    vectors, matrices = memory.vectors, memory.matrices
+    M, S, S1 = matrices[slot.MASSES], matrices[slot.SLOPES], matrices[slot.SLOPES1]
+    dv, F, F1 = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.SMOOTH1]
+    trial, n = vectors[slot.TRIAL], len(v)
+    largest, missed = 0.0, 0.0
+    for i in range(n):
+        trial[i] = v[i] + share * dv[i]
+        largest = max(largest, abs(dv[i]))
+    smooth_at(robot, vectors[slot.CARRIED], trial, F1, S1)
+    for i in range(n):
+        line = F[i]
+        for j in range(n):
+            line += S[i, j] * share * dv[j]
+        missed = max(missed, abs((F1[i] - line) * part / M[i, i]))
+    return missed > CURVED * largest + AT_JUMP
+
+
 def advance(
-    robot: Any,
-    D: Array,
-    v: Array,
-    dt: float,
-    fixed: Any,
-    given: Array,
-    memory: Any,
-    end: Array,
+    robot: Any, D: Array, v: Array, dt: float, fixed: Any, given: Array, memory: Any, end: Array
 ) -> None:
     """Write the velocities after a time with the memory's mass matrix and effort."""
-    M, S, S1 = memory.matrices[MASSES], memory.matrices[SLOPES], memory.matrices[SLOPES1]
-    dv, F, F1 = memory.vectors[CHANGE], memory.vectors[SMOOTH], memory.vectors[SMOOTH1]
-    trial, carried = memory.vectors[TRIAL], memory.vectors[CARRIED]
-    contacts, values = robot.contacts, robot.jumps
-    n = len(v)
-    curved = len(robot.which) > 0 or robot.loaded
+    vectors = memory.vectors
+    dv, F, carried = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.CARRIED]
     bounds_at(robot, carried, memory.bounds)
-    for i in range(n):
+    for i in range(len(v)):
         end[i] = v[i]
     left, part = dt, dt
     for count in range(PARTS):
         last = count == PARTS - 1
         part = left if last else min(part, left)
-        smooth_at(robot, carried, end, F, S)
+        smooth_at(robot, carried, end, F, memory.matrices[slot.SLOPES])
         change_over(robot, D, end, part, fixed, given, memory)
         share, reached = 1.0, -1
         if not last:
-            for k in range(len(contacts)):
-                i, j = contacts[k, 0], contacts[k, 1]
-                before = end[i] + (end[j] if j >= 0 else 0.0) - values[k, 0]
-                if abs(before) <= AT_JUMP:
-                    continue
-                after = before + dv[i] + (dv[j] if j >= 0 else 0.0)
-                if before * after < 0.0 and before / (before - after) < share:
-                    share, reached = before / (before - after), k
-            if curved:
-                largest = 0.0
-                for i in range(n):
-                    trial[i] = end[i] + share * dv[i]
-                    largest = max(largest, abs(dv[i]))
-                smooth_at(robot, carried, trial, F1, S1)
-                missed = 0.0
-                for i in range(n):
-                    line = F[i]
-                    for j in range(n):
-                        line += S[i, j] * share * dv[j]
-                    missed = max(missed, abs((F1[i] - line) * part / M[i, i]))
-                if missed > CURVED * largest + AT_JUMP:
-                    part *= 0.5
-                    continue
-        for i in range(n):
+            share, reached = reached_at(robot, end, dv)
+            smooth = len(robot.which) == 0 and not robot.loaded
+            if not smooth and is_curved(robot, end, share, part, memory):
+                part *= 0.5
+                continue
+        for i in range(len(v)):
             end[i] += share * dv[i]
-        if reached >= 0:
-            i, j = contacts[reached, 0], contacts[reached, 1]
-            if j < 0:
-                end[i] = values[reached, 0]
+        if reached >= 0 and robot.contacts[reached, 1] < 0:
+            end[robot.contacts[reached, 0]] = robot.jumps[reached, 0]
         left -= share * part
         if left <= 1e-12 * dt:
             break
         part *= 2.0
+
+
+def step_of(
+    robot: Any,
+    q: Array,
+    v: Array,
+    a: Array,
+    known: bool,
+    effort: Array,
+    D: Array,
+    dt: float,
+    fixed: Any,
+    given: Array,
+    memory: Any,
+    q1: Array,
+    v1: Array,
+) -> None:
+    """Write positions and velocities after a step, and into `a` its mean accelerations.
+
+    `a` holds those of the step before where they are `known`.
+    """
+    vectors = memory.vectors
+    h, g, dv = vectors[slot.BIAS], vectors[slot.PUSH], vectors[slot.CHANGE]
+    qm, vm = vectors[slot.MIDDLE], vectors[slot.RATE]
+    n = len(q)
+    for i in range(n):
+        qm[i] = q[i] + 0.5 * dt * v[i]
+        a[i] = a[i] if known else 0.0
+    for _ in range(1 if known else 2):
+        for i in range(n):
+            vm[i] = v[i] + 0.5 * dt * (given[i] if fixed[i] else a[i])
+        dynamics_at(robot, qm, vm, memory)
+        for i in range(n):
+            g[i] = effort[i] - h[i]
+        for _ in range(LOAD_ROUNDS if robot.loaded else 1):
+            carry_load(robot, memory, a)
+            advance(robot, D, v, dt, fixed, given, memory, v1)
+            for i in range(n):
+                dv[i] = v1[i] - v[i]
+            if is_settled(dv, dt, a):
+                break
+    for i in range(n):
+        q1[i] = qm[i] + 0.5 * dt * v1[i]
+
+
+def has_diverged(v: Array) -> bool:
+    """Return whether a velocity is no number, or beyond what any robot has."""
+    slow = True
+    for i in range(len(v)):
+        slow = slow and abs(v[i]) < RUNAWAY
+    return not slow
