@@ -154,7 +154,6 @@ FACES = ("sdpid.cli", "sdpid.workflow")
 # Names of classes that are used more than once, a leading underscore left out. Each is to be
 # renamed or joined with the other; the list only shrinks.
 USED_TWICE = {
-    "Choice",
     "Finding",
     "Measure",
     "Motion",

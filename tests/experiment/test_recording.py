@@ -20,7 +20,7 @@ from sdpid.assurance.recipe.inputs import recording_digest
 from sdpid.assurance.rollouts.rollout import _prepared
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.processing.choose import choose_processing
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.degrees import require_plausible_units, suspect_units
 from sdpid.experiment.recording.gaps import continuous
@@ -626,14 +626,14 @@ def test_scale_sign_and_lag_are_found(
 )
 def test_what_is_wrong_is_not_used(changes: dict[str, float], said: str | None) -> None:
     log = moving(**changes)
-    choice = choose_processing(log)
-    velocity = [text for text in choice.reasons if text.startswith("velocity")]
+    chosen = default_processing(log)
+    velocity = [text for text in chosen.why if text.startswith("velocity")]
     assert len(velocity) == 1
     if said is None:
-        assert choice.processing.velocity == "measured"
+        assert chosen.velocity == "measured"
         assert "agrees with positions" in velocity[0]
     else:
-        assert choice.processing.velocity == "differentiated"
+        assert chosen.velocity == "differentiated"
         assert re.search(said, velocity[0])
 
 
@@ -645,7 +645,7 @@ def test_a_joint_that_rests_says_nothing() -> None:
     resting = replace(log, position=position, velocity=velocity)
     assert velocity_fit(resting, 1) is None
     assert disagreement(resting, 1.0) is None
-    assert choose_processing(resting).processing.velocity == "measured"
+    assert default_processing(resting).velocity == "measured"
 
 
 def test_too_few_samples_say_nothing() -> None:

@@ -15,11 +15,10 @@ import sdpid.experiment.processing.motion as motion_module
 from sdpid import Recording
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare, samples_of
 from sdpid.experiment.processing.base import base_limit, body_rate, unit
-from sdpid.experiment.processing.choose import choose_processing, default_processing
+from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.filters import low_pass, stencil
 from sdpid.experiment.processing.motion import motion_frequency, noise_limit
@@ -81,27 +80,26 @@ def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
 def test_the_page_in_the_docs(data_folder: Path) -> None:
     page = Path(__file__).parents[2] / "docs" / "guides" / "processing.md"
     log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
-    assert "\n".join(choose_processing(log).reasons) in page.read_text(encoding="utf-8")
+    assert "\n".join(default_processing(log).why) in page.read_text(encoding="utf-8")
 
 
 def test_the_choice_says_why() -> None:
     log, _ = sweep()
-    choice = choose_processing(log)
-    assert choice.motion_hz == motion_frequency(log)
-    assert choice.rate_hz == pytest.approx(200.0)
-    cutoff, velocity = choice.reasons
-    assert cutoff.startswith(f"cutoff_hz {choice.processing.cutoff_hz:.4g}: 25 × motion, below")
-    assert f"below {choice.motion_hz:.4g} Hz" in cutoff
+    chosen = default_processing(log)
+    motion = motion_frequency(log)
+    cutoff, velocity = chosen.why
+    assert cutoff.startswith(f"cutoff_hz {chosen.cutoff_hz:.4g}: 25 × motion, below")
+    assert f"below {motion:.4g} Hz" in cutoff
     assert velocity == "velocity differentiated: none was recorded"
     # The bound by the rate, and that by the length.
     slow = replace(log, time=10.0 * log.time)
-    fast = choose_processing(sweep(rate=20.0)[0])
-    assert fast.processing.cutoff_hz == pytest.approx(20.0 / 7.5)
+    fast = default_processing(sweep(rate=20.0)[0])
+    assert fast.cutoff_hz == pytest.approx(20.0 / 7.5)
     bound = "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 25 × motion"
-    assert fast.reasons[0].startswith(bound)
-    assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
+    assert fast.why[0].startswith(bound)
+    assert default_processing(slow).cutoff_hz == pytest.approx(chosen.cutoff_hz / 10.0)
     # They end up in the notes of the samples.
-    assert sdpid.process(log, choice.processing).notes[:2] == choice.reasons
+    assert sdpid.process(log, chosen).notes[:2] == chosen.why
 
 
 @pytest.mark.parametrize("rate", [80.0, 250.0, 1000.0])
@@ -165,41 +163,35 @@ def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) ->
 def test_what_is_given_stays(given_: dict[str, Any], expected: str | None) -> None:
     log, _ = sweep()
     log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
-    choice = choose_processing(log, **given_)
-    plain = choose_processing(log)
+    plain = default_processing(log)
+    changed = with_changes(plain, given_)
     for name, value in given_.items():
-        assert getattr(choice.processing, name) == value
-    assert choice.processing == replace(plain.processing, **given_)
+        assert getattr(changed, name) == value
     if expected is None:
-        assert choice.reasons == plain.reasons
+        assert changed.why == plain.why
     else:
-        assert any(reason.startswith(expected) for reason in choice.reasons)
-    # Notes have later changes as well.
-    changed = replace(plain.processing, **given_)
-    assert sdpid.process(log, changed).notes[:2] == choice.reasons
+        assert any(reason.startswith(expected) for reason in changed.why)
+    assert sdpid.process(log, given_).notes[:2] == changed.why
 
 
 def test_records_with_periods_say_their_covariance() -> None:
     log, _ = sweep(noise=1e-5)
     for periods, covariance in ((8, "period"), (2, "pooled"), (1, None)):
-        choice = choose_processing(replace(log, period=5.0, start=0.0, periods=periods))
-        assert choice.processing == sdpid.Processing(covariance=covariance)
-        assert choice.motion_hz is None
-        assert choice.reasons[0].startswith(f"covariance {covariance}: {periods} period")
+        chosen = default_processing(replace(log, period=5.0, start=0.0, periods=periods))
+        assert chosen == sdpid.Processing(covariance=covariance)
+        assert chosen.why[0].startswith(f"covariance {covariance}: {periods} period")
 
 
 def test_what_cannot_be_chosen() -> None:
     log, _ = sweep()
-    refuses(DataError, "cutoff_hz", choose_processing, log, cutoff_hz=-1.0)
     still = replace(log, position=np.ones_like(log.position))
-    for choose in (choose_processing, default_processing):
-        refuses(DataError, "no joint moves", choose, still)
+    refuses(DataError, "no joint moves", default_processing, still)
 
 
 def test_the_overview_shows_the_choice() -> None:
     log, _ = sweep()
     facts = overview(log)
-    assert facts["processing_chosen_for"] == "; ".join(choose_processing(log).reasons)
+    assert facts["processing_chosen_for"] == "; ".join(default_processing(log).why)
     assert "reasons" not in facts["processing"]
     assert facts["processing"]["filter"] == "butterworth"
 
@@ -216,10 +208,10 @@ def test_noise_of_accelerations_lowers_the_cutoff_of_a_floating_robot() -> None:
     base = sdpid.BaseMotion(orientation=turn, position=np.zeros((log.n_samples, 3)))
     motion = motion_frequency(log)
     assert 5.0 * motion < limit < 15.0 * motion
-    assert choose_processing(replace(log, base=base)).processing.cutoff_hz == limit
+    assert default_processing(replace(log, base=base)).cutoff_hz == limit
     much = replace(sweep(3e-3)[0], base=base)
-    assert choose_processing(much).processing.cutoff_hz == pytest.approx(5.0 * motion)
-    assert choose_processing(log).processing.cutoff_hz > limit
+    assert default_processing(much).cutoff_hz == pytest.approx(5.0 * motion)
+    assert default_processing(log).cutoff_hz > limit
 
 
 # Derivatives: exact where they must be, and what they let pass of the noise.
@@ -566,8 +558,13 @@ def test_refuses(given: dict[str, Any], said: str) -> None:
 
 
 def test_refuses_other_contacts_in_one_join() -> None:
-    with pytest.raises(DataError, match="contacts: those of piece 2"):
-        Samples.join([samples(), samples(offset=(0.0, 0.0, -0.02))])
+    measured = samples(forces=np.zeros((12, 2, 6)), force_covariance=np.eye(6))
+    for other, said in (
+        (samples(offset=(0.0, 0.0, -0.02)), "'left' is a point at .* in recording 2, and a point"),
+        (samples(kind="line"), "'left' is a line at .* and a point"),
+        (measured, "forces of 'left' are measured in one recording and not"),
+    ):
+        refuses(DataError, said, Samples.join, [samples(), other])
     words = "contacts: are of 12 samples, expected 5"
     refuses(DataError, words, replace, samples(5), contacts=contacts())
 
@@ -761,9 +758,9 @@ def test_a_time_around_landings_is_left_out() -> None:
     once = np.tile(walk.time[:, None] > 0.5 * walk.time[-1], len(CRAWLING))
     often = np.tile(np.sin(2.0 * np.pi * walk.time[:, None] / 0.05) > 0.0, len(CRAWLING))
     for down, chosen in ((once, 0.0), (often, None)):
-        found = choose_processing(walk.log(down=down))
-        assert found.processing.impact_s == chosen
-        assert any("sees a landing" in reason for reason in found.reasons)
+        found = default_processing(walk.log(down=down))
+        assert found.impact_s == chosen
+        assert any("sees a landing" in reason for reason in found.why)
 
 
 def test_recordings_with_other_contacts_are_put_together() -> None:
@@ -774,7 +771,7 @@ def test_recordings_with_other_contacts_are_put_together() -> None:
         processing = sdpid.Processing(filter="finite", **chosen)
         logs = [log, replace(log, contacts=held), replace(log, contacts=None)]
         standing, hanging, flying = (samples_of(walk.robot, each, processing) for each in logs)
-        both = join_samples([standing, hanging, flying]).contacts
+        both = Samples.join([standing, hanging, flying]).contacts
         assert both.frames == (*CRAWLING, "base_link")
         K = standing.n_samples
         assert both.down[:, 4].tolist() == [False] * K + [True] * K + [False] * K
@@ -890,13 +887,13 @@ def test_noise_of_the_pose_is_at_most_a_share_of_gravity_below_the_limit() -> No
 
 def test_a_base_without_an_accelerometer_is_filtered_more() -> None:
     log = sdpid.simulate_legged("solo12", "stand", duration=2.0).recording
-    with_imu = choose_processing(log).processing
-    posed = choose_processing(replace(log, base=replace(log.base, imu=None)))
-    assert posed.processing.cutoff_hz < 0.8 * with_imu.cutoff_hz
-    assert "the base's acceleration" in posed.reasons[0]
+    with_imu = default_processing(log)
+    posed = default_processing(replace(log, base=replace(log.base, imu=None)))
+    assert posed.cutoff_hz < 0.8 * with_imu.cutoff_hz
+    assert "the base's acceleration" in posed.why[0]
     # What stands beside the pose does not help where it is not used, or is worse.
-    chosen = choose_processing(log, base_motion="pose").processing
-    assert chosen.cutoff_hz == posed.processing.cutoff_hz
+    chosen = default_processing(log, {"base_motion": "pose"})
+    assert chosen.cutoff_hz == posed.cutoff_hz
     rng = np.random.default_rng(1)
     velocity = np.gradient(np.array(log.base.position), log.step, axis=0)
     base = BaseMotion(
@@ -905,7 +902,7 @@ def test_a_base_without_an_accelerometer_is_filtered_more() -> None:
         linear_velocity=velocity + rng.normal(size=velocity.shape),
         velocity_frame="world",
     )
-    beside = choose_processing(replace(log, base=base)).processing
-    assert beside.cutoff_hz == posed.processing.cutoff_hz
+    beside = default_processing(replace(log, base=base))
+    assert beside.cutoff_hz == posed.cutoff_hz
     exact = replace(base, linear_velocity=np.zeros_like(velocity))
-    assert choose_processing(replace(log, base=exact)).processing.cutoff_hz == with_imu.cutoff_hz
+    assert default_processing(replace(log, base=exact)).cutoff_hz == with_imu.cutoff_hz

@@ -10,7 +10,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.inspect import inspect_recording
 from sdpid.experiment.inspection.kinds import found
-from sdpid.experiment.processing.choose import choose_processing
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
@@ -43,10 +43,10 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         matched = match_joints(robot, recording)
     processing, reasons = None, None
     try:
-        choice = choose_processing(matched)
-        processing = asdict(choice.processing)
+        chosen = default_processing(matched)
+        processing = asdict(chosen)
         del processing["reasons"]
-        reasons = "; ".join(choice.reasons)
+        reasons = "; ".join(chosen.why)
     except DataError as cause:
         findings.append(found("processing", why=str(cause)))
     steps = np.diff(matched.time) / matched.step

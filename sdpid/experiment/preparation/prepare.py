@@ -18,7 +18,6 @@ from sdpid.experiment.inspection.inspect import (
 )
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.view import LogView, view_of
-from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.processing.samples import Samples
@@ -185,7 +184,7 @@ def prepare(
             if len(views) == 1:
                 raise
             raise DataError(f"recording {number} of {len(views)}: {error}") from None
-    samples = join_samples(pieces)
+    samples = Samples.join(pieces)
     if without:
         samples = without_efforts(samples, robot, without)
     return Prepared(
@@ -503,5 +502,5 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
     why = None
     if processing is None and views:
         processing, why = chosen_processing(views)
-    samples = join_samples([samples_of(robot, piece, processing) for piece in pieces])
+    samples = Samples.join([samples_of(robot, piece, processing) for piece in pieces])
     return samples if why is None else replace(samples, notes=(*samples.notes, why))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from operator import itemgetter
 from typing import Any, Literal
-
-import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.processing.base import base_limit
@@ -52,32 +51,9 @@ _MOST_NEAR_LANDINGS = 0.1
 RATE_OF_DIFFERENCES = 100.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """A chosen processing, with the numbers that it was chosen by.
-
-    Attributes
-    ----------
-    processing : Processing
-        Its `reasons` become notes of the samples.
-    motion_hz : float or None
-        Frequency below which 95 % of the motion lies, in Hz; None for records with periods, whose
-        filter does not depend on it.
-    rate_hz : float
-        Sample rate in Hz.
-    """
-
-    processing: Processing
-    motion_hz: float | None
-    rate_hz: float
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why each setting has its value, in words."""
-        return tuple(reason.in_words(self.processing) for reason in self.processing.reasons)
-
-
-def choose_processing(log: Recording, **given: Any) -> Choice:
+def default_processing(
+    log: Recording, changes: Processing | Mapping[str, Any] | None = None
+) -> Processing:
     """Choose how a recording is processed, from this recording alone.
 
     A record with periods is averaged over them, filtered as by ``Processing()``; where they are
@@ -96,42 +72,29 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
     ----------
     log : Recording
         What is to be trained on. Where it has gaps, its longest piece decides.
-    **given
-        Fields of `Processing` that are known and stand as they are.
+    changes : Processing or mapping, optional
+        What is changed afterwards. The source of the base's accelerations decides what noise they
+        have; other changes say nothing here.
 
     Returns
     -------
-    Choice
+    Processing
+        Its `reasons` say why each setting has its value.
 
     Raises
     ------
     DataError
-        When no joint moves, or a given value is out of its range.
+        When no joint moves.
     """
-    layout = log.period_layout
-    if layout is not None:
-        chosen, reasons = _with_periods(layout[2], log.n)
-        motion = None
+    given = changes if isinstance(changes, Mapping) else {}
+    if log.period_layout is not None:
+        processing, reason = _with_periods(log.period_layout[2], log.n)
+        reasons = [reason]
     else:
         log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
-        motion = motion_frequency(log)
-        chosen, reasons = _without_periods(log, motion, given.get("base_motion", "auto"))
-    processing = replace(chosen, **{**given, "reasons": tuple(reasons)})
-    return Choice(processing=processing, motion_hz=motion, rate_hz=log.rate_hz)
-
-
-def default_processing(
-    log: Recording, changes: Processing | Mapping[str, Any] | None = None
-) -> Processing:
-    """Return the processing that is chosen for a recording (see `choose_processing`).
-
-    Of the `changes` that are made to it afterwards, the source of the base's accelerations decides
-    what noise they have.
-    """
-    given = {}
-    if isinstance(changes, Mapping) and "base_motion" in changes:
-        given = {"base_motion": changes["base_motion"]}
-    return choose_processing(log, **given).processing
+        processing, reasons = _without_periods(log, given.get("base_motion", "auto"))
+    source = {"base_motion": given["base_motion"]} if "base_motion" in given else {}
+    return replace(processing, reasons=tuple(reasons), **source)
 
 
 def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processing:
@@ -155,7 +118,7 @@ def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processi
     return replace(processing, **changes)
 
 
-def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reason]]:
+def _with_periods(periods: int, joints: int) -> tuple[Processing, Reason]:
     """Choose the covariance that the periods allow."""
     covariance: Literal["period", "pooled"] | None
     if periods > joints:
@@ -166,52 +129,48 @@ def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reaso
         covariance, why = None, "no spread"
     text = f"{periods} {'period' if periods == 1 else 'periods'}, {why}"
     reason = Reason(field="covariance", value=covariance, text=text)
-    return Processing(covariance=covariance), [reason]
+    return Processing(covariance=covariance), reason
 
 
-def _without_periods(
-    log: Recording, motion: float, base_motion: str
-) -> tuple[Processing, Sequence[Reason]]:
+def _without_periods(log: Recording, base_motion: str) -> tuple[Processing, list[Reason]]:
     """Choose filter, velocity and derivative from a record without gaps."""
-    rate = log.rate_hz
+    motion, rate = motion_frequency(log), log.rate_hz
     slowest = rate / log.n_samples
-    highest = BAND_OVER_RATE * rate
     times = _CUTOFF_OVER_MOTION if log.base is None else _FINITE_CUTOFF_OVER_MOTION
-    quiet, still = np.inf, np.inf
+    lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
+    cap = f"2/15 of the rate of {rate:.6g} Hz"
+    why = f"{times:g} × motion, below {cap}; {lies}"
+    if motion < slowest:
+        why = f"{times:g} × {slowest:.4g} Hz, the slowest that the record shows"
+    bounds = [
+        (BAND_OVER_RATE * rate, f"{cap}, below {times:g} × motion; {lies}"),
+        (times * max(motion, slowest), why),
+    ]
     if log.base is not None:
-        quiet = max(noise_limit(log, _NOISE_SHARE), _LEAST_CUTOFF_OVER_MOTION * motion)
-        still = max(
-            base_limit(log.base, rate, _NOISE_SHARE, base_motion),
-            _LEAST_CUTOFF_OF_POSE_OVER_MOTION * motion,
+        quiet, least = noise_limit(log, _NOISE_SHARE), _LEAST_CUTOFF_OVER_MOTION
+        why = (
+            f"noise is {100 * _NOISE_SHARE:g} % of the power of joint accelerations below; "
+            f"at most {times:g} × motion, at least {least:g} ×; {lies}"
         )
+        bounds.append((max(quiet, least * motion), why))
+        still = base_limit(log.base, rate, _NOISE_SHARE, base_motion)
+        least = _LEAST_CUTOFF_OF_POSE_OVER_MOTION
+        why = (
+            f"noise in the base's acceleration is {100 * _NOISE_SHARE:g} % of the power of gravity "
+            f"below, at least {least:g} × motion; {lies}"
+        )
+        bounds.append((max(still, least * motion), why))
+    # The first of equal ones.
+    cutoff, why = min(bounds, key=itemgetter(0))
     processing = Processing(
-        cutoff_hz=min(times * max(motion, slowest), quiet, still, highest),
+        cutoff_hz=cutoff,
         order=4 if log.base is None else _FINITE_ORDER,
         decimation=None,
+        reversal_time=_MASKED_PERIODS / cutoff,
         kept_share=_KEPT_SHARE,
         derivative="central4",
         filter="butterworth" if log.base is None else "finite",
     )
-    processing = replace(processing, reversal_time=_MASKED_PERIODS / processing.cutoff_hz)
-    lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
-    cap = f"2/15 of the rate of {rate:.6g} Hz"
-    if still < min(times * max(motion, slowest), quiet, highest):
-        why = (
-            f"noise in the base's acceleration is {100 * _NOISE_SHARE:g} % of the power of gravity "
-            f"below, at least {_LEAST_CUTOFF_OF_POSE_OVER_MOTION:g} × motion; "
-            f"{lies}"
-        )
-    elif quiet < times * motion and processing.cutoff_hz < highest:
-        why = (
-            f"noise is {100 * _NOISE_SHARE:g} % of the power of joint accelerations below; "
-            f"at most {times:g} × motion, at least {_LEAST_CUTOFF_OVER_MOTION:g} ×; {lies}"
-        )
-    elif processing.cutoff_hz == highest:
-        why = f"{cap}, below {times:g} × motion; {lies}"
-    elif motion < slowest:
-        why = f"{times:g} × {slowest:.4g} Hz, the slowest that the record shows"
-    else:
-        why = f"{times:g} × motion, below {cap}; {lies}"
     reasons = [Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why)]
     velocity, why = _velocity(log, max(motion, slowest))
     reasons.append(Reason(field="velocity", value=velocity, text=why))

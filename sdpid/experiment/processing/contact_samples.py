@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -20,6 +20,9 @@ TRANSMITS: dict[Kind, int] = {"point": 3, "line": 6, "plane": 6}
 
 # A covariance may be this far from symmetric, relative to its largest entry.
 _ASYMMETRY = 1e-6
+
+# Name, kind, offset and covariance of one contact.
+_Contact: TypeAlias = tuple[str, Kind, Array, Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -80,14 +83,11 @@ class ContactSamples:
     widened_s: float | None = None
 
     def __post_init__(self) -> None:
-        given: Any = self.frames
-        frames = (given,) if isinstance(given, str) else tuple(given)
+        frames = _several(self.frames)
         if not frames or not all(isinstance(name, str) and name for name in frames):
             raise DataError(f"contacts: frames are {frames!r:.80}, expected names, at least one.")
-        object.__setattr__(self, "frames", frames)
         c = len(frames)
-        given = self.against
-        others = (given,) if isinstance(given, str) else tuple(given or (None,) * c)
+        others = _several(self.against or (None,) * c)
         if len(others) != c or any(
             other is not None and (not isinstance(other, str) or other in ("", own))
             for own, other in zip(frames, others, strict=False)
@@ -96,29 +96,29 @@ class ContactSamples:
                 f"contacts: against is {self.against!r:.80}, expected a frame other than its own, "
                 f"or None, for each of {c} frames."
             )
-        object.__setattr__(self, "against", others)
-        given = self.kind
-        kinds = (given,) if isinstance(given, str) else tuple(given)
+        kinds = _several(self.kind)
         kinds = kinds * c if len(kinds) == 1 else kinds
         if len(kinds) != c or not set(kinds) <= set(KINDS):
             raise DataError(
                 f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(KINDS)} for all, "
                 f"or for each of {c} frames."
             )
-        object.__setattr__(self, "kind", kinds)
         offset = real_array(self.offset, "contacts: offset", ndim=np.ndim(self.offset) or 1)
         if offset.shape not in ((3,), (c, 3)):
             raise DataError(
                 f"contacts: offset has shape {offset.shape}, expected (3,) or {(c, 3)}: x, y, z in "
                 "m, for all frames or each."
             )
-        object.__setattr__(self, "offset", frozen(np.broadcast_to(offset, (c, 3))))
         down = np.ascontiguousarray(self.down)
         if down.dtype != np.bool_ or down.ndim != 2 or down.shape[1] != c:
             raise DataError(
                 f"contacts: down has shape {down.shape} and type {down.dtype}, expected (K, {c}) "
                 "and bool."
             )
+        object.__setattr__(self, "frames", frames)
+        object.__setattr__(self, "against", others)
+        object.__setattr__(self, "kind", kinds)
+        object.__setattr__(self, "offset", frozen(np.broadcast_to(offset, (c, 3))))
         object.__setattr__(self, "down", frozen_view(down))
         self._check_forces(c)
 
@@ -179,52 +179,79 @@ class ContactSamples:
         """Whether forces are measured."""
         return self.forces is not None
 
-    def same_contacts(self, other: ContactSamples | None) -> bool:
-        """Return whether other samples are of the same contacts, known equally well."""
-        if other is None or (self.frames, self.against, self.kind) != (
-            other.frames,
-            other.against,
-            other.kind,
-        ):
-            return False
-        if not np.array_equal(self.offset, other.offset) or self.measured != other.measured:
-            return False
-        if self.force_covariance is None or other.force_covariance is None:
-            return True
-        return np.array_equal(self.force_covariance, other.force_covariance)
-
     def picked(self, which: Any) -> ContactSamples:
         """Return some samples: a slice, or numbers."""
         forces = None if self.forces is None else self.forces[which]
         return replace(self, down=self.down[which], forces=forces)
 
     @staticmethod
-    def join(pieces: Sequence[ContactSamples | None]) -> ContactSamples | None:
-        """Return the contacts of several pieces behind each other.
+    def join(
+        pieces: Sequence[ContactSamples | None], counts: Sequence[int]
+    ) -> ContactSamples | None:
+        """Return the contacts of several pieces behind each other, each with those of all.
+
+        A robot may stand on its feet in one recording and hang in another. What does not occur in
+        a piece is open there.
+
+        Parameters
+        ----------
+        pieces : sequence of ContactSamples or None
+            Of each piece; None where nothing is touched.
+        counts : sequence of int
+            How many samples each piece has.
 
         Raises
         ------
         DataError
-            When they are not those of the same frames, known equally well.
+            When a contact is of another kind in another piece, or its forces are measured in one
+            and not in another.
         """
-        first = pieces[0]
-        if all(piece is None for piece in pieces):
+        given = [(number, each) for number, each in enumerate(pieces, 1) if each is not None]
+        if not given:
             return None
-        given = [piece for piece in pieces if piece is not None]
-        for number, piece in enumerate(pieces[1:], 2):
-            if first is None or not first.same_contacts(piece):
-                raise DataError(
-                    f"contacts: those of piece {number} ({piece}) are others than those of the "
-                    f"first ({first}); give all pieces the same frames, kinds, offsets and force "
-                    "covariance, with flags that are all False where nothing is touched."
-                )
-        forces = [piece.forces for piece in given if piece.forces is not None]
-        return replace(
-            given[0],
-            widened_s=most_widened(given),
-            down=np.concatenate([piece.down for piece in given]),
-            forces=np.concatenate(forces) if forces else None,
+        known: dict[tuple[str, str | None], _Contact] = {}
+        columns = []
+        for number, contacts in given:
+            own = contacts._each()
+            for place, contact in own.items():
+                _require_alike(known.setdefault(place, contact), contact, number)
+            columns.append([list(known).index(place) for place in own])
+        frames, against = zip(*known, strict=True)
+        _, kinds, offsets, covariances = zip(*known.values(), strict=True)
+        covariance = np.array(covariances)
+        # A point has no moments, whose variance is zero whether forces are measured or not.
+        measured = bool(np.isfinite(np.einsum("cii->ci", covariance)[:, :3]).any())
+        down = np.zeros((sum(counts), len(known)), dtype=np.bool_)
+        forces = np.zeros((*down.shape, 6)) if measured else None
+        starts = np.cumsum([0, *counts])
+        for (number, contacts), at in zip(given, columns, strict=True):
+            rows = slice(starts[number - 1], starts[number])
+            down[rows, at] = contacts.down
+            if forces is not None and contacts.forces is not None:
+                forces[rows, at] = contacts.forces
+        widened = [each.widened_s for _, each in given if each.widened_s is not None]
+        return ContactSamples(
+            frames=frames,
+            against=against,
+            kind=kinds,
+            offset=np.array(offsets),
+            down=down,
+            forces=forces,
+            force_covariance=covariance if measured else None,
+            widened_s=max(widened, default=None),
         )
+
+    def _each(self) -> dict[tuple[str, str | None], _Contact]:
+        """Return name, kind, offset and covariance of each contact by its frames.
+
+        The covariance is infinite where forces are eliminated.
+        """
+        covariance = self.force_covariance
+        if covariance is None:
+            moments = [0.0 if kind == "point" else np.inf for kind in self.kind]
+            covariance = np.array([np.diag([np.inf] * 3 + [each] * 3) for each in moments])
+        each = zip(self.names, self.kind, self.offset, covariance, strict=True)
+        return dict(zip(zip(self.frames, self.against, strict=True), each, strict=True))
 
     def __repr__(self) -> str:
         shares = [f"{100.0 * share:.0f} %" for share in self.down.mean(axis=0)]
@@ -246,10 +273,25 @@ class ContactSamples:
         return facts_html("Contacts", facts, Table.of_columns(columns))
 
 
-def most_widened(pieces: Sequence[ContactSamples]) -> float | None:
-    """Return by how much flags of several pieces were widened at most, None where not known."""
-    known = [piece.widened_s for piece in pieces]
-    return max((each for each in known if each is not None), default=None)
+def _several(given: Any) -> tuple[Any, ...]:
+    """Return one text, or several, as a tuple."""
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+def _require_alike(known: _Contact, contact: _Contact, number: int) -> None:
+    """Refuse a contact of a recording that was another one before."""
+    name, kind, offset, covariance = contact
+    if known[1] != kind or not np.array_equal(known[2], offset):
+        raise DataError(
+            f"contacts: '{name}' is a {kind} at {offset.tolist()} m in recording {number}, and a "
+            f"{known[1]} at {known[2].tolist()} m in one before it; give it the same kind and "
+            "offset in all."
+        )
+    if not np.array_equal(known[3], covariance):
+        raise DataError(
+            f"contacts: forces of '{name}' are measured in one recording and not, or not as well, "
+            f"in recording {number}; process all of them alike (Processing.contact_force_std)."
+        )
 
 
 def _check_covariance(covariance: Array, frames: Sequence[str]) -> None:

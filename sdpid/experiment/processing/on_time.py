@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.floating.arrays import Sampled
 from sdpid.experiment.recording.floating.base import BaseMotion
-from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.recording import Recording, rows_of
 
 # Groups of channels that share a clock, as words; joint positions are what all are compared with.
@@ -77,13 +76,13 @@ def on_time(log: Recording, processing: Processing) -> Recording:
             f"delays: {longest:g} s in a piece of {log.duration:g} s, the limit is a quarter of it."
         )
     changes: dict[str, Any] = {}
-    shift = _Shift(log)
     if "effort" in delays:
-        changes["effort"] = shift.values(log.effort, delays["effort"])
+        changes["effort"] = _later(log, log.effort, delays["effort"])
     if log.base is not None and delays.keys() & {"base", "imu"}:
-        changes["base"] = _base(log.base, shift, delays)
+        changes["base"] = _base(log, log.base, delays)
     if log.contacts is not None and "contacts" in delays:
-        changes["contacts"] = _contacts(log.contacts, shift, delays["contacts"])
+        channels = _channels(log, log.contacts, delays["contacts"])
+        changes["contacts"] = replace(log.contacts, **channels)
     shifted = replace(log, **changes)
     if log.period is not None:
         return shifted
@@ -95,51 +94,37 @@ def on_time(log: Recording, processing: Processing) -> Recording:
     return rows_of(shifted, slice(int(kept[0]), int(kept[-1]) + 1))
 
 
-class _Shift:
-    """Reads channels of a recording at later times."""
+def _later(log: Recording, table: Any, delay: float) -> Any:
+    """Return a table (N, ...) of a recording, each value from `delay` later."""
+    from scipy.interpolate import CubicSpline
 
-    def __init__(self, log: Recording) -> None:
-        self._time, self._period = np.asarray(log.time), log.period
-
-    def _wanted(self, delay: float) -> Array:
-        first, last = float(self._time[0]), float(self._time[-1])
-        wanted = self._time + delay
-        if self._period is not None:
-            wanted = np.where(wanted > last, wanted - self._period, wanted)
-            wanted = np.where(wanted < first, wanted + self._period, wanted)
-        return np.asarray(np.clip(wanted, first, last))
-
-    def values(self, table: Array, delay: float) -> Array:
-        """Return a table (N, ...), each value from `delay` later."""
-        from scipy.interpolate import CubicSpline
-
-        # Times relative to the first: stamps since 1970 lose digits in the cubes.
-        spline = CubicSpline(self._time - self._time[0], np.asarray(table), axis=0)
-        return np.asarray(spline(self._wanted(delay) - self._time[0]))
-
-    def nearest(self, table: Any, delay: float) -> Any:
-        """Return flags (N, c), each the nearest to `delay` later."""
-        wanted = self._wanted(delay)
-        after = np.clip(np.searchsorted(self._time, wanted), 1, len(self._time) - 1)
-        nearer = wanted - self._time[after - 1] < self._time[after] - wanted
+    time = np.asarray(log.time)
+    first, last, wanted = float(time[0]), float(time[-1]), time + delay
+    if log.period is not None:
+        wanted = np.where(wanted > last, wanted - log.period, wanted)
+        wanted = np.where(wanted < first, wanted + log.period, wanted)
+    wanted = np.clip(wanted, first, last)
+    if table.dtype == np.bool_:
+        after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+        nearer = wanted - time[after - 1] < time[after] - wanted
         return table[after - nearer]
+    # Times relative to the first: stamps since 1970 lose digits in the cubes.
+    spline = CubicSpline(time - time[0], np.asarray(table), axis=0)
+    return np.asarray(spline(wanted - time[0]))
 
 
-def _base(base: BaseMotion, shift: _Shift, delays: dict[str, float]) -> BaseMotion:
+def _channels(log: Recording, owner: Sampled, delay: float) -> dict[str, Any]:
+    """Return all channels of a base, an IMU or contacts from `delay` later."""
+    return {name: _later(log, table, delay) for name, table in owner.channels.items()}
+
+
+def _base(log: Recording, base: BaseMotion, delays: dict[str, float]) -> BaseMotion:
     """Return the motion of a base on time."""
     changes: dict[str, Any] = {}
     if "base" in delays:
-        changes = {name: shift.values(t, delays["base"]) for name, t in base.channels.items()}
+        changes = _channels(log, base, delays["base"])
         turned = changes["orientation"]
         changes["orientation"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     if base.imu is not None and "imu" in delays:
-        sensed = {name: shift.values(t, delays["imu"]) for name, t in base.imu.channels.items()}
-        changes["imu"] = replace(base.imu, **sensed)
+        changes["imu"] = replace(base.imu, **_channels(log, base.imu, delays["imu"]))
     return replace(base, **changes)
-
-
-def _contacts(contacts: Contacts, shift: _Shift, delay: float) -> Contacts:
-    """Return contacts on time."""
-    given = contacts.channels.items()
-    ways = {"down": shift.nearest}
-    return replace(contacts, **{name: ways.get(name, shift.values)(t, delay) for name, t in given})

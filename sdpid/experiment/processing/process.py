@@ -119,8 +119,7 @@ def process(
         samples = _joined(pieces, processing, advance, GRAVITY if gravity is None else gravity)
     if samples.mask is not None:
         samples = _unmasked(samples, processing)
-    reasons = [reason.in_words(processing) for reason in processing.reasons]
-    return replace(samples, notes=(*reasons, *notes, *samples.notes))
+    return replace(samples, notes=(*processing.why, *notes, *samples.notes))
 
 
 def _joined(

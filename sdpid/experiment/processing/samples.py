@@ -279,7 +279,8 @@ class Samples:
                 "samples: averages over periods cannot be joined with others; identify from one "
                 "periodic recording, or leave its period out."
             )
-        offsets = np.cumsum([0, *(piece.n_samples for piece in pieces[:-1])]).tolist()
+        counts = [piece.n_samples for piece in pieces]
+        offsets = np.cumsum([0, *counts[:-1]]).tolist()
         names = ["position", "velocity", "acceleration", "effort"]
         if all(piece.time is not None for piece in pieces):
             names.append("time")
@@ -301,7 +302,7 @@ class Samples:
             ),
             wide=_joined_wide(pieces),
             gains=_joined_gains(pieces),
-            contacts=ContactSamples.join([piece.contacts for piece in pieces]),
+            contacts=ContactSamples.join([piece.contacts for piece in pieces], counts),
         )
 
     @property

@@ -247,6 +247,11 @@ class Processing(Settings):
             if (check := each.metadata.get("check")) is not None:
                 check(each.name, getattr(self, each.name))
 
+    @property
+    def why(self) -> tuple[str, ...]:
+        """Why settings were chosen, in words."""
+        return tuple(reason.in_words(self) for reason in self.reasons)
+
     def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
         """Design the filter for a sample rate in Hz."""
         return low_pass(self.filter, self.cutoff_hz, self.order, rate_hz)
