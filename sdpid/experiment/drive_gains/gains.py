@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -88,23 +87,31 @@ class DriveGains:
         n = len(names)
         if n == 0 or len(set(names)) < n:
             raise DataError(f"gains: joint_names are {list(names)}; give each joint a name.")
-        gains = frozen(real_array(self.gains, "gains", ndim=1))
-        if gains.shape != (n,):
-            raise DataError(f"gains: has shape {gains.shape}, expected {(n,)}: one a joint.")
+        given: dict[str, Any] = {
+            "gains": self.gains,
+            "covariance": np.zeros((n, n)) if self.covariance is None else self.covariance,
+            "freedom": np.full(n, np.inf) if self.freedom is None else self.freedom,
+        }
+        for name, values in given.items():
+            shape = (n, n) if name == "covariance" else (n,)
+            infinite = name == "freedom"
+            array = real_array(values, f"gains: {name}", ndim=len(shape), infinite=infinite)
+            if array.shape != shape:
+                raise DataError(f"gains: {name} has shape {array.shape}, expected {shape}.")
+            given[name] = frozen(array)
+        gains, freedom = given["gains"], given["freedom"]
         if not np.all(gains > 0.0):
             j = int(np.argmin(gains))
             raise DataError(
                 f"gains: that of {names[j]} is {gains[j]:g} N·m/A; a gain is positive. Turn the "
                 "sign of a joint's current where the log is read (effort_scale)."
             )
-        given = np.zeros((n, n)) if self.covariance is None else self.covariance
-        covariance = real_array(given, "gains: covariance", ndim=2)
-        if covariance.shape != (n, n):
-            raise DataError(f"gains: covariance has shape {covariance.shape}, expected {(n, n)}.")
-        covariance = frozen(0.5 * covariance + 0.5 * covariance.T)
+        if not np.all(freedom > 0.0):
+            raise DataError(f"gains: freedom is {freedom.tolist()}; give {n} positive numbers.")
+        given["covariance"] = frozen(0.5 * given["covariance"] + 0.5 * given["covariance"].T)
         # By one gain after the other: their product may be too small for a number.
         with np.errstate(over="ignore"):
-            relative = covariance / gains / gains[:, None]
+            relative = given["covariance"] / gains / gains[:, None]
         if not np.all(np.isfinite(relative)):
             raise DataError(
                 "gains: covariance is too large beside gains of "
@@ -116,23 +123,14 @@ class DriveGains:
                 "gains: covariance is none: the smallest eigenvalue of the relative one is "
                 f"{eigenvalues[0]:.3g}."
             )
-        freedom = np.full(n, np.inf) if self.freedom is None else self.freedom
-        freedom = real_array(freedom, "gains: freedom", ndim=1, infinite=True)
-        if freedom.shape != (n,) or not np.all(freedom > 0.0):
-            raise DataError(f"gains: freedom is {freedom.tolist()}; give {n} positive numbers.")
         if not isinstance(self.basis, str):
             raise DataError(f"gains: basis is {self.basis!r:.80}, expected a text.")
         sources: Any = {} if self.sources is None else self.sources
         if not isinstance(sources, Mapping):
             raise DataError(f"gains: sources are {sources!r:.80}, expected names and digests.")
-        for name, value in {
-            "joint_names": names,
-            "gains": gains,
-            "covariance": covariance,
-            "freedom": frozen(freedom),
-            "sources": {str(key): str(value) for key, value in sources.items()},
-            "notes": _texts(self.notes, "notes"),
-        }.items():
+        given |= {"joint_names": names, "notes": _texts(self.notes, "notes")}
+        given["sources"] = {str(key): str(value) for key, value in sources.items()}
+        for name, value in given.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -210,7 +208,7 @@ class DriveGains:
                 f"gains: none for {', '.join(missing)}; there are gains for "
                 f"{', '.join(self.joint_names)}."
             )
-        return self.picked([self.joint_names.index(name) for name in joint_names], joint_names)
+        return self.picked(list(map(self.joint_names.index, joint_names)), joint_names)
 
     def picked(self, order: Sequence[int], joint_names: Sequence[str]) -> DriveGains:
         """Return some of the gains, by their numbers, under other names."""
@@ -233,10 +231,8 @@ class DriveGains:
 
     def same_errors(self, other: DriveGains) -> bool:
         """Return whether others are the same gains, and so have the same errors."""
-        return all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("gains", "covariance")
-        )
+        same_gains = np.array_equal(self.gains, other.gains)
+        return same_gains and np.array_equal(self.covariance, other.covariance)
 
     def table(self, level: float = 0.95) -> Table:
         """Return one row a joint: gain, standard error in percent, interval.
@@ -287,9 +283,7 @@ class DriveGains:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         file = self.source
-        read = None
-        if file is not None:
-            read = {"name": file.name, "bytes": file.size, "sha256": file.sha256}
+        read = file and {"name": file.name, "bytes": file.size, "sha256": file.sha256}
         found: dict[str, Any] = plain(
             {
                 "unit": _UNIT,
@@ -309,23 +303,14 @@ class DriveGains:
         ExportError
             When the file cannot be written.
         """
-        rows = [f"    {row}," for row in self.covariance.tolist()]
-        lines = [
-            f"# Drive gains: joint torque per current. common_factor = {self.common_factor:.3g}",
-            f'unit = "{_UNIT}"',
-            f"joint_names = {_toml(list(self.joint_names))}",
-            f"gains = {self.gains.tolist()}",
-            "covariance = [",
-            *rows,
-            "]",
-            f"freedom = {self.freedom.tolist()}",
-            f"basis = {_toml(self.basis)}",
-            f"notes = {_toml(list(self.notes))}",
-            "",
-            "[sources]",
-            *(f"{_toml(key)} = {_toml(value)}" for key, value in self.sources.items()),
-        ]
-        atomic_write_text(Path(path), "\n".join(lines) + "\n")
+        import tomli_w
+
+        table = {"unit": _UNIT, **{key: getattr(self, key) for key in _KEYS}}
+        for key in ("gains", "covariance", "freedom"):
+            table[key] = table[key].tolist()
+        title = "Drive gains: joint torque per current."
+        heading = f"# {title} common_factor = {self.common_factor:.3g}\n"
+        atomic_write_text(Path(path), heading + tomli_w.dumps(table))
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> DriveGains:
@@ -393,11 +378,6 @@ class DriveGains:
 
 # How many joints a line shows, and how many characters of their names.
 _SHOWN, _NAME = 3, 24
-
-
-def _toml(value: object) -> str:
-    """Return texts as TOML has them: as JSON, but that no character is a pair of escapes."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _texts(values: Any, name: str) -> tuple[str, ...]:
