@@ -19,9 +19,8 @@ from sdpid.errors import ExportError
 from sdpid.excitation.geometry.obstacles import obstacles_from_toml
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.search.ipopt import INTERRUPTED
-from sdpid.experiment.trajectory.played import played
 from sdpid.experiment.trajectory.reading import read_trajectory
-from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.experiment.trajectory.trajectory import Trajectory, played
 from sdpid.output.charts.page import number
 from sdpid.output.plans import write
 from sdpid.output.plans.motion_files import (

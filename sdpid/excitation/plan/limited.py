@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.joint_limits import UNITS, JointLimits
 from sdpid.excitation.limits.torque import TorqueModel
-from sdpid.experiment.trajectory.played import Played
+from sdpid.experiment.trajectory.trajectory import Played
 from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 

@@ -12,8 +12,7 @@ from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.experiment.trajectory.played import played
-from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.experiment.trajectory.trajectory import Trajectory, played
 from sdpid.robot.model.model import RobotModel
 
 # Samples a second of pictures.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.curve import cells_within
-from sdpid.experiment.trajectory.pieces import ROUNDING
+from sdpid.experiment.trajectory.curve import ROUNDING, cells_within
 
 # Cells are enclosed in parts over which the fastest sinusoid turns by this (rad) at most. Its
 # bound is then 1e-3 of its amplitude too wide; others' are closer.
@@ -198,13 +197,7 @@ class FourierSeries:
     def delayed(self, shift: Array) -> FourierSeries:
         """Return the series that starts `shift_j` seconds (n,) into joint j's period."""
         turn = 2.0 * np.pi * self.harmonics * np.asarray(shift)[:, None] / self.period
-        return FourierSeries(
-            period=self.period,
-            center=self.center,
-            harmonics=self.harmonics,
-            amplitudes=self.amplitudes,
-            phases=np.mod(self.phases + turn, 2.0 * np.pi),
-        )
+        return replace(self, phases=np.mod(self.phases + turn, 2.0 * np.pi))
 
 
 # Rows: coefficients of s^3, s^4, s^5 of the quintic that starts at rest at zero and ends, at

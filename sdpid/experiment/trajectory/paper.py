@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,13 +146,8 @@ def filled(
     )
     peak = np.abs(unit.one_period(round(period * rate))).max(axis=0)
     half = 0.5 * (ranges[:, 1] - ranges[:, 0])
-    return FourierSeries(
-        period=period,
-        center=ranges.mean(axis=1),
-        harmonics=harmonics,
-        amplitudes=used * (half / peak)[:, None],
-        phases=phases,
-    )
+    amplitudes = used * (half / peak)[:, None]
+    return replace(unit, center=ranges.mean(axis=1), amplitudes=amplitudes)
 
 
 def quiet_start(

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.pieces import ROUNDING, Pieces
+from sdpid.experiment.trajectory.curve import ROUNDING, Pieces
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from sdpid._common.files import atomic_write_text, load_toml
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
-from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
+from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 
@@ -26,6 +25,8 @@ from sdpid.experiment.trajectory.spline import Spline
 _WHOLE = 1e-6
 # No motion has as many samples, or periods, nor a controller such a rate (Hz).
 _LARGEST = 1e9
+# Samples of a motion as it is looked at; beyond as many the rate falls.
+_MOST_PLAYED = 6000
 # Entries of a trajectory's file.
 _DURATIONS = ("rate_hz", "rest", "connection")
 _SERIES = ("harmonics", "amplitudes", "phases")
@@ -302,16 +303,21 @@ class Trajectory:
         ExportError
             When the file cannot be written.
         """
+        import tomli_w
+
         whole, joints = entries(self.series)
-        lines = [f"{name} = {float(getattr(self, name))!r}" for name in _DURATIONS]
-        lines += [f"periods = {self.periods}", *_written(whole)]
-        lines += [f"notes = {json.dumps(list(self.notes))}"]
-        for j, joint in enumerate(joints):
-            lines += ["", "[[joint]]", f"name = {json.dumps(self.joint_names[j])}"]
-            lines += _written(joint)
-            lines.append(f"position_range = {self.position_range[j].tolist()}")
-            lines.append(f"velocity_limit = {float(self.velocity_limit[j])!r}")
-        atomic_write_text(Path(path), "\n".join(lines) + "\n")
+        table: dict[str, Any] = {name: float(getattr(self, name)) for name in _DURATIONS}
+        table |= {"periods": self.periods, **whole, "notes": list(self.notes)}
+        table["joint"] = [
+            {
+                "name": self.joint_names[j],
+                **joint,
+                "position_range": self.position_range[j].tolist(),
+                "velocity_limit": float(self.velocity_limit[j]),
+            }
+            for j, joint in enumerate(joints)
+        ]
+        atomic_write_text(Path(path), tomli_w.dumps(table))
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -365,32 +371,23 @@ class Trajectory:
                 f"trajectory: samples {start} to {stop} are not within 0 to {self.n_samples}."
             )
         out = np.zeros((3, stop - start, self.n))
-        out[0] = self.center
-        lead, per_period = self.lead_samples, self.samples_per_period
-        rest, connection = lead - round(self.connection * self.rate_hz), lead
-        end = lead + self.periods * per_period
+        first, per_period = self.lead_samples, self.samples_per_period
+        end = first + self.periods * per_period
         index = np.arange(start, stop)
-        inside = (index >= lead) & (index < end)
-        rows = (index[inside] - lead) % per_period
+        out[0] = np.where(index[:, None] < end, *self._poses)
+        inside = (index >= first) & (index < end)
+        rows = (index[inside] - first) % per_period
         if rows.size:
             out[0, inside] = self.position_period[rows]
             out[1, inside] = self.velocity_period[rows]
             out[2, inside] = self.acceleration_period[rows]
-        out[0, index >= end] = self._poses[1]
-        steps = connection - rest
-        if not steps:
-            return out[0], out[1], out[2]
-        for where, fraction, seconds, state in (
-            ((index >= rest) & (index < lead), (index - rest) / steps, self.connection, 0),
-            (
-                (index >= end) & (index < end + steps),
-                1 - (index - end) / steps,
-                -self.connection,
-                1,
-            ),
-        ):
-            if where.any():
-                out[:, where] += quintic(fraction[where], seconds, *self._ends[state])
+        for begin, curve in self.curves():
+            if curve is self.series:
+                continue
+            steps = index - round(begin * self.rate_hz)
+            inside = (steps >= 0) & (steps < round(self.connection * self.rate_hz))
+            for order in range(3 if inside.any() else 0):
+                out[order, inside] = curve.evaluate(steps[inside] / self.rate_hz, derivative=order)
         return out[0], out[1], out[2]
 
     def curves(self) -> tuple[tuple[float, Curve], ...]:
@@ -433,6 +430,51 @@ def _connection(pose: Array, seconds: float, *state: Array) -> Array:
     )
 
 
-def _written(values: Mapping[str, object]) -> list[str]:
-    """Return lines of TOML; Python writes numbers and lists of them as TOML does."""
-    return [f"{key} = {value!r}" for key, value in values.items()]
+@dataclass(frozen=True)
+class Played:
+    """A trajectory as it is looked at: connection in, one period, connection out.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Evenly spaced from zero, s.
+    position, velocity, acceleration, jerk : ndarray, shape (K, n)
+        In rad (m where a joint slides) and s.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return float((len(self.time) - 1) / self.time[-1])
+
+
+def played(trajectory: Trajectory, rate_hz: float) -> Played:
+    """Return the distinct parts of a trajectory, one after the other without rests.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of its periods one is played.
+    rate_hz : float
+        About how many samples a second; fewer for a long motion.
+    """
+    parts = trajectory.with_periods(1).curves()
+    begin = parts[0][0]
+    seconds = parts[-1][0] + parts[-1][1].duration - begin
+    count = min(max(int(np.ceil(seconds * rate_hz)) + 1, 2), _MOST_PLAYED)
+    time = np.linspace(0.0, seconds, count)
+    out = np.zeros((4, count, trajectory.n))
+    starts = np.array([start - begin for start, _ in parts])
+    owner = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
+    for k, (_, curve) in enumerate(parts):
+        inside = owner == k
+        own = np.clip(time[inside] - starts[k], 0.0, curve.duration)
+        for order in range(4):
+            out[order, inside] = curve.evaluate(own, derivative=order)
+    return Played(time, *out)

@@ -13,7 +13,7 @@ from sdpid.excitation.expected.expected import NORMAL, Expected
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
-from sdpid.experiment.trajectory.played import Played, played
+from sdpid.experiment.trajectory.trajectory import Played, played
 from sdpid.output.charts.charts import Charts
 from sdpid.output.charts.page import number
 from sdpid.output.plans.scene import scene_of

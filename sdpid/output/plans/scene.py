@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Mesh, Plane
 from sdpid.excitation.geometry.solids import Solid
-from sdpid.experiment.trajectory.played import Played
+from sdpid.experiment.trajectory.trajectory import Played
 from sdpid.output.scene.contents import Group, Motion
 from sdpid.output.scene.scene import Line, Scene, grid, robot_scene
 from sdpid.output.scene.surfaces import Surface, described_surfaces, surface_of
