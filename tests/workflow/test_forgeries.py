@@ -119,11 +119,6 @@ def test_a_file_beside_those_of_the_run_is_named(run: Path, results: Path) -> No
     assert any("identified_v2.urdf" in each for each in found.unchecked)
 
 
-def test_another_loss_is_refused(run: Path, results: Path) -> None:
-    edit_json(results / "certificate.json", lambda data: data["origin"].update(loss="huber"))
-    refused(run, results, "loss of the certificate")
-
-
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -348,31 +343,44 @@ def write_friction(results: Path, change: Callable[[Any], object]) -> None:
         (results / name).write_text(WRITERS[Path(name).suffix](data))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda data: data["terms"].pop(),
-        lambda data: data["terms"].append(data["terms"][0]),
-        lambda data: data.update(robot="another"),
-        lambda data: data.update(certificate="0" * 64),
-        lambda data: data["joints"].reverse(),
-        lambda data: data["left_out"].append("Tilt"),
-    ],
-    ids=("less", "more", "robot", "certificate", "joints", "tilt"),
-)
-def test_code_of_other_numbers(run: Path, results: Path, change: Callable[[Any], object]) -> None:
-    write_friction(results, change)
-    refused(run, results, "identified_friction")
+def without_friction(kind: str) -> Callable[[Any], None]:
+    """Return a change of the term with such numbers: they are huge."""
 
-
-@pytest.mark.parametrize("kind", ["width", "velocity"])
-def test_friction_without_friction(run: Path, results: Path, kind: str) -> None:
     def change(data: Any) -> None:
         (term,) = (each for each in data["terms"] if kind in each)
         term[kind] = [1e9] * len(data["joints"])
 
-    write_friction(results, change)
-    refused(run, results, "identified_friction")
+    return change
+
+
+def better(data: Any) -> None:
+    assert data["held_out"]["by"] == "blocks"
+    data["held_out"]["this estimate"]["moving"]["relative_residual"] *= 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("certificate.json", lambda d: d["origin"].update(loss="huber"), "loss of the certificate"),
+        ("result.json", better, "result.json: 'held_out this estimate'"),
+        ("friction", lambda data: data["terms"].pop(), "identified_friction"),
+        ("friction", lambda data: data["terms"].append(data["terms"][0]), "identified_friction"),
+        ("friction", lambda data: data.update(robot="another"), "identified_friction"),
+        ("friction", lambda data: data.update(certificate="0" * 64), "identified_friction"),
+        ("friction", lambda data: data["joints"].reverse(), "identified_friction"),
+        ("friction", lambda data: data["left_out"].append("Tilt"), "identified_friction"),
+        ("friction", without_friction("width"), "identified_friction"),
+        ("friction", without_friction("velocity"), "identified_friction"),
+    ],
+)
+def test_other_numbers(
+    run: Path, results: Path, name: str, change: Callable[[Any], object], words: str
+) -> None:
+    if name == "friction":
+        write_friction(results, change)
+    else:
+        edit_json(results / name, change)
+    refused(run, results, words)
 
 
 def test_friction_of_a_writer_that_is_wrong(
@@ -457,15 +465,6 @@ def test_a_profile_interval_is_compared_with_its_width(run: Path, tmp_path: Path
 
     edit_json(results / "parameters.json", narrower)
     refused(run, results, "parameters.json: .*interval.* made again")
-
-
-def test_errors_on_blocks_held_out(run: Path, results: Path) -> None:
-    def better(data: Any) -> None:
-        assert data["held_out"]["by"] == "blocks"
-        data["held_out"]["this estimate"]["moving"]["relative_residual"] *= 0.9
-
-    edit_json(results / "result.json", better)
-    refused(run, results, "result.json: 'held_out this estimate'")
 
 
 def test_how_a_log_is_read_is_told_in_full(run: Path, tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from sdpid.assurance.recipe.inputs import recording_digest
 from sdpid.assurance.recipe.recipe import Recipe, RobotRecipe
 from sdpid.assurance.recipe.stated import StatedProblem
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
-from sdpid.experiment.preparation.prepare import prepare
 from sdpid.robot.friction.terms import Coulomb
 from sdpid.workflow.replay import given as given_to_it
 from sdpid.workflow.replay.compare import distance
@@ -517,20 +516,11 @@ def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
         tmp_path / "arm.urdf", tmp_path / "run.csv", effects="tilt,load", intervals=False
     )
     (tmp_path / "run.toml").unlink()
-    recipe = Recipe.from_dict(json.loads(json.dumps(result.recipe.to_dict())))
-    loaded = sdpid.load_robot(tmp_path / "arm.urdf", **recipe.robot.arguments)
-    (reading,) = recipe.reading
-    read = sdpid.read_recording(tmp_path / "run.csv", mapping=False, **(reading or {}))
-    again = prepare(loaded, read, recipe.processing).samples
-    samples = result.problem.samples
-    for name in ("position", "velocity", "acceleration", "effort", "mask"):
-        assert np.array_equal(getattr(again, name), getattr(samples, name))
-    problem = sdpid.build_problem(
-        loaded, again, friction=recipe.friction, weighting="residual", check_excitation=False
-    )
-    rows, first = problem.require_rows_here("test"), result.problem.require_rows_here("test")
-    assert np.array_equal(rows.regressor(slice(None)), first.regressor(slice(None)))
-    assert RobotRecipe.of(loaded) == recipe.robot
+    folder = saved(result, tmp_path / "results")
+    proof = replay(folder, tmp_path / "run.csv", robot=tmp_path / "arm.urdf")
+    assert {*states(proof).values()} == {"made again"}, wrong(proof)
+    assert "number for number those of the run" in text_of(proof, "samples")
+    assert RobotRecipe.of(result.problem.robot) == result.recipe.robot
     kinds = [(each["role"], each["name"]) for each in result.inputs]
     assert kinds == [("log", "run.csv"), ("robot", "arm.urdf")]
 

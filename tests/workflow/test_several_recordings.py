@@ -132,15 +132,18 @@ def test_intervals_come_by_default_and_are_written(result: Identification, tmp_p
     assert "95 % intervals" in result.summary()
 
 
-def test_profile_intervals_hold_the_estimate(logs: list[sdpid.Recording]) -> None:
-    result = sdpid.identify(arm(), logs[0], intervals="profile")
-    assert result.intervals.contains(result.intervals.estimate).all()
-    assert result.intervals_note is None
-
-
-@pytest.mark.parametrize("strength", [1.0, 1e9])
-def test_no_interval_excludes_the_estimate(logs: list[sdpid.Recording], strength: float) -> None:
-    result = sdpid.identify(arm(), logs[0], prior=sdpid.Prior(strength=strength))
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"intervals": "profile"},
+        {"prior": sdpid.Prior(strength=1.0)},
+        {"prior": sdpid.Prior(strength=1e9)},
+    ],
+)
+def test_no_interval_excludes_the_estimate(
+    logs: list[sdpid.Recording], options: dict[str, Any]
+) -> None:
+    result = sdpid.identify(arm(), logs[0], **options)
     found = result.intervals
     values = {**result.estimate.named_theta(), **result.estimate.named()}
     assert found.contains([values[name] for name in found.names]).all()

@@ -234,50 +234,39 @@ def text_differences(found: str, wanted: str) -> Iterator[str]:
     """
     if found == wanted:
         return
-    (own, lines), (parts, _) = (_parts(each) for each in (found, wanted))
-    last, rooms = 0, _rooms(parts)
-    for k, (one, two) in enumerate(zip(own, parts, strict=False)):
-        if one == two or (k % 2 and _near(one, two, rooms[k])) or lines[k] == last:
+    own, again = _pieces(found), _pieces(wanted)
+    largest: dict[tuple[int, str], float] = {}
+    for number, _, of in again[1::2]:
+        least = largest.get(of, _LEAST if of[1] else 1.0)
+        largest[of] = max(least, abs(float(number)))
+    last = 0
+    for k, ((one, line, _), (two, _, of)) in enumerate(zip(own, again, strict=False)):
+        room = (LIMIT if of[1] == "fitted" else _DIGITS) * largest.get(of, 1.0)
+        if one == two or (k % 2 and _near(one, two, room)) or line == last:
             continue
-        last, before = lines[k], "".join(parts[:k])
+        last, before = line, "".join(each for each, _, _ in again[:k])
         named = _NAMED.findall(before)[-1:] + _OPEN.findall(before)
         where = f" ({', '.join(shown(each) for each in named)})" if named else ""
         yield (f"line {last}{where} has {_short(one.strip())}, written again {_short(two.strip())}")
         if not k % 2:
             # What follows is shifted.
             return
-    if len(own) != len(parts):
+    if len(own) != len(again):
         yield "it ends elsewhere than the file that was written again"
 
 
-def _parts(text: str) -> tuple[list[str], list[int]]:
-    """Return text and numbers in turn, and the line that each begins in."""
-    parts = _NUMBER.split(_BODY.sub(_as_tensor, text))
-    lines, line = [], 1
-    for part in parts:
-        lines.append(line)
-        line += part.count("\n")
-    return parts, lines
-
-
-def _rooms(parts: list[str]) -> list[float]:
-    """Return by how much the number in each place of a text may be another."""
-    largest: dict[tuple[int, str], float] = {}
-    element, kind, places = 0, "", []
-    for k, part in enumerate(parts):
+def _pieces(text: str) -> list[tuple[str, int, tuple[int, str]]]:
+    """Return text and numbers in turn, with the line, the element and the kind of each."""
+    line, element, kind, pieces = 1, 0, "", []
+    for k, part in enumerate(_NUMBER.split(_BODY.sub(_as_tensor, text))):
         if not k % 2:
             element += part.count("<")
             if '="' in part:
-                found = _SIZED.search(part)
-                kind = "" if found is None else str(found.lastgroup)
-        places.append((element, kind))
-        if k % 2:
-            least = largest.get((element, kind), _LEAST if kind else 1.0)
-            largest[element, kind] = max(least, abs(float(part)))
-    return [
-        (LIMIT if kind == "fitted" else _DIGITS) * largest.get((element, kind), 1.0)
-        for element, kind in places
-    ]
+                sized = _SIZED.search(part)
+                kind = "" if sized is None else str(sized.lastgroup)
+        pieces.append((part, line, (element, kind)))
+        line += part.count("\n")
+    return pieces
 
 
 def _as_tensor(match: re.Match[str]) -> str:
