@@ -62,17 +62,15 @@ def require_replaceable(path: PathLike) -> Path:
     Raises
     ------
     ExportError
-        When no file can take its place: of a folder, a device, or a link to itself.
+        When no file can take its place: of a folder, or a device.
     """
     target = Path(os.path.realpath(path))
-    what = "no regular file"
-    if target.is_symlink():  # what is left of a circle
-        what = "a symbolic link that leads back to itself"
-    elif target.is_dir():
-        what = "a folder"
-    elif target.is_file() or not target.exists():
-        return target
-    raise ExportError(f"cannot write {path}: it is {what}; move it away, or choose another name.")
+    if is_irregular(target):
+        what = "a folder" if target.is_dir() else "no regular file"
+        raise ExportError(
+            f"cannot write {path}: it is {what}; move it away, or choose another name."
+        )
+    return target
 
 
 def load_toml(path: PathLike) -> dict[str, Any]:
@@ -99,8 +97,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     ExportError
-        When `path` is a folder, a device or a link to itself, its folder does not exist, or
-        writing fails.
+        When `path` is a folder or a device, its folder does not exist, or writing fails.
     """
     target = require_replaceable(path)
     temporary = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(6)}{target.suffix}")

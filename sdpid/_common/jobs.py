@@ -2,27 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
-from sdpid._common.threads import Overlapping
 from sdpid.errors import DataError
-
-_SAFE = "PYTHONSAFEPATH"
-
-
-@Overlapping
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    """Let Python start without the current folder on its import path (from 3.11 on)."""
-    before = os.environ.get(_SAFE)
-    os.environ[_SAFE] = "1"
-    yield
-    del os.environ[_SAFE]
-    if before is not None:
-        os.environ[_SAFE] = before
 
 
 def parallel(n_jobs: int | None, *, threads: bool = False, **options: Any) -> Any:
@@ -47,15 +29,5 @@ def parallel(n_jobs: int | None, *, threads: bool = False, **options: Any) -> An
         raise DataError(f"n_jobs: is {n_jobs}; give a number of jobs, or None for one a core.")
     from joblib import Parallel
 
-    class SafeParallel(Parallel):  # type: ignore[misc]
-        """Starts workers that do not import modules of the current folder."""
-
-        def __call__(self, tasks: Any) -> Any:
-            with _safe_path:
-                return super().__call__(tasks)
-
-    return SafeParallel(
-        n_jobs=-1 if n_jobs is None else int(n_jobs),
-        prefer="threads" if threads else None,
-        **options,
-    )
+    jobs = -1 if n_jobs is None else int(n_jobs)
+    return Parallel(n_jobs=jobs, prefer="threads" if threads else None, **options)

@@ -1,10 +1,9 @@
-"""Signals that end the program raise `SystemExit`, so that unfinished files are removed."""
+"""Signals: those that end the program let it clean up, and interrupts are noted."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -14,32 +13,6 @@ _SIGNALED = 128
 
 # Signals that were to end this program.
 _ending: list[int] = []
-
-
-def end_by(number: int, _frame: object = None) -> None:
-    """Handle a signal by ending the program."""
-    _ending.append(number)
-    raise SystemExit(_SIGNALED + number)
-
-
-def end_if_signaled() -> None:
-    """End the program if `end_by` was called: some imports swallow even what it raises."""
-    if _ending:
-        raise SystemExit(_SIGNALED + _ending[0])
-
-
-@contextlib.contextmanager
-def keyboard_interrupts() -> Iterator[None]:
-    """Let SIGINT raise KeyboardInterrupt within the block, for work that ends well when stopped."""
-    usual = signal.getsignal(signal.SIGINT)
-    if usual is not end_by or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, usual)
 
 
 class Interrupts:
@@ -79,24 +52,22 @@ def noted_interrupts(noted: Interrupts) -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def clean_up_when_ended() -> None:
-    """Let SIGINT, SIGTERM and SIGHUP raise `SystemExit`.
+def _end(number: int, _frame: object) -> None:
+    """Handle a signal by ending the program."""
+    _ending.append(number)
+    end_if_signaled()
 
-    SIGINT does so too: where a KeyboardInterrupt came amid the import of an extension module, the
-    interpreter was now and then seen to end by the signal itself, with another exit status.
-    """
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+
+def end_if_signaled() -> None:
+    """End the program if a signal was to end it: some imports swallow what its handler raises."""
+    if _ending:
+        raise SystemExit(_SIGNALED + _ending[0])
+
+
+def clean_up_when_ended() -> None:
+    """Let SIGTERM and SIGHUP raise `SystemExit`, so that unfinished files are removed."""
+    for name in ("SIGTERM", "SIGHUP"):
         # What the caller had ignored (nohup) stays so; Windows has no SIGHUP.
         number = getattr(signal, name, None)
-        usual = (signal.SIG_DFL, signal.default_int_handler)
-        if number is not None and signal.getsignal(number) in usual:
-            signal.signal(number, end_by)
-    usual_hook = sys.unraisablehook
-
-    def hook(unraisable: Any) -> None:
-        # SystemExit cannot leave a callback of the import system; `end_if_signaled` ends the
-        # program then, and there is nothing to print.
-        if not issubclass(unraisable.exc_type, SystemExit):
-            usual_hook(unraisable)
-
-    sys.unraisablehook = hook
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)

@@ -12,22 +12,14 @@ from typing import Annotated
 import typer
 
 from sdpid._common.signals import clean_up_when_ended
-from sdpid.cli.compare import compare
-from sdpid.cli.config import expand_groups
-from sdpid.cli.endings import Commands, open_standard_streams
-from sdpid.cli.excite.command import excite
-from sdpid.cli.identify import identify
-from sdpid.cli.info import info
-from sdpid.cli.judge.audit import audit
-from sdpid.cli.judge.certify import certify
-from sdpid.cli.judge.compare_runs import compare_runs
-from sdpid.cli.judge.verify import verify
-from sdpid.cli.loads.gains import gains
-from sdpid.cli.loads.payload import payload
-from sdpid.cli.robots import robots
+from sdpid.cli.endings import Commands
+from sdpid.cli.excite import excite
+from sdpid.cli.identify import certify, compare, identify, validate
+from sdpid.cli.info import info, robots
+from sdpid.cli.judge import audit, compare_runs, verify
+from sdpid.cli.loads import gains, payload
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
-from sdpid.cli.validate import validate
 
 # New objects after which cycles of them are looked for; the default is 700.
 _NEW_OBJECTS = 100_000
@@ -64,27 +56,14 @@ def common(
 
 
 for command in (
-    identify,
-    excite,
-    info,
-    robots,
-    validate,
-    compare,
-    compare_runs,
-    simulate,
-    gains,
-    payload,
-    audit,
-    certify,
-    verify,
-    sample,
+    *(identify, excite, info, robots, validate, compare, compare_runs, simulate, gains, payload),
+    *(audit, certify, verify, sample),
 ):
-    app.command()(expand_groups(command))
+    app.command()(command)
 
 
 def main() -> None:
     """Run the command."""
-    open_standard_streams()
     clean_up_when_ended()
     # While libraries load, the default looks for cycles hundreds of times, and finds none: a
     # twentieth of a run.

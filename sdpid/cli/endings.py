@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import os
 import shlex
-import sys
 import traceback
 from typing import Any
 
@@ -19,8 +16,6 @@ from sdpid.errors import IdentifiabilityError, InfeasibleError, SdpidError, Solv
 
 # Exit statuses.
 OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
-# Errors of a disk that takes no more.
-_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG, errno.EIO)
 # Characters of a message; more do not help.
 _LONGEST = 4000
 
@@ -45,14 +40,7 @@ class Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Keep the arguments as they were given, for `command_line`."""
         ctx.meta[_ARGUMENTS] = list(args)
-        try:
-            return super().parse_args(ctx, args)
-        except OSError as error:  # of --help and --version, which print at once
-            if error.errno == errno.EPIPE:
-                raise
-            _drop_output()
-            _say(_lost(error))
-            raise typer.Exit(OURS) from None
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; turn an error into one line on stderr and an exit status."""
@@ -70,67 +58,14 @@ class Commands(TyperGroup):
                 raise
             if ctx.params.get("debug"):
                 traceback.print_exception(error)
-            if isinstance(error, OSError) and _is_output_full(error):
-                _drop_output()
-                _say(_lost(error))
-                raise typer.Exit(OURS) from None
-            _say(message(error))
+            complain(" ".join(message(error).split()))
             raise typer.Exit(exit_status(error)) from None
 
 
-def _say(text: str) -> None:
-    """Print one line on stderr."""
-    typer.echo(f"sdpid: {_one_line(text)}", err=True)
-
-
-def _lost(error: OSError) -> str:
-    return (
-        f"cannot write to standard output: {error.strerror or error}; make room, or send it "
-        "elsewhere."
-    )
-
-
-def _is_output_full(error: OSError) -> bool:
-    """Return whether an error is of standard output: of no file, and one more line fails too."""
-    if error.filename is not None or error.errno not in _FULL:
-        return False
-    try:
-        sys.stdout.write("\n")
-        sys.stdout.flush()
-    except OSError:
-        return True
-    return False
-
-
-def _drop_output() -> None:
-    """Drop what waits for standard output: else Python tries again when it ends."""
-    with contextlib.suppress(OSError):  # no file, as in tests
-        number = sys.stdout.fileno()
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, number)
-        os.close(null)
-
-
-def _one_line(text: str) -> str:
-    """Return a message without what damaged files bring into it: ends of lines, escapes, reams."""
-    shown = printable(" ".join(text.split()))
-    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]} ..."
-
-
-def open_standard_streams() -> None:
-    """Open the null device in place of every standard stream that is closed, as for daemons.
-
-    Else the next file that is opened becomes standard error, and whatever a library prints goes
-    into it.
-    """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
-        try:
-            os.fstat(number)
-        except OSError:
-            # Opening takes the lowest number that is free: this one.
-            os.open(os.devnull, os.O_RDWR)
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+def complain(text: str) -> None:
+    """Print one line on stderr, without what damaged files bring into it: escapes, reams."""
+    shown = printable(text)
+    typer.echo(f"sdpid: {shown[:_LONGEST]}{' ...' * (len(shown) > _LONGEST)}", err=True)
 
 
 def command_line(ctx: typer.Context) -> str:

@@ -1,148 +1,296 @@
-"""The command ``sdpid identify``: consistent parameters with a proof, from logs."""
+"""Commands that take logs: identify, compare solvers, certify parameters, validate a robot."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-import sdpid.cli.options as opt
+import sdpid.cli.logs as logs
 from sdpid._common.extras import require
 from sdpid._common.files import Source
 from sdpid._common.text import printable
-from sdpid.cli.config import config_text
-from sdpid.cli.endings import OURS, command_line
-from sdpid.cli.formulated import robot_and_logs
-from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
+from sdpid.cli.commands import command, config_text
+from sdpid.cli.endings import NO_ANSWER, OURS, command_line, complain
+from sdpid.cli.options import Given, panel
+from sdpid.cli.printing import errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
     from sdpid.output.robots.export_report import ExportReport
+    from sdpid.workflow.result import Identification
 
 
-def identify(
-    ctx: typer.Context,
-    logs: opt.Logs,
-    robot: opt.Robot,
-    reading: opt.Reading,
-    periods: opt.Periods,
-    processing: opt.ProcessingOptions,
-    estimation: opt.Estimation,
-    acceptance: opt.Acceptance,
-    printing: Printing,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
-    validation: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="LOG", help="Another recording, which is predicted only. May be repeated."
-        ),
-    ] = None,
-    folds: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Cross-validate: hold out N blocks of the logs in turn."),
-    ] = None,
-    rollout: Annotated[
-        bool,
-        typer.Option(
-            "--rollout",
-            help="Simulate the first --validation recording in open loop too; takes seconds, a "
-            "minute without Numba.",
-        ),
-    ] = False,
-    intervals: Annotated[
-        bool, typer.Option(help="Compute confidence intervals of the parameters.")
-    ] = True,
-    interval_method: Annotated[
-        opt.IntervalMethod,
-        typer.Option(
-            help="Method for the intervals; profile respects the constraints and takes some "
-            "seconds."
-        ),
-    ] = opt.IntervalMethod.gauss_markov,
-    figures: Annotated[
-        bool, typer.Option(help="Write training.png and validation.png too; needs matplotlib.")
-    ] = False,
-    offsets: Annotated[
-        bool, typer.Option(help="Write offsets into identified.xml, as constant actuators.")
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option("--verbose", "-v", help="Print notes, tables and the whole verdict too."),
-    ] = False,
-) -> None:
+@command(
+    panel(None, {"log LOG ...": "One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."}),
+    logs.PROBLEM,
+    panel(
+        None,
+        {
+            "--out FOLDER = sdpid-results": "Folder for the results.",
+            "--validation LOG ...": "Another recording, which is predicted only. May be repeated.",
+            "--folds N": "Cross-validate: hold out N blocks of the logs in turn.",
+            "--rollout": "Simulate the first --validation recording in open loop too; takes "
+            "seconds, a minute without Numba.",
+            "--intervals/--no-intervals = on": "Compute confidence intervals of the parameters.",
+            "--interval-method gauss_markov|profile|bootstrap = gauss_markov": "Method for the "
+            "intervals; profile respects the constraints and takes some seconds.",
+            "--figures/--no-figures = off": "Write training.png and validation.png too; needs "
+            "matplotlib.",
+            "--offsets/--no-offsets = off": "Write offsets into identified.xml, as constant "
+            "actuators.",
+            "--verbose -v": "Print notes, tables and the whole verdict too.",
+        },
+    ),
+)
+def identify(given: Given) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
     from sdpid.assurance.recipe.inputs import file_entry
     from sdpid.workflow.results_folder import require_writable
 
-    config = printing.config
-    inputs = reading.files((*logs, *(validation or ())), robot)
-    require_writable(out, inputs, config=config, writes_config=True)
-    if figures:
+    out, config = given.out, given.config
+    require_writable(out, given.inputs("config"), config=config, writes_config=True)
+    if given.figures:
         require("matplotlib", extra="plot")
     from sdpid.experiment.preparation.prepare import columns_without
     from sdpid.workflow.identify import identify as run
 
-    absent = opt.joints(estimation.without_effort)
-    model, records = robot_and_logs(robot, logs, reading, periods, absent)
-    columns = columns_without(model, absent)
-    checks = [reading.read(log, without_effort=columns) for log in validation or ()]
-    formulation = estimation.arguments(model)
+    model, records = logs.robot_and_logs(given, given.log)
+    columns = columns_without(model, given.without_effort or [])
     result = run(
         model,
         records,
-        validation=checks or None,
-        processing=processing.changes(),
-        intervals=interval_method.value if intervals else False,
-        folds=folds,
-        rollout=rollout,
-        **acceptance.arguments(),
-        **formulation,
+        validation=[logs.read(given, log, without_effort=columns) for log in given.validation]
+        or None,
+        processing=logs.processing(given),
+        intervals=given.interval_method if given.intervals else False,
+        folds=given.folds,
+        rollout=given.rollout,
+        accept=given.accept,
+        **logs.formulation(given, model),
     )
     findings = {str(finding) for finding in result.findings}
     notes = [
         *result.problem.samples.notes,
         *(each for each in result.notes if each not in findings),
+        *(each for each in (result.intervals_note, result.bias_note) if each),
     ]
-    notes += [note for note in (result.intervals_note, result.bias_note) if note]
     exports: list[ExportReport] = []
     if config is not None:
         result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))
-    if not printing.json:
+    if not given.json:
         # Before the files: what it says is known already.
-        printing.show(None, "\n".join(printable(line) for line in result.headline.lines))
+        given.show(None, "\n".join(printable(line) for line in result.headline.lines))
     saved = result.save(
         out,
-        figures=figures,
-        offsets=offsets,
+        figures=given.figures,
+        offsets=given.offsets,
         report=notes.append,
-        command=command_line(ctx),
-        config=config_text(ctx, out),
+        command=command_line(given.ctx),
+        config=config_text(given.ctx, out),
         exported=exports.append,
     )
     files = [str(path) for path in saved]
-    if verbose:
-        fits = {"constrained": result.training, "unconstrained": result.training_wls}
-        if result.held_out is not None:
-            fits["held out"] = result.held_out.fit
-        details = [result.summary(), findings_listed(result.findings), listed("notes", notes)]
-        details.append(errors_table(fits))
-        if result.cross_validation is not None:
-            details.append(result.cross_validation.table())
-        if result.held_out is not None:
-            details.append(result.held_out.table())
-        details += [each.table() for each in result.rollouts]
-        details += [listed("verdict", result.verdict), listed("files", files)]
-        details.append(f"certificate: {result.certificate.summary()}")
+    content = {
+        **result.to_dict(),
+        "notes": notes,
+        "files": files,
+        "exports": [export.to_dict() for export in exports],
+    }
+    if given.verbose:
+        details = _details(result, notes, files)
     else:
         details = [
             f"written to {out}: {', '.join(path.name for path in saved)}\n"
             f"{len(notes)} notes on choices: with -v, in report.html and result.json"
         ]
-    content = {**result.to_dict(), "notes": notes, "files": files}
-    content["exports"] = [export.to_dict() for export in exports]
-    printing.show(content, "\n" + "\n\n".join(details))
+    details[0] = f"\n{details[0]}"
+    given.show(content, *details)
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
-        typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
+        complain(f"not certified: {certificate.summary()}")
         raise typer.Exit(OURS)
+
+
+def _details(result: Identification, notes: list[str], files: list[str]) -> list[str]:
+    """Return what is printed of a result with ``--verbose``."""
+    fits = {"constrained": result.training, "unconstrained": result.training_wls}
+    tables: list[Any] = [*result.rollouts]
+    if result.held_out is not None:
+        fits["held out"] = result.held_out.fit
+        tables.insert(0, result.held_out)
+    if result.cross_validation is not None:
+        tables.insert(0, result.cross_validation)
+    return [
+        result.summary(),
+        findings_listed(result.findings),
+        listed("notes", notes),
+        errors_table(fits),
+        *(each.table() for each in tables),
+        listed("verdict", result.verdict),
+        listed("files", files),
+        f"certificate: {result.certificate.summary()}",
+    ]
+
+
+@command(
+    logs.LOG,
+    logs.PROBLEM,
+    panel(
+        None,
+        {
+            "--starts 0,1,2,... = 20": "Number of random starts of each local solver.",
+            "--seed SEED = 0": "Random seed of the starts.",
+            "--max-iterations COUNT": "Largest number of iterations of the local solvers; each has "
+            "its own.",
+            "--out FILE": "CSV file for the rows.",
+            "--jobs N": "Number of processes. Default: one a core.",
+        },
+    ),
+)
+def compare(given: Given) -> None:
+    """Run every solver on one problem and measure them against the proven lower bound."""
+    given.require_file("out")
+    from sdpid.workflow.comparison import compare as run
+
+    problem, prepared = logs.formulated(given, [given.log])
+    comparison = run(
+        problem,
+        starts=given.starts,
+        seed=given.seed,
+        max_iterations=given.max_iterations,
+        n_jobs=given.jobs,
+    )
+    files = [] if given.out is None else [str(given.out)]
+    if files:
+        comparison.to_csv(given.out)
+    certificate = comparison.certificate
+    content = {
+        "findings": [finding.to_dict() for finding in prepared.findings],
+        "lower_bound": certificate.lower_bound,
+        "certified": certificate.passed,
+        "rows": comparison.rows,
+        "files": files,
+    }
+    parts = (findings_listed(prepared.findings), comparison.table())
+    given.show(content, *parts, f"sdp: {certificate.summary()}", listed("files", files))
+
+
+@command(
+    panel(
+        None,
+        {
+            "parameters FILE": "Standard or base parameters: parameters.json or .yaml of a run, a "
+            "table (.csv), or a URDF or MJCF."
+        },
+    ),
+    logs.LOGS_OF_A_RUN,
+    logs.PROBLEM,
+    panel(
+        None,
+        {
+            "--value COLUMN = value": "Column of the values in a table.",
+            "--certificate FILE": "JSON file for the proof, which `sdpid verify` checks.",
+        },
+    ),
+)
+def certify(given: Given) -> None:
+    """Say how far parameters that were found elsewhere are from the best feasible ones.
+
+    The problem is the one that `sdpid identify` solves with the same options; --config takes its
+    run.toml. Ends with status 3 when the parameters break a constraint.
+    """
+    given.require_file("certificate")
+    from sdpid.workflow.certify_parameters import certify_parameters, read_given
+
+    problem, prepared = logs.formulated(given, given.log)
+    judged = certify_parameters(
+        problem, read_given(given.parameters, problem.robot, value=given.value)
+    )
+    files = [] if given.certificate is None else [str(given.certificate)]
+    if files:
+        judged.certificate.to_json(given.certificate)
+    content = {
+        **judged.to_dict(),
+        "findings": [finding.to_dict() for finding in prepared.findings],
+        "files": files,
+    }
+    parts = (findings_listed(prepared.findings), judged.summary(), listed("files", files))
+    given.show(content, *parts)
+    if judged.feasible is False:
+        raise typer.Exit(NO_ANSWER)
+
+
+@command(
+    logs.LOG,
+    logs.ROBOT,
+    logs.READING,
+    logs.PERIODS,
+    logs.PROCESSING,
+    logs.ACCEPTANCE,
+    logs.WITHOUT_EFFORT,
+    panel(
+        None,
+        {
+            "--figure FILE": "Image file for the plot.",
+            "--rollout": "Simulate the robot under the log's efforts too, and compare positions.",
+        },
+    ),
+)
+def validate(given: Given) -> None:
+    """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
+
+    An MJCF's armature counts too. Offsets have no place in either and are not predicted.
+    """
+    if given.figure is not None:
+        require("matplotlib", extra="plot")
+    given.require_file("figure")
+    from sdpid.assurance.diagnostics.validation import validate_robot
+    from sdpid.experiment.preparation.prepare import prepare
+    from sdpid.output.report.verdict import prediction_findings
+
+    absent = given.without_effort or []
+    model, (record,) = logs.robot_and_logs(given, [given.log])
+    prepared = prepare(
+        model,
+        record,
+        {**logs.processing(given), "covariance": None},
+        without_effort=absent,
+        accept=given.accept,
+    )
+    findings, samples = prepared.findings, prepared.samples
+    fit = validate_robot(model, samples)
+    files = []
+    if given.figure is not None:
+        from sdpid.plots.figures import save_figure
+
+        save_figure(fit.plot(), given.figure)
+        files.append(str(given.figure))
+    verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
+    parts = [
+        f"{model.name}: relative residual in motion {100 * fit.told.relative:.2f} %\n"
+        + listed("verdict", verdict),
+        findings_listed(findings),
+        listed("notes", samples.notes),
+        errors_table({"prediction": fit}),
+    ]
+    moved: tuple[Any, ...] = ()
+    if given.rollout:
+        from sdpid.assurance.diagnostics.described import described_dynamics
+        from sdpid.assurance.rollouts.rollout import rollouts
+        from sdpid.output.report.parameters import fresh_notes
+
+        described = described_dynamics(model, samples)
+        moved = rollouts(described, record, processing=prepared.processing, without_effort=absent)
+        verdict += [each.verdict for each in moved]
+        for each, told in zip(moved, fresh_notes(moved), strict=True):
+            parts += [each.table(), listed("notes", told)]
+    content = {
+        **fit.to_dict(),
+        "findings": [finding.to_dict() for finding in findings],
+        "verdict": verdict,
+        "notes": list(samples.notes),
+        "files": files,
+        "rollouts": [each.to_dict() for each in moved],
+    }
+    given.show(content, *parts, listed("files", files))

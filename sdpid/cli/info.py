@@ -1,53 +1,77 @@
-"""The command ``sdpid info``: what a log holds, and what is wrong with it."""
+"""Commands that only look: what a log holds, and which names stand for a robot's description."""
 
 from __future__ import annotations
 
-import sdpid.cli.options as opt
-from sdpid.cli.printing import Printing, listed
+from sdpid.cli.commands import command
+from sdpid.cli.logs import LOG, PERIODS, READING, periods, reading
+from sdpid.cli.options import Given, panel
+from sdpid.cli.printing import listed
 
 
-def info(
-    log: opt.Log,
-    reading: opt.Reading,
-    periods: opt.Periods,
-    printing: Printing,
-    robot: opt.OptionalRobot = None,
-) -> None:
+@command(
+    LOG,
+    READING,
+    PERIODS,
+    panel(None, {"--robot ROBOT": "Robot to compare with: URDF or MJCF file, or name."}),
+)
+def info(given: Given) -> None:
     """Show what was understood of a log, and what is wrong with it."""
     from sdpid._common.tables import Table
     from sdpid.experiment.preparation.overview import overview
     from sdpid.experiment.readers.read import read_described
     from sdpid.experiment.recording.floating.robots import robot_of
 
-    log_read = read_described(log, **reading.arguments(), **periods.arguments())
-    model = None if robot is None else robot_of(robot, [log_read.recording])
-    facts = overview(log_read.recording, model)
-    source = {"file": log_read.file, "mapping": log_read.mapping, "read_from": log_read.sources}
+    log = read_described(given.log, **reading(given), **periods(given))
+    model = None if given.robot is None else robot_of(given.robot, [log.recording])
+    facts = overview(log.recording, model)
+    source = {"file": log.file, "mapping": log.mapping, "read_from": log.sources}
     content = {**source, **facts}
     joints, findings = facts.pop("joints"), facts.pop("findings")
     chosen = (facts["processing"] or {}).items()
-    settings = ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in chosen)
-    shown = {**source, **facts, "processing": settings or None}
-    shown = {key: each for key, each in shown.items() if each is not None and key != "read_from"}
+    facts["processing"] = ", ".join(f"{key.replace('_', ' ')} {_text(it)}" for key, it in chosen)
+    shown = {"file": log.file, "mapping": log.mapping, **facts}
+    shown = {key: each for key, each in shown.items() if each not in (None, "")}
     width = max(map(len, shown))
-    parts = [
+    none = "findings: none"
+    if given.robot is None:
+        none += " (give --robot, and efforts are compared with the motion too)"
+    given.show(
+        content,
         "\n".join(f"{key.replace('_', ' '):{width}}  {_text(each)}" for key, each in shown.items()),
-        listed("read from", (f"{key}: {each}" for key, each in log_read.sources.items())),
+        listed("read from", (f"{key}: {each}" for key, each in log.sources.items())),
         Table(tuple(joints[0]), tuple(tuple(joint.values()) for joint in joints)).text(),
-    ]
-    found = [f"{each['severity']} {each['kind']}: {each['text']}" for each in findings]
-    if not found and robot is None:
-        none = "findings: none (give --robot, and efforts are compared with the motion too)"
-    else:
-        none = "findings: none"
-    parts.append(listed("findings", found) if found else none)
-    printing.show(content, "\n\n".join(parts))
+        listed("findings", (f"{it['severity']} {it['kind']}: {it['text']}" for it in findings))
+        or none,
+    )
 
 
 def _text(value: object) -> str:
-    """Return a fact as text, a dash where it is missing."""
+    """Return a fact as text."""
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+@command(panel(None, {"word WORD = none": "Only names that hold this word."}))
+def robots(given: Given) -> None:
+    """List the names that may be given in place of a URDF or MJCF file."""
+    from sdpid.robot.description.catalog import (
+        bundled_robots,
+        downloadable_robots,
+        example_robots,
+    )
+
+    sources = {
+        "bundled": bundled_robots(),
+        "example-robot-data": tuple(example_robots()),
+        "robot_descriptions, downloaded at first use": downloadable_robots(),
+    }
+    word = given.word or ""
+    held = {
+        source: [name for name in names if word.lower() in name.lower()]
+        for source, names in sources.items()
+    }
+    shown = "\n".join(filter(None, map(listed, held, held.values())))
+    given.show(held, shown or f"no name holds {word!r}")

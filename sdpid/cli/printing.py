@@ -1,58 +1,22 @@
-"""What commands print: the options for it, lists and tables."""
+"""What commands print: lists and tables."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from sdpid._common.text import printable
-from sdpid.cli.config import read_config
 
 if TYPE_CHECKING:
     from sdpid.assurance.diagnostics.validation import Validation
     from sdpid.experiment.inspection.kinds import Finding
 
-_printing = functools.partial(typer.Option, rich_help_panel="Configuration and output")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Printing:
-    """Where options come from, and what is printed."""
-
-    config: Annotated[
-        Path | None,
-        _printing(
-            metavar="FILE",
-            help="TOML file with values of options (cutoff = 10.0, friction = ['coulomb', "
-            "'viscous']) and of LOG (log = 'run.csv'); options given here win over it.",
-            is_eager=True,
-            callback=read_config,
-        ),
-    ] = None
-    json: Annotated[bool, _printing("--json", help="Print results as JSON.")] = False
-    quiet: Annotated[bool, _printing("--quiet", "-q", help="Print nothing but errors.")] = False
-
-    def show(self, values: Any, text: str) -> None:
-        """Print the text, the values as JSON with ``--json``, or nothing with ``--quiet``."""
-        if self.quiet:
-            return
-        if self.json:
-            from sdpid._common.tables import json_text
-
-            typer.echo(json_text(values))
-        else:
-            typer.echo(printable(text, keep="\n"))
-
 
 def listed(title: str, lines: Iterable[object]) -> str:
-    """Return indented lines under a title, line ends within them replaced."""
-    return "\n".join((f"{title}:", *(f"  {printable(str(line))}" for line in lines)))
+    """Return indented lines under a title, line ends within them replaced; of none, nothing."""
+    shown = [f"  {printable(str(line))}" for line in lines]
+    return "\n".join((f"{title}:", *shown)) if shown else ""
 
 
 def findings_listed(findings: Iterable[Finding]) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-import sdpid.cli.options as opt
 from sdpid._common.extras import require
-from sdpid.cli.printing import Printing, listed
+from sdpid.cli.commands import command
+from sdpid.cli.options import Given, panel
+from sdpid.cli.printing import listed
 from sdpid.errors import DataError, ExportError, SdpidError
 
 if TYPE_CHECKING:
@@ -20,86 +19,60 @@ if TYPE_CHECKING:
 _CHANGE = 0.15
 
 
-def simulate(
-    robot: Annotated[
-        str,
-        typer.Argument(help="URDF file, name of a robot, or a folder like that of a bundled one."),
-    ],
-    out: Annotated[Path, typer.Option(help="CSV or Parquet file for the recording.")],
-    printing: Printing,
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            help="Motion: a TOML file as --write-trajectory makes, or samples of any tool (CSV, "
-            "Parquet, NPZ with time, position_<joint>, velocity_<joint>, acceleration_<joint>). "
-            "By default the paper's excitation for a bundled robot, else a motion within the "
-            "robot's limits."
-        ),
-    ] = None,
-    write_trajectory: Annotated[
-        Path | None, typer.Option(help="TOML file for the motion that was made.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of motion and noise.")] = 0,
-    periods: Annotated[int | None, typer.Option(min=1, help="Number of periods.")] = None,
-    period: Annotated[float | None, typer.Option(help="Length of a period, s.")] = None,
-    unmodeled: Annotated[
-        bool, typer.Option("--unmodeled", help="Add effects that no linear model has.")
-    ] = False,
-    noise: Annotated[bool, typer.Option(help="Add sensor noise and quantization.")] = True,
-    exact: Annotated[
-        bool, typer.Option("--exact", help="Follow the motion exactly, without a controller.")
-    ] = False,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            help="Motion of a robot on legs: stand, trot, step, walk or hang, or trajectory.csv of "
-            "sdpid excite --stand. Its base floats; contacts and an IMU are recorded."
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option(help="Length of --motion, s; 10 by default, or that of the file."),
-    ] = None,
-    change: Annotated[
-        float | None,
-        typer.Option(
-            help="With --motion: share by which the simulated links differ from the description; "
-            "0.15 by default."
-        ),
-    ] = None,
-) -> None:
+@command(
+    panel(
+        None,
+        {
+            "robot ROBOT": "URDF file, name of a robot, or a folder like that of a bundled one.",
+            "--out FILE = required": "CSV or Parquet file for the recording.",
+            "--trajectory FILE": "Motion: a TOML file as --write-trajectory makes, or samples of "
+            "any tool (CSV, Parquet, NPZ with time, and position, velocity, acceleration of each "
+            "joint as position_<joint>, ...). By default the paper's excitation for a bundled "
+            "robot, else a motion within the robot's limits.",
+            "--write-trajectory FILE": "TOML file for the motion that was made.",
+            "--seed SEED = 0": "Random seed of motion and noise.",
+            "--periods COUNT": "Number of periods.",
+            "--period S": "Length of a period, s.",
+            "--unmodeled": "Add effects that no linear model has.",
+            "--noise/--no-noise = on": "Add sensor noise and quantization.",
+            "--exact": "Follow the motion exactly, without a controller.",
+            "--motion NAME|FILE": "Motion of a robot on legs: stand, trot, step, walk or hang, or "
+            "trajectory.csv of sdpid excite --stand. Its base floats; contacts and an IMU are "
+            "recorded.",
+            "--duration S": "Length of --motion, s; 10 by default, or that of the file.",
+            "--change X": "With --motion: share by which the simulated links differ from the "
+            "description; 0.15 by default.",
+        },
+    )
+)
+def simulate(given: Given) -> None:
     """Record a motion of a simulated robot."""
-    suffix = out.suffix.lower()
-    if suffix not in (".csv", ".parquet"):
+    out = given.out
+    if out.suffix.lower() not in (".csv", ".parquet"):
         raise ExportError(
             f"--out {out}: recordings are written as .csv or .parquet; change the suffix."
         )
-    inputs = [robot, trajectory, printing.config]
-    opt.require_folder("--out", out, inputs)
-    if write_trajectory is not None:
-        opt.require_folder("--write-trajectory", write_trajectory, inputs)
-    if trajectory is not None and period is not None:
-        raise DataError("--period: the trajectory's file has its own; leave one of them out.")
-    if suffix == ".parquet":
+    given.require_file("out")
+    given.require_file("write_trajectory")
+    if given.trajectory is not None:
+        given.refuse("period", "the trajectory's file has its own; leave one of them out.")
+    if out.suffix.lower() == ".parquet":
         require("pyarrow", extra="io")
-    if motion is not None:
-        fixed = {
-            "--trajectory": trajectory,
-            "--write-trajectory": write_trajectory,
-            "--periods": periods,
-            "--period": period,
-            "--unmodeled": unmodeled or None,
-            "--exact": exact or None,
-        }
-        if given := [name for name, value in fixed.items() if value is not None]:
-            raise DataError(
-                f"{given[0]}: is for robots on a fixed base, and --motion for robots on legs; "
-                "leave one of them out."
-            )
-        _legged(robot, motion, out, printing, seed, duration, change, noise)
+    if given.motion is None:
+        given.refuse("duration change", "goes with --motion, which is for robots on legs.")
+        _arm(given)
         return
-    if given := [n for n, v in (("--duration", duration), ("--change", change)) if v is not None]:
-        raise DataError(f"{given[0]}: goes with --motion, which is for robots on legs.")
+    given.refuse(
+        "trajectory write_trajectory periods period unmodeled exact",
+        "is for robots on a fixed base, and --motion for robots on legs; leave one of them out.",
+    )
+    _legged(given)
+
+
+def _arm(given: Given) -> None:
+    """Record a motion of a simulated robot on a fixed base."""
+    import numpy as np
+
     from sdpid.experiment.plant.default_motion import default_motion
     from sdpid.experiment.plant.drives import load_drives, plant_folder
     from sdpid.experiment.plant.simulate import simulate as run
@@ -110,60 +83,51 @@ def simulate(
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
 
+    robot, out, seed, periods = given.robot, given.out, given.seed, given.periods
     table = plant_folder(robot) / "kinematics.toml"
     bundled = table.is_file()
     model = RobotModel.from_mdh(table) if bundled else load_robot(robot)
-    if trajectory is not None:
-        plan = read_trajectory(trajectory, model.joint_names)
+    if given.trajectory is not None:
+        plan = read_trajectory(given.trajectory, model.joint_names)
         plan = between_rests(plan) if isinstance(plan.series, SampledCurve) else plan
         plan = plan if periods is None else plan.with_periods(periods)
-        import numpy as np
-
-        own, described = plan.velocity_limit, model.velocity_limits
-        plan = replace(plan, velocity_limit=np.where(np.isinf(own), described, own))
+        own = plan.velocity_limit
+        limit = np.where(np.isinf(own), model.velocity_limits, own)
+        plan = replace(plan, velocity_limit=limit)
     elif bundled:
-        plan = paper_excitation(robot, seed, periods=periods, period=period)
+        plan = paper_excitation(robot, seed, periods=periods, period=given.period)
     else:
-        plan = default_motion(model, seed, periods=periods, period=period)
-    if write_trajectory is not None:
-        plan.to_toml(write_trajectory)
-    recording = run(
+        plan = default_motion(model, seed, periods=periods, period=given.period)
+    if given.write_trajectory is not None:
+        plan.to_toml(given.write_trajectory)
+    log = run(
         model,
         plan,
         theta=true_parameters(robot) if bundled else None,
         seed=seed,
         drives=load_drives(robot) if bundled else None,
-        unmodeled=unmodeled,
-        noise=noise,
-        exact=exact,
+        unmodeled=given.unmodeled,
+        noise=given.noise,
+        exact=given.exact,
     )
-    _write(recording, out)
-    files = [str(file) for file in (out, write_trajectory) if file is not None]
-    kinds = {
-        name: model.pin_model.joints[model.pin_model.getJointId(name)].shortname()
+    sliding = [
+        name
         for name in model.joint_names[model.n_base :]
-    }
-    sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
-    notes = [*plan.velocity_report(sliding), *plan.notes, *recording.notes]
+        if model.pin_model.joints[model.pin_model.getJointId(name)]
+        .shortname()
+        .startswith("JointModelP")
+    ]
+    notes = [*plan.velocity_report(sliding), *plan.notes, *log.notes]
     notes += [] if bundled else _of_a_held_base(robot, out)
-    if suffix == ".csv" and recording.period is not None and recording.periods != 1:
+    if out.suffix.lower() == ".csv" and log.period is not None and log.periods != 1:
         notes.append(
             f"{out} has no place for the period; to average its periods: sdpid identify --period "
-            f"{recording.period:.10g} --start {recording.start:.10g} --periods {recording.periods}"
+            f"{log.period:.10g} --start {log.start:.10g} --periods {log.periods}"
         )
-    _show(printing, recording, notes, files)
+    _write(given, log, notes, [given.write_trajectory])
 
 
-def _legged(
-    name: str,
-    motion: str,
-    out: Path,
-    printing: Printing,
-    seed: int,
-    duration: float | None,
-    change: float | None,
-    noise: bool,
-) -> None:
+def _legged(given: Given) -> None:
     """Record a motion of a simulated robot on legs."""
     from sdpid.experiment.plant.legged.sensors import Sensors
     from sdpid.experiment.plant.legged.simulate import simulate_legged
@@ -172,33 +136,30 @@ def _legged(
     from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
     from sdpid.robot.model.load import load_robot
 
-    beside = mapping_beside(out)
-    opt.require_folder("--out", beside, [name, printing.config])
-    if change is not None and not 0.0 <= change < 1.0:
+    change = _CHANGE if given.change is None else given.change
+    if not 0.0 <= change < 1.0:
         raise DataError(f"--change: is {change:g}, expected a share from 0 to less than 1.")
-    robot = load_robot(name, root="free_flyer")
+    beside = mapping_beside(given.out)
+    given.require_file("out", beside)
+    robot = load_robot(given.robot, root="free_flyer")
     # The same robot whatever the seed, so that several motions are of one.
-    theta = changed_parameters(robot, change=_CHANGE if change is None else change)
-    sensors = Sensors() if noise else replace(Sensors.exact(), forces=False)
-    planned = motion.lower().endswith(".csv")
+    theta = changed_parameters(robot, change=change)
+    planned = given.motion.lower().endswith(".csv")
     run = simulate_legged(
         robot,
-        WholeBodyMotion.from_csv(motion) if planned else motion,
+        WholeBodyMotion.from_csv(given.motion) if planned else given.motion,
         theta=theta,
-        duration=duration,
-        seed=seed,
-        sensors=sensors,
+        duration=given.duration,
+        seed=given.seed,
+        sensors=Sensors() if given.noise else replace(Sensors.exact(), forces=False),
     )
-    log, files = run.recording, [str(out)]
-    _write(log, out)
-    if out.suffix.lower() == ".csv":
-        files.append(str(beside))
     true, described = (
         float(bodies.reshape(-1, 10)[:, 0].sum())
         for bodies in (theta[: 10 * robot.n_links], robot.prior)
     )
     mass = f"true total mass {true:.4g} kg, of the description {described:.4g} kg"
-    _show(printing, log, [mass, *log.notes], files)
+    csv = given.out.suffix.lower() == ".csv"
+    _write(given, run.recording, [mass, *run.recording.notes], [beside if csv else None])
 
 
 def _of_a_held_base(name: str, out: Path) -> list[str]:
@@ -218,19 +179,16 @@ def _of_a_held_base(name: str, out: Path) -> list[str]:
     ]
 
 
-def _write(recording: Recording, out: Path) -> None:
-    """Write a recording in the format that its file's suffix names."""
-    (recording.to_csv if out.suffix.lower() == ".csv" else recording.to_parquet)(out)
-
-
-def _show(printing: Printing, recording: Recording, notes: list[str], files: list[str]) -> None:
-    """Print what was recorded."""
+def _write(given: Given, log: Recording, notes: list[str], others: list[Path | None]) -> None:
+    """Write a recording in the format that its file's suffix names, and print what it holds."""
+    (log.to_csv if given.out.suffix.lower() == ".csv" else log.to_parquet)(given.out)
+    files = [str(file) for file in (given.out, *others) if file is not None]
     content = {
-        "samples": recording.n_samples,
-        "duration_s": recording.duration,
-        "rate_hz": recording.rate_hz,
-        "joints": recording.names,
+        "samples": log.n_samples,
+        "duration_s": log.duration,
+        "rate_hz": log.rate_hz,
+        "joints": log.names,
         "notes": notes,
         "files": files,
     }
-    printing.show(content, "\n".join((*notes, repr(recording), listed("files", files))))
+    given.show(content, "\n".join((*notes, repr(log), listed("files", files))))

@@ -1,9 +1,10 @@
-"""Values of options that are written as text: lists, pairs, friction terms."""
+"""Values of options: what the words for them in the help mean, and lists, pairs and terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sdpid.errors import DataError, ModelError
 
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     from sdpid.robot.friction.term import FrictionTerm
 
 
-def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:
+def pairs(values: Iterable[str], option: str) -> dict[str, str]:
     """Split ``key=value`` options.
 
     Raises
@@ -20,7 +21,7 @@ def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:
         When one has no ``=``, or a key comes twice.
     """
     split: dict[str, str] = {}
-    for text in values or ():
+    for text in values:
         key, equals, value = text.partition("=")
         key, value = key.strip(), value.strip()
         if not (equals and key and value):
@@ -31,23 +32,32 @@ def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:
     return split
 
 
-def split_list(text: str) -> list[str]:
+def names(text: str, _option: str = "") -> list[str]:
     """Split at commas."""
     return [part.strip() for part in text.split(",")]
 
 
-def numbers(text: str, option: str) -> list[float]:
+def numbers(text: str, option: str, count: int | None = None) -> list[float]:
     """Split numbers at commas.
 
     Raises
     ------
     DataError
-        When one is not a number.
+        When one is not a number, or there are not as many as expected.
     """
     try:
-        return [float(part) for part in text.split(",")]
+        found = [float(part) for part in text.split(",")]
     except ValueError:
         raise DataError(f"{option} {text}: expected numbers with commas between them.") from None
+    if count not in (None, len(found)):
+        raise DataError(f"{option} {text}: has {len(found)} numbers, expected {count}.")
+    return found
+
+
+def numbers_by_name(values: Iterable[str], option: str) -> dict[str, float]:
+    """Split ``name=number`` options."""
+    found = pairs(values, option)
+    return {key: numbers(value, f"{option} {key}", 1)[0] for key, value in found.items()}
 
 
 def share(text: str, option: str) -> float:
@@ -68,8 +78,19 @@ def share(text: str, option: str) -> float:
     return value
 
 
-def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
-    """Return the terms of ``--friction``: names, or names with a speed or joints.
+# Friction terms with a speed, and what it is called.
+_SPEEDS = {
+    "coulomb": "width",
+    "asymmetric_coulomb": "width",
+    "stribeck": "velocity",
+    "sigmoid": "velocity",
+}
+
+
+def friction_terms(
+    texts: Sequence[str], option: str = "--friction"
+) -> list[str | FrictionTerm] | None:
+    """Return friction terms: names, or names with a speed or joints.
 
     Names that begin with + come after the default terms.
 
@@ -81,47 +102,129 @@ def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
         When a term takes no value, or another number of them, or only some begin with +.
     """
     from sdpid.experiment.preparation.default_friction import DEFAULT
-    from sdpid.robot.friction.terms import (
-        AsymmetricCoulomb,
-        Coulomb,
-        Coupling,
-        SigmoidFriction,
-        Stribeck,
-    )
 
-    with_speed: dict[str, Callable[[float | None], FrictionTerm]] = {
-        "coulomb": lambda width: Coulomb(width=width),
-        "asymmetric_coulomb": lambda width: AsymmetricCoulomb(width=width),
-        "stribeck": lambda speed: Stribeck(velocity=speed),
-        "sigmoid": lambda speed: SigmoidFriction(velocity=speed),
-    }
-    added = [text for text in texts or () if text.startswith("+")]
-    if added and len(added) < len(texts or ()):
+    terms = [_term(text.removeprefix("+"), option) for text in texts]
+    added = [text for text in texts if text.startswith("+")]
+    if added and len(added) < len(terms):
         raise ModelError(
-            f"--friction {added[0]}: + adds to the default terms, and others are given without +, "
+            f"{option} {added[0]}: + adds to the default terms, and others are given without +, "
             "which replace them; write all with + or none."
         )
-    terms: list[str | FrictionTerm] = [DEFAULT] if added else []
-    for given in texts or ():
-        text = given.removeprefix("+")
-        name, equals, value = text.partition("=")
-        if not equals:
-            terms.append(text)
-        elif name in with_speed:
-            speeds = [None] if value == "fit" else numbers(value, f"--friction {name}")
-            if len(speeds) != 1:
-                raise ModelError(
-                    f"--friction {text}: has {len(speeds)} speeds; give one, which holds for every "
-                    "joint, or fit, which chooses one for each."
-                )
-            terms.append(with_speed[name](speeds[0]))
-        elif name == "coupling" and value.count(",") == 1:
-            first, second = split_list(value)
-            terms.append(Coupling(first, second))
-        else:
-            raise ModelError(
-                f"--friction {text}: takes no value; with one there are coulomb=WIDTH, "
-                "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
-                "fit) and coupling=JOINT,JOINT."
-            )
-    return terms or None
+    return [DEFAULT, *terms] if added else terms or None
+
+
+def _term(text: str, option: str) -> str | FrictionTerm:
+    """Return a friction term."""
+    from sdpid.robot.friction.terms import BY_NAME, Coupling
+
+    name, equals, value = text.partition("=")
+    if not equals:
+        return text
+    if name == "coupling" and value.count(",") == 1:
+        first, second = names(value)
+        return Coupling(first, second)
+    if name not in _SPEEDS:
+        raise ModelError(
+            f"{option} {text}: takes no value; with one there are coulomb=WIDTH, "
+            "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
+            "fit) and coupling=JOINT,JOINT."
+        )
+    speeds = [None] if value == "fit" else numbers(value, f"{option} {name}")
+    if len(speeds) != 1:
+        raise ModelError(
+            f"{option} {text}: has {len(speeds)} speeds; give one, which holds for every joint, or "
+            "fit, which chooses one for each."
+        )
+    return BY_NAME[name](**{_SPEEDS[name]: speeds[0]})
+
+
+def _beginning(words: Iterable[str], incomplete: str) -> list[str]:
+    """Return the words that begin with what is typed."""
+    return [word for word in words if word.startswith(incomplete)]
+
+
+def _complete_friction(incomplete: str) -> list[str]:
+    """Complete the name of a friction term."""
+    from sdpid.robot.friction.terms import BY_NAME
+
+    return _beginning([plus + name for plus in ("", "+") for name in BY_NAME], incomplete)
+
+
+def _complete_kind(incomplete: str) -> list[str]:
+    """Complete the kind of a finding."""
+    from sdpid.experiment.inspection.inspect import REFUSED
+
+    return _beginning(REFUSED, incomplete)
+
+
+def _complete_robot(incomplete: str) -> list[str]:
+    """Complete the name of a robot; where none begins so, the shell completes files."""
+    from sdpid.robot.description.catalog import robot_names
+
+    return _beginning(robot_names(), incomplete)
+
+
+class ValueKind(NamedTuple):
+    """What may be given for an option.
+
+    Attributes
+    ----------
+    type : type
+        What typer makes of the text.
+    parse : callable, optional
+        What is made of that, with the option's name: a list, or terms.
+    more : dict
+        Further arguments of typer: a least value, or completions.
+    may_be_file : bool
+        Whether text may be the name of a file, or something else.
+    """
+
+    type: Any = str
+    parse: Callable[..., Any] | None = None
+    more: dict[str, Any] = {}  # noqa: RUF012 - of a NamedTuple
+    may_be_file: bool = False
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the value names a file or folder, or may do so."""
+        return self.type is Path or self.may_be_file
+
+
+_FILE, _NUMBER = ValueKind(Path), ValueKind(float)
+
+# By the word for a value in the help; text that has none of these is taken as it is.
+KINDS = {
+    "FILE": _FILE,
+    "FOLDER": _FILE,
+    "LOG": _FILE,
+    "LOG|FOLDER": _FILE,
+    "FILE|FOLDER": _FILE,
+    "NAME|FILE": ValueKind(may_be_file=True),
+    "FILE|none": ValueKind(may_be_file=True),
+    "ROBOT": ValueKind(more={"autocompletion": _complete_robot}, may_be_file=True),
+    "S": _NUMBER,
+    "HZ": _NUMBER,
+    "M": _NUMBER,
+    "RAD": _NUMBER,
+    "KG": _NUMBER,
+    "NATS": _NUMBER,
+    "X": _NUMBER,
+    "N": ValueKind(int),
+    "COUNT": ValueKind(int, more={"min": 1}),
+    "SEED": ValueKind(int, more={"min": 0}),
+    "0,1,2,...": ValueKind(int, more={"min": 0}),
+    "A,B,...": ValueKind(parse=names),
+    "X,Y,...": ValueKind(parse=numbers),
+    "X,Y,Z": ValueKind(parse=lambda text, option: numbers(text, option, 3)),
+    "XX,XY,XZ,YY,YZ,ZZ": ValueKind(parse=lambda text, option: numbers(text, option, 6)),
+    "KG[,TOL]": ValueKind(parse=numbers),
+    "SHARE": ValueKind(parse=share),
+    "QUANTITY=NAME": ValueKind(parse=pairs),
+    "QUANTITY=UNIT": ValueKind(parse=pairs),
+    "JOINT=X": ValueKind(parse=numbers_by_name),
+    "DIRECTION=M": ValueKind(parse=numbers_by_name),
+    "TERM": ValueKind(parse=friction_terms, more={"autocompletion": _complete_friction}),
+    "KIND": ValueKind(more={"autocompletion": _complete_kind}),
+    "auto|none|A,B,...": ValueKind(),
+    "X|COLUMN": ValueKind(),
+}

@@ -23,7 +23,7 @@ from sdpid.assurance.tables.answers import StoredRefutation, exact
 from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import half_unit, read_base_table
 from sdpid.assurance.tables.search import ScaledQuestion
-from sdpid.cli.judge.audit import _write_proof
+from sdpid.cli.judge import write_proof
 from sdpid.errors import CertificateError, DataError, ExportError
 from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
@@ -710,7 +710,7 @@ def test_undecided_writes_nothing_and_says_so(
     found = audited({"zz6": "0.05"}, "0.005")
     with pytest.raises(ExportError):
         found.certificate.to_json(tmp_path / "missing" / "proof.json")
-    _write_proof(tmp_path / "proof.json", replace(found, verdict="undecided", certificate=None))
+    write_proof(tmp_path / "proof.json", replace(found, verdict="undecided", certificate=None))
     assert "not written: undecided, so there is no proof" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 

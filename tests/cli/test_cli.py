@@ -661,40 +661,6 @@ def test_what_a_terminal_would_obey_is_not_printed(
     assert not set(text) & set("\x1b\u202e\x9b")
 
 
-@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
-def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: str) -> None:
-    """As daemons start programs. The next file to be opened must not become standard error."""
-    arguments = f"audit {folder_of_arm}/arm.urdf --repair repaired.urdf"
-    command = ["sh", "-c", f"{sys.executable} -m sdpid {arguments} {closed}"]
-    options: dict[str, Any] = {"cwd": tmp_path, "text": True, "timeout": 300}
-    done = subprocess.run(command, capture_output=True, **options)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "repaired.urdf").read_text().endswith("</robot>\n")
-    assert ("0 bodies repaired" in done.stdout) == ("1>&-" not in closed)
-    refused = subprocess.run(
-        ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
-    )
-    assert refused.returncode == 2
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
-@pytest.mark.parametrize("arguments", ["--help", "--version", "verify --help", "audit " + ROBOT])
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_full_disk_takes_no_output(arguments: str, unbuffered: str) -> None:
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "sdpid", *arguments.split()],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-            timeout=300,
-        )
-    assert done.returncode == 1
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("sdpid: cannot write to standard output: No space left")
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 @pytest.mark.parametrize("kind", ["pipe", "endless"])
 def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from enum import Enum
 from pathlib import Path
 from typing import Any, get_args
 
@@ -12,12 +11,13 @@ import numpy as np
 import pytest
 
 from sdpid._common.files import load_toml
+from sdpid.cli.commands import TABLES
 from sdpid.cli.endings import message
-from sdpid.cli.options import Estimation, ProcessingOptions
+from sdpid.cli.logs import ESTIMATION, PROCESSING, formulation, processing
 from sdpid.constraints import MirrorPair, TotalMass
 from sdpid.errors import DataError
 from tests.helpers.arm_files import write_arm
-from tests.helpers.commands import ran, refused, run
+from tests.helpers.commands import given, ran, refused, run
 from tests.helpers.legged import quadruped
 from tests.helpers.refusals import refuses
 
@@ -141,26 +141,15 @@ def test_a_missing_file(folder: Path) -> None:
     refused(done, 2, f"sdpid: cannot read {folder / 'no.toml'}")
 
 
-COMMANDS = "identify info validate compare simulate payload audit certify verify sample"
-
-
-@pytest.mark.parametrize("command", COMMANDS.split())
-def test_every_command_has_the_shared_options(command: str) -> None:
-    done = ran(command, "--help")
-    for option in ("--config", "--json", "--quiet", "-q"):
-        assert option in done.stdout
-
-
-def test_every_option_may_stand_in_a_file() -> None:
-    """The key is the option's name, so each is found in the help."""
-    from sdpid.cli.config import _entries
-
-    for command in ("identify", "simulate", "audit"):
-        shown = run(command, "--help").stdout
-        keys = set(_entries(command)) - {"log", "source"} - ({"robot"} & {command})
-        assert {"json", "quiet"} < keys
-        missing = [key for key in keys if f"--{key.replace('_', '-')[:11]}" not in shown]
-        assert missing == (["robot"] if command == "simulate" else [])
+@pytest.mark.parametrize("command", TABLES)
+def test_the_help_names_every_option_whole(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on a narrow terminal; and the key in a file is the option's name."""
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = ran(command.replace("_", "-"), "--help").stdout
+    assert "…" not in shown
+    keys = [row.key for row in TABLES[command] if row.flags]
+    assert {"config", "json", "quiet"} <= {*keys}
+    assert [key for key in keys if f"--{key.replace('_', '-')} " not in shown] == []
 
 
 def test_quiet_prints_errors_only(folder: Path) -> None:
@@ -196,29 +185,27 @@ def test_the_shell_completes() -> None:
 
 def test_options_offer_what_the_library_knows() -> None:
     from sdpid.assurance.intervals.intervals import Method
-    from sdpid.cli import options
-    from sdpid.estimation.compression import covariance
+    from sdpid.estimation.compression.covariance import Weighting
     from sdpid.estimation.effects.kinds import EFFECTS
-    from sdpid.robot import inertia
     from sdpid.robot.friction.terms import BY_NAME
+    from sdpid.robot.inertia import Consistency
 
-    choices: tuple[tuple[type[Enum], Any], ...] = (
-        (options.Weighting, covariance.Weighting),
-        (options.Consistency, inertia.Consistency),
-        (options.IntervalMethod, Method),
-    )
-    for offered, known in choices:
-        assert {each.value for each in offered} == set(get_args(known))
-    shown = " ".join(run("identify", "--help").stdout.split())
+    rows = {row.name: row for row in TABLES["identify"]}
+    for name, known in (
+        ("weighting", Weighting),
+        ("consistency", Consistency),
+        ("interval_method", Method),
+    ):
+        assert {each.value for each in rows[name].kind.type} == set(get_args(known))
     for name in (*BY_NAME, *(effect.name for effect in EFFECTS)):
-        assert name in shown
+        assert name in rows["friction"].help + rows["effects"].help
 
 
 def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
     """Such as the mapping of a log run.csv that this run does not read."""
     (folder / "run.toml").write_text("[columns]\n")
     done = run("identify", folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder)
-    refused(done, 2, "run.toml, which no run wrote")
+    refused(done, 2, "run.toml, which no run like this wrote")
     assert (folder / "run.toml").read_text() == "[columns]\n"
 
 
@@ -226,7 +213,7 @@ def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("chosen", "expected"),
     [
         ({}, {}),
         ({"mask": True}, {}),
@@ -238,12 +225,12 @@ def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
         ({"filter_friction": False}, {"filter_friction": False}),
     ],
 )
-def test_the_processing(given: dict[str, Any], expected: dict[str, Any]) -> None:
-    assert ProcessingOptions(**given).changes() == expected
+def test_the_processing(chosen: dict[str, Any], expected: dict[str, Any]) -> None:
+    assert processing(given(PROCESSING, **chosen)) == expected
 
 
 def test_a_mask_that_is_off_has_no_size() -> None:
-    refuses(DataError, "mask-speed", ProcessingOptions(mask=False, mask_speed=0.1).changes)
+    refuses(DataError, "mask-speed", processing, given(PROCESSING, mask=False, mask_speed=0.1))
 
 
 def test_a_message_that_gives_the_option_needs_no_hint() -> None:
@@ -252,30 +239,28 @@ def test_a_message_that_gives_the_option_needs_no_hint() -> None:
     assert message(DataError("give units={} (--unit time=ms).")).endswith("time=ms).")
 
 
+def formulated(**options: Any) -> dict[str, Any]:
+    return formulation(given(ESTIMATION, **options), quadruped())
+
+
 def test_a_weighed_robot_with_legs_that_are_alike() -> None:
-    arguments = Estimation(total_mass="2.5, 0.01", mirror=True).arguments(quadruped())
-    mass, *pairs = arguments["constraints"].others
+    mass, *pairs = formulated(total_mass="2.5, 0.01", mirror=True)["constraints"].others
     assert isinstance(mass, TotalMass)
     assert (mass.mass, mass.tolerance) == (2.5, 0.01)
     assert len(pairs) == 6
     assert all(isinstance(pair, MirrorPair) for pair in pairs)
-    assert Estimation().arguments(quadruped())["constraints"].others == ()
-    with pytest.raises(DataError, match="expected a mass in kg, or a mass and by how much"):
-        Estimation(total_mass="2.5,0.1,0.2").arguments(quadruped())
-
-
-def test_legs_that_are_nearly_alike() -> None:
-    robot = quadruped()
-    arguments = Estimation(mirror_within="5%", mirror_friction="0.2").arguments(robot)
-    assert (len(arguments["prior"].alike), arguments["prior"].within) == (6, 0.05)
-    drives = arguments["constraints"].others
+    assert formulated()["constraints"].others == ()
+    nearly = formulated(mirror_within="5%", mirror_friction="0.2")
+    assert (len(nearly["prior"].alike), nearly["prior"].within) == (6, 0.05)
+    drives = nearly["constraints"].others
     assert [type(each).__name__ for each in drives] == 6 * ["EqualFriction"]
     assert {each.within for each in drives} == {0.2}
     for wrong, text in (
+        ({"total_mass": "2.5,0.1,0.2"}, "expected a mass in kg, or a mass and by how much"),
         ({"mirror_within": "5", "mirror": True}, "beside --mirror it says nothing"),
         ({"mirror_within": "5%", "prior": False}, "beside --no-prior it says nothing"),
         ({"mirror_within": "0%"}, "have --mirror"),
         ({"mirror_within": "much"}, "expected a share such as 5% or 0.05"),
         ({"mirror_friction": "-1%"}, "--mirror-friction -1%: expected a share"),
     ):
-        refuses(DataError, text, Estimation(**wrong).arguments, robot)
+        refuses(DataError, text, formulated, **wrong)

@@ -12,11 +12,11 @@ import pytest
 
 import sdpid
 from sdpid._common.files import load_toml
-from sdpid.cli.excite.surroundings import Surroundings
+from sdpid.cli.excite import SURROUNDINGS, obstacles
 from sdpid.excitation.geometry.obstacles import Mesh
 from sdpid.experiment.trajectory.reading import read_trajectory
 from tests.helpers.arm_files import ARM_URDF
-from tests.helpers.commands import ran, refused, run
+from tests.helpers.commands import given, ran, refused, run
 
 LIMITS = """
 [a]
@@ -65,7 +65,7 @@ def test_it_writes_and_says_what_to_run(folder: Path) -> None:
 def test_a_first_safe_motion_and_how_to_search_on(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.modules["sdpid.cli.excite.command"], "_QUICK", 2.0)
+    monkeypatch.setattr(sys.modules["sdpid.cli.excite"], "_QUICK", 2.0)
     monkeypatch.chdir(tmp_path)
     done = ran("excite", folder / "arm.urdf", "--quick", "--duration", 4, "--out", "plan")
     assert "safe: Every limit holds at every instant: " in done.stdout
@@ -123,7 +123,7 @@ def test_obstacles_may_stand_in_the_file_of_limits(tmp_path: Path) -> None:
         "[[plane]]\npoint = [0, 0, 2]\nnormal = [0, 0, -1]\n[[box]]\nsize = [1, 1, 1]\n"
         "[[mesh]]\npath = 'part.stl'\n"
     )
-    *found, mesh = Surroundings(limits=tmp_path / "limits.toml").obstacles_around()
+    *found, mesh = obstacles(given(SURROUNDINGS, limits=tmp_path / "limits.toml"))
     assert [type(each).__name__ for each in found] == ["Plane", "Plane", "Plane", "Box"]
     assert isinstance(mesh, Mesh)
     assert Path(mesh.path) == tmp_path / "part.stl"
@@ -211,17 +211,17 @@ def test_a_robot_that_stands(tmp_path: Path) -> None:
 def test_a_time_limit_is_that_of_the_whole_command(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given = []
+    seen = []
 
     def design(*_: Any, time_limit: float, **__: Any) -> Any:
-        given.append(time_limit)
+        seen.append(time_limit)
         raise sdpid.errors.DataError("seen")
 
     monkeypatch.setattr("sdpid.excitation.design.design.design_excitation", design)
     monkeypatch.setattr("time.process_time", lambda: 1.5)
     for limit in (60, 10, -1):
         run("excite", folder / "arm.urdf", "--out", folder / "other", "--time-limit", limit)
-    long, short, wrong = given
+    long, short, wrong = seen
     # Starting and the plan's files take some of it.
     assert 20.0 < long <= 60.0 - 2.5
     assert 2.0 <= short <= 10.0 - 2.5

@@ -2,10 +2,12 @@
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
-from sdpid._common.signals import Interrupts, end_by, keyboard_interrupts, noted_interrupts
+from sdpid._common.signals import Interrupts, noted_interrupts
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="sends signals"),
@@ -29,11 +31,16 @@ def test_the_first_is_noted_and_the_second_raises() -> None:
         interrupt()
 
 
-def test_the_command_raises_where_work_can_be_stopped() -> None:
-    signal.signal(signal.SIGINT, end_by)
-    with pytest.raises(KeyboardInterrupt), keyboard_interrupts():
-        interrupt()
-    assert signal.getsignal(signal.SIGINT) is end_by
-    noted = Interrupts()
-    with noted_interrupts(noted):  # not ours to change
-        assert signal.getsignal(signal.SIGINT) is end_by
+def test_a_signal_that_an_import_swallows_ends_the_program_later() -> None:
+    code = """
+import os, signal
+from sdpid._common.signals import clean_up_when_ended, end_if_signaled
+clean_up_when_ended()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+except BaseException:
+    print("swallowed", flush=True)
+end_if_signaled()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "swallowed\n")

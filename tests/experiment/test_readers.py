@@ -10,7 +10,7 @@ import pytest
 
 import sdpid
 from sdpid._common.files import load_toml
-from sdpid.cli.options import Reading
+from sdpid.cli.logs import LOG, READING
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
@@ -18,6 +18,7 @@ from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.readers.scaled import scaled
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.commands import given
 from tests.helpers.refusals import refuses
 
 N = 8
@@ -211,7 +212,7 @@ def test_a_mapping_beside_a_compressed_log(tmp_path: Path, name: str):
     np.testing.assert_allclose(reading.recording.effort, TAU, atol=1e-12)
     assert reading.mapping == str(beside)
     # Commands know it as a file that they read.
-    assert beside in Reading().files([file])
+    assert beside in given((*LOG, *READING), log=file).inputs()
 
 
 def test_the_mapping_of_the_documentation(tmp_path: Path):

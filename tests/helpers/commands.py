@@ -8,6 +8,7 @@ from typing import Any
 from typer.testing import CliRunner, Result
 
 from sdpid import cli, verifier
+from sdpid.cli.options import Given, OptionRow
 
 VERIFIER = Path(verifier.__file__).parent
 
@@ -15,6 +16,11 @@ VERIFIER = Path(verifier.__file__).parent
 def run(*arguments: Any) -> Result:
     """Return how a command ended, and what it printed."""
     return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def given(rows: tuple[OptionRow, ...], **values: Any) -> Given:
+    """Return what a command gets where only these options are given."""
+    return Given(rows, values)
 
 
 def ran(*arguments: Any) -> Result:

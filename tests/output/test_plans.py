@@ -409,7 +409,7 @@ def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
     write_plan(small_plan(), tmp_path, config="seed = 1\n")
     assert not (tmp_path / "limits.toml").exists()
     (tmp_path / "plan.toml").write_text("# my own\n")
-    refuses(ExportError, "which no run wrote", write_plan, small_plan(), tmp_path)
+    refuses(ExportError, "which no run like this wrote", write_plan, small_plan(), tmp_path)
     assert (tmp_path / "plan.toml").read_text() == "# my own\n"
 
 
