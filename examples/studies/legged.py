@@ -33,10 +33,9 @@ from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
-from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, Motion, changed_parameters
 
 THREE = ("stand", "trot", "hang")
 # The motions of each robot; the second is its gait.

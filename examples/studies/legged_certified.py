@@ -21,7 +21,7 @@ import numpy as np
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.plant.legged.friction import DryFriction
+from sdpid.experiment.plant.legged.truth import DryFriction
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs
 

@@ -37,8 +37,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import with_motion_bias
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.truth import changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.workflow.formulate import formulate
 

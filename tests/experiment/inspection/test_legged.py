@@ -27,10 +27,9 @@ from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.plant.legged import model
-from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
-from sdpid.experiment.plant.legged.truth import changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.processing.contact_samples import ContactSamples

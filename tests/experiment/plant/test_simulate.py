@@ -16,10 +16,9 @@ from sdpid.errors import DataError, ModelError
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.drives import Drives, default_parameters, load_drives
-from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
-from sdpid.experiment.plant.legged.truth import changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.plant.simulate import simulate, true_parameters
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.experiment.trajectory.trajectory import Trajectory

@@ -10,17 +10,18 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
+from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.legs import Legs
 
-# Gaits: seconds a cycle, share of it that a foot is down, and height of a step for a leg of 1 m.
-_TROT = (0.5, 0.6, 0.2)
-_WALK = (2.0, 0.85, 0.2)
-# Of robots on soles, which shift their weight over one foot before the other is lifted.
-_STEP = (3.0, 0.75, 0.05)
-# Speed of the walk for a leg of 1 m, m/s, and of robots on soles.
-_SPEED, _SLOW = 0.4, 0.03
-# How far the base leans over the feet that are down: of two feet, all the way.
-_LEAN, _LEAN_ON_SOLES = 1.0, 1.45
+# Gaits: seconds a cycle, share of it that a foot is down, height of a step and speed (m/s) for a
+# leg of 1 m, and how far the base leans over the feet that are down. Feet on a diagonal trot
+# together; otherwise one after the other is lifted, of two soles once the weight is over the other.
+_TROT = (0.5, 0.6, 0.2, 0.0, 0.0)
+_STEP, _WALK = (2.0, 0.85, 0.2, 0.0, 1.0), (2.0, 0.85, 0.2, 0.4, 1.0)
+_STEP_ON_SOLES, _WALK_ON_SOLES = (3.0, 0.75, 0.05, 0.0, 1.45), (3.0, 0.75, 0.05, 0.03, 1.45)
+# By name: of balls, and of soles.
+_GAITS = {"trot": (_TROT, None), "step": (_STEP, _STEP_ON_SOLES), "walk": (_WALK, _WALK_ON_SOLES)}
+MOTIONS = ("stand", *_GAITS, "hang")
 # Instants a second at which inverse kinematics is solved: splines between them are exact to 1e-6
 # of a motion of 3 Hz.
 _KNOT_RATE = 200.0
@@ -205,43 +206,25 @@ def plan_motion(legs: Legs, motion: str, *, duration: float, rng: np.random.Gene
     """
     if motion not in MOTIONS:
         raise DataError(f"motion {motion!r}: there are {', '.join(MOTIONS)}.")
-    return MOTIONS[motion](legs, duration, rng)
-
-
-def _stand(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
+    if motion == "hang":
+        return _hang(legs, duration, rng)
+    if motion != "stand":
+        gait = _GAITS[motion][legs.flat]
+        if gait is None:
+            raise DataError(
+                f"motion '{motion}': '{legs.robot.name}' stands on {len(legs.frames)} soles; there "
+                f"are {', '.join(name for name in MOTIONS if name != motion)}."
+            )
+        return _gait(legs, duration, rng, gait, together=motion == "trot")
     places = legs.feet(legs.standing[None])[0]
-    return planned(
-        legs,
-        duration,
-        rng,
-        base_sines(legs, rng, 1.0),
-        lambda t: np.broadcast_to(places, (len(t), *places.shape)),
-        lambda t: np.ones((len(t), len(places)), bool),
-    )
 
+    def feet(t: Array) -> Array:
+        return np.broadcast_to(places, (len(t), *places.shape))
 
-def _trot(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
-    if legs.flat:
-        raise DataError(
-            f"motion 'trot': '{legs.robot.name}' stands on {len(legs.frames)} soles; there are "
-            "stand, step, walk, hang."
-        )
-    return _gait(legs, duration, rng, _TROT, _diagonal(legs), speed=0.0, shift=0.0)
+    def down(t: Array) -> Mask:
+        return np.ones((len(t), len(places)), bool)
 
-
-def _step(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
-    return _one_foot_at_a_time(legs, duration, rng, 0.0)
-
-
-def _walk(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
-    return _one_foot_at_a_time(legs, duration, rng, _SLOW if legs.flat else _SPEED)
-
-
-def _one_foot_at_a_time(
-    legs: Legs, duration: float, rng: np.random.Generator, speed: float
-) -> Plan:
-    gait, lean = (_STEP, _LEAN_ON_SOLES) if legs.flat else (_WALK, _LEAN)
-    return _gait(legs, duration, rng, gait, _one_by_one(legs), speed=speed, shift=lean)
+    return planned(legs, duration, rng, base_sines(legs, rng, 1.0), feet, down)
 
 
 def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
@@ -259,28 +242,18 @@ def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
     return Plan(joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration)
 
 
-MOTIONS: dict[str, Callable[[Legs, float, np.random.Generator], Plan]] = {
-    "stand": _stand,
-    "trot": _trot,
-    "step": _step,
-    "walk": _walk,
-    "hang": _hang,
-}
-
-
 def _gait(
     legs: Legs,
     duration: float,
     rng: np.random.Generator,
-    gait: tuple[float, float, float],
-    phases: Array,
+    gait: tuple[float, float, float, float, float],
     *,
-    speed: float,
-    shift: float,
+    together: bool,
 ) -> Plan:
     """Plan a gait: feet lifted in turn, the base above those that are down."""
-    cycle, duty, lift = gait
+    cycle, duty, lift, speed, shift = gait
     places = legs.feet(legs.standing[None])[0]
+    phases = _phases(legs, places, cycle, duty, together)
     length = legs.height
     sway = base_sines(legs, rng, 0.25)
     stride = speed * length * cycle
@@ -319,21 +292,68 @@ def _gait(
     return planned(legs, duration, rng, base, feet, down)
 
 
-def _diagonal(legs: Legs) -> Array:
-    """Return the phases of a trot: legs on one diagonal together."""
-    places = legs.feet(legs.standing[None])[0]
-    return np.where(places[:, 0] * places[:, 1] > 0.0, 0.0, 0.5)
+def _phases(legs: Legs, places: Array, cycle: float, duty: float, together: bool) -> Array:
+    """Return the phases of the feet of a gait.
 
-
-def _one_by_one(legs: Legs) -> Array:
-    """Return the phases of a walk: a hind foot, the fore foot on its side, then the other side.
-
-    Of two feet the first is lifted so that the motion begins with the weight between them.
+    One by one, a hind foot comes first, then the fore foot on its side, then the other side; of two
+    feet the first is lifted so that the motion begins with the weight between them.
     """
-    places = legs.feet(legs.standing[None])[0]
     fore, left = places[:, 0] > 0.0, places[:, 1] > 0.0
+    if together:
+        return np.where(fore == left, 0.0, 0.5)
     if legs.flat:
-        cycle, duty, _ = _STEP
         first = LEAD + 0.5 * RAMP + 0.25 * cycle - 0.5 * (1.0 - duty) * cycle
         return np.where(left, 0.0, 0.5) + duty - first / cycle
     return np.asarray(0.25 * fore + 0.5 * left)
+
+
+def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Plan:
+    """Return the plan of a motion; the robot stands in its first pose for a while before.
+
+    Parameters
+    ----------
+    legs : Legs
+        The robot.
+    motion : WholeBodyMotion
+        What it shall do.
+    duration : float, optional
+        Seconds of it; by default all.
+
+    Raises
+    ------
+    DataError
+        When the motion is of other joints or feet, or shorter.
+    """
+    from scipy.interpolate import make_interp_spline
+    from scipy.spatial.transform import Rotation
+
+    joints, feet = legs.robot.joint_names[6:], legs.frames
+    if motion.joint_names != joints or motion.frames != feet:
+        raise DataError(
+            f"motion: of {len(motion.joint_names)} joints and feet {', '.join(motion.frames)}; "
+            f"'{legs.robot.name}' has {len(joints)} joints and feet {', '.join(feet)}, in this "
+            "order."
+        )
+    length = motion.duration if duration is None else duration
+    if not length <= motion.duration:
+        raise DataError(f"duration: {length:g} s, the motion ends after {motion.duration:g} s.")
+    turn = Rotation.from_quat(motion.base_orientation).as_rotvec()
+    position, effort, place, turned = (
+        make_interp_spline(motion.time, values, k=3)
+        for values in (motion.position, motion.effort, motion.base_position, turn)
+    )
+    slope = position.derivative()
+
+    def at(t: Array) -> Array:
+        return np.clip(t - LEAD, 0.0, motion.duration)
+
+    def wanted(t: Array) -> tuple[Array, Array]:
+        return position(at(t)), slope(at(t)) * (t > LEAD)[:, None]
+
+    def base(t: Array) -> tuple[Array, Array]:
+        return place(at(t)), turned(at(t))
+
+    def down(t: Array) -> Mask:
+        return motion.down[np.minimum(np.searchsorted(motion.time, at(t)), len(motion.time) - 1)]
+
+    return Plan(wanted, base, down, False, length, lambda t: np.asarray(effort(at(t))))

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, frozen_view
+from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.motions import LEAD, Plan
-from sdpid.experiment.plant.legged.truth import Motion
+from sdpid.experiment.plant.legged.truth import DryFriction, Motion
 from sdpid.robot.legs.legs import Legs
 
 # Stiffness of the motors' feedback over the torque that a joint bears at its lever, 1/rad, and
@@ -121,141 +120,113 @@ def run_plan(
     total = round((LEAD + plan.duration) * rate_hz)
     times = np.asarray(np.arange(total + 1) * step, np.float64)
     desired, speeds = plan.joints(times)
-    gains = _gains(legs)
+    mass, lever = legs.loads
+    stiffness = _STIFFNESS * _GRAVITY * mass * lever
+    damping = _DAMPING * stiffness
     coarse: Array = times[::_COMMAND_STRIDE]
     weight = weight_torques(legs, plan, coarse) if plan.effort is None else plan.effort(coarse)
     weight = np.stack([np.interp(times, coarse, each) for each in weight.T], axis=1)
-    command = gains[0] * desired + gains[1] * speeds + weight
-    position, turn = plan.base(np.zeros(1))
-    built = build_legged(
-        legs, theta, held=plan.held, timestep=step, start=np.hstack([position[0], turn[0]])
-    )
-    rubbing = friction, theta[10 * legs.robot.n_links :].reshape(3, -1)
-    stepper = _Stepper(mujoco, built, rubbing, gains, desired[0])
-    data = stepper.data
-    notes = _Notes(mujoco, legs, built, total - first)
+    command = stiffness * desired + damping * speeds + weight
+    start = np.hstack([each[0] for each in plan.base(np.zeros(1))])
+    built = build_legged(legs, theta, held=plan.held, timestep=step, start=start)
+    coulomb, viscous, _ = theta[10 * legs.robot.n_links :].reshape(3, -1)
+    model, data, dof = built.model, mujoco.MjData(built.model), built.dof
+    data.qpos[built.qpos] = desired[0]
+
+    def evaluate(told: Array) -> Array:
+        """Solve for the acceleration, and return torques of motors and friction, (2, joints)."""
+        speed = data.qvel[dof]
+        torque = told - stiffness * data.qpos[built.qpos] - damping * speed
+        rubbing = coulomb * friction(speed) + viscous * speed
+        data.qfrc_applied[dof] = torque - rubbing
+        mujoco.mj_forward(model, data)
+        data.qacc_warmstart[:] = data.qacc
+        return np.stack([torque, rubbing])
+
+    def advance(told: Array, following: Array) -> None:
+        """Go on by a step, from a state that is evaluated."""
+        position, rate = data.qpos.copy(), data.qvel.copy()
+        v, a = rate, data.qacc.copy()
+        mean_v, mean_a = _WEIGHTS[0] * v, _WEIGHTS[0] * a
+        for share, reach in zip(_WEIGHTS[1:], _STAGES[1:], strict=True):
+            data.qpos[:] = position
+            mujoco.mj_integratePos(model, data.qpos, v, reach * step)
+            data.qvel[:] = rate + reach * step * a
+            evaluate((1.0 - reach) * told + reach * following)
+            v, a = data.qvel.copy(), data.qacc.copy()
+            mean_v, mean_a = mean_v + share * v, mean_a + share * a
+        data.qpos[:] = position
+        mujoco.mj_integratePos(model, data.qpos, mean_v, step)
+        data.qvel[:] = rate + step * mean_a
+
+    samples, n, feet = total - first, legs.n_joints, max(len(built.feet), 1)
+    states = [np.empty((samples, size)) for size in (7 + n, 6 + n, 6 + n)]
+    torques = np.empty((samples, 2, n))
+    wrenches, down = np.zeros((samples, feet, 6)), np.zeros((samples, feet), bool)
     for k in range(total):
-        torques = stepper.evaluate(command[k])
+        applied = evaluate(command[k])
         if k >= first:
-            notes.take(data, torques, k - first)
-        stepper.advance(command[k], command[k + 1], step)
+            torques[k - first] = applied
+            for noted, values in zip(states, (data.qpos, data.qvel, data.qacc), strict=True):
+                noted[k - first] = values
+            _note_wrenches(mujoco, built, data, wrenches[k - first], down[k - first])
+        advance(command[k], command[k + 1])
         if k % 100 == 0 and not 1.0 - 2.0 * (data.qpos[4] ** 2 + data.qpos[5] ** 2) > _FALLEN:
             raise DataError(
                 f"legged plant of '{legs.robot.name}': the robot falls at {times[k] - LEAD:.2f} s "
                 "of the motion; change its parameters less, or take another motion."
             )
-    return np.asarray(times[first:total] - LEAD), notes.motion()
+    rows = np.concatenate([np.arange(6), dof])
+    position = states[0][:, np.concatenate([np.arange(7), built.qpos])]
+    rates = states[1][:, rows], states[2][:, rows]
+    motion = _in_pinocchio(position, *rates, torques, wrenches, down)
+    return np.asarray(times[first:total] - LEAD), motion
 
 
-def _gains(legs: Legs) -> tuple[Array, Array]:
-    """Return stiffness and damping of the motors' feedback."""
-    mass, lever = legs.loads
-    stiffness = _STIFFNESS * _GRAVITY * mass * lever
-    return stiffness, _DAMPING * stiffness
+def _note_wrenches(mujoco: Any, built: LeggedModel, data: Any, wrenches: Array, down: Mask) -> None:
+    """Write forces and torques (c, 6) in world axes, and which contacts are closed."""
+    if not built.feet:
+        # What holds the base is all that acts on it: force in world axes, torque in its own.
+        wrenches[0, :3] = data.qfrc_constraint[:3]
+        wrenches[0, 3:] = data.xmat[1].reshape(3, 3) @ data.qfrc_constraint[3:6]
+        down[0] = True
+    local = np.empty(6)
+    for number in range(data.ncon if built.feet else 0):
+        contact = data.contact[number]
+        if contact.efc_address < 0:
+            continue
+        foot = built.feet.index(int(contact.geom[1]))
+        mujoco.mj_contactForce(built.model, data, number, local)
+        # MuJoCo's force acts on the second geometry, here the foot.
+        force = contact.frame.reshape(3, 3).T @ local[:3]
+        wrenches[foot, :3] += force
+        wrenches[foot, 3:] += np.cross(contact.pos - data.site_xpos[built.sites[foot]], force)
+        down[foot] = True
 
 
-class _Stepper:
-    """A state of the plant, its derivative under a command, and the way to the next sample."""
+def _in_pinocchio(
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
+    torques: Array,
+    wrenches: Array,
+    down: Mask,
+) -> Motion:
+    """Return MuJoCo's states in Pinocchio's order and axes."""
+    from scipy.spatial.transform import Rotation
 
-    def __init__(
-        self,
-        mujoco: Any,
-        built: LeggedModel,
-        friction: tuple[DryFriction, Array],
-        gains: tuple[Array, Array],
-        joints: Array,
-    ) -> None:
-        self._mujoco, self._built, self._gains = mujoco, built, gains
-        self._law, (self._coulomb, self._viscous, _) = friction
-        self.data = mujoco.MjData(built.model)
-        self.data.qpos[built.qpos] = joints
-
-    def evaluate(self, command: Array) -> Array:
-        """Solve for the acceleration, and return torques of motors and friction, (2, joints)."""
-        data, built = self.data, self._built
-        speed = data.qvel[built.dof]
-        torque = command - self._gains[0] * data.qpos[built.qpos] - self._gains[1] * speed
-        friction = self._coulomb * self._law(speed) + self._viscous * speed
-        data.qfrc_applied[built.dof] = torque - friction
-        self._mujoco.mj_forward(built.model, data)
-        data.qacc_warmstart[:] = data.qacc
-        return np.stack([torque, friction])
-
-    def advance(self, command: Array, following: Array, step: float) -> None:
-        """Go on by a step, from a state that is evaluated."""
-        data, model = self.data, self._built.model
-        start, rate = data.qpos.copy(), data.qvel.copy()
-        v, a = rate, data.qacc.copy()
-        mean_v, mean_a = _WEIGHTS[0] * v, _WEIGHTS[0] * a
-        for weight, reach in zip(_WEIGHTS[1:], _STAGES[1:], strict=True):
-            data.qpos[:] = start
-            self._mujoco.mj_integratePos(model, data.qpos, v, reach * step)
-            data.qvel[:] = rate + reach * step * a
-            self.evaluate((1.0 - reach) * command + reach * following)
-            v, a = data.qvel.copy(), data.qacc.copy()
-            mean_v, mean_a = mean_v + weight * v, mean_a + weight * a
-        data.qpos[:] = start
-        self._mujoco.mj_integratePos(model, data.qpos, mean_v, step)
-        data.qvel[:] = rate + step * mean_a
-
-
-class _Notes:
-    """What is true at every sample, in MuJoCo's axes, turned into Pinocchio's at the end."""
-
-    def __init__(self, mujoco: Any, legs: Legs, built: LeggedModel, samples: int) -> None:
-        n, feet = legs.n_joints, max(len(built.feet), 1)
-        self._mujoco, self._legs, self._built = mujoco, legs, built
-        self.qpos, self.qvel = np.empty((samples, 7 + n)), np.empty((samples, 6 + n))
-        self.qacc = np.empty((samples, 6 + n))
-        self.effort, self.friction = np.empty((samples, n)), np.empty((samples, n))
-        self.wrenches, self.down = np.zeros((samples, feet, 6)), np.zeros((samples, feet), bool)
-        self._foot = {number: i for i, number in enumerate(built.feet)}
-        self._force = np.empty(6)
-
-    def take(self, data: Any, torques: Array, k: int) -> None:
-        """Note a sample, after MuJoCo's forward dynamics at its state."""
-        built = self._built
-        self.qpos[k, :7], self.qpos[k, 7:] = data.qpos[:7], data.qpos[built.qpos]
-        for noted, values in ((self.qvel, data.qvel), (self.qacc, data.qacc)):
-            noted[k, :6], noted[k, 6:] = values[:6], values[built.dof]
-        self.effort[k], self.friction[k] = torques
-        if not built.feet:
-            # What holds the base is all that acts on it: force in world axes, torque in its own.
-            self.wrenches[k, 0, :3] = data.qfrc_constraint[:3]
-            self.wrenches[k, 0, 3:] = data.xmat[1].reshape(3, 3) @ data.qfrc_constraint[3:6]
-            self.down[k] = True
-            return
-        for number in range(data.ncon):
-            contact = data.contact[number]
-            if contact.efc_address < 0:
-                continue
-            foot = self._foot[int(contact.geom[1])]
-            self._mujoco.mj_contactForce(built.model, data, number, self._force)
-            force = contact.frame.reshape(3, 3).T @ self._force[:3]
-            arm = contact.pos - data.site_xpos[built.sites[foot]]
-            # MuJoCo's force acts on the second geometry, here the foot.
-            self.wrenches[k, foot, :3] += force
-            self.wrenches[k, foot, 3:] += np.cross(arm, force)
-            self.down[k, foot] = True
-
-    def motion(self) -> Motion:
-        """Return all samples in Pinocchio's order and axes."""
-        from scipy.spatial.transform import Rotation
-
-        position, velocity, acceleration = self.qpos.copy(), self.qvel.copy(), self.qacc.copy()
-        position[:, 3:7] = np.roll(self.qpos[:, 3:7], -1, axis=1)
-        inverse = Rotation.from_quat(position[:, 3:7]).inv()
-        turning = self.qvel[:, 3:6]
-        velocity[:, :3] = inverse.apply(self.qvel[:, :3])
-        # The derivative of body-axis components, which Pinocchio calls the acceleration.
-        acceleration[:, :3] = inverse.apply(self.qacc[:, :3]) - np.cross(turning, velocity[:, :3])
-        effort = np.hstack([np.zeros((len(position), 6)), self.effort])
-        return Motion(
-            position=frozen(position),
-            velocity=frozen(velocity),
-            acceleration=frozen(acceleration),
-            effort=frozen(effort),
-            friction=frozen(self.friction),
-            wrenches=frozen(self.wrenches),
-            down=frozen_view(self.down),
-        )
+    position[:, 3:7] = np.roll(position[:, 3:7], -1, axis=1)
+    inverse = Rotation.from_quat(position[:, 3:7]).inv()
+    velocity[:, :3] = inverse.apply(velocity[:, :3])
+    # The derivative of body-axis components, which Pinocchio calls the acceleration.
+    turning = np.cross(velocity[:, 3:6], velocity[:, :3])
+    acceleration[:, :3] = inverse.apply(acceleration[:, :3]) - turning
+    return Motion(
+        position=frozen(position),
+        velocity=frozen(velocity),
+        acceleration=frozen(acceleration),
+        effort=frozen(np.pad(torques[:, 0], ((0, 0), (6, 0)))),
+        friction=frozen(torques[:, 1]),
+        wrenches=frozen(wrenches),
+        down=frozen_view(down),
+    )

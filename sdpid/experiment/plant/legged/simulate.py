@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask, frozen, real_array
+from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.motions import LEAD, Plan, plan_motion
+from sdpid.experiment.plant.legged.motions import LEAD, follow, plan_motion
 from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
-from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, Motion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.find import find_legs
@@ -29,60 +28,8 @@ _RATES = (500.0, 5000.0)
 _SECONDS = 10.0
 
 
-def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Plan:
-    """Return the plan of a motion; the robot stands in its first pose for a while before.
-
-    Parameters
-    ----------
-    legs : Legs
-        The robot.
-    motion : WholeBodyMotion
-        What it shall do.
-    duration : float, optional
-        Seconds of it; by default all.
-
-    Raises
-    ------
-    DataError
-        When the motion is of other joints or feet, or shorter.
-    """
-    from scipy.interpolate import make_interp_spline
-    from scipy.spatial.transform import Rotation
-
-    joints, feet = legs.robot.joint_names[6:], legs.frames
-    if motion.joint_names != joints or motion.frames != feet:
-        raise DataError(
-            f"motion: of {len(motion.joint_names)} joints and feet {', '.join(motion.frames)}; "
-            f"'{legs.robot.name}' has {len(joints)} joints and feet {', '.join(feet)}, in this "
-            "order."
-        )
-    length = motion.duration if duration is None else duration
-    if not length <= motion.duration:
-        raise DataError(f"duration: {length:g} s, the motion ends after {motion.duration:g} s.")
-    turn = Rotation.from_quat(motion.base_orientation).as_rotvec()
-    position, effort, place, turned = (
-        make_interp_spline(motion.time, values, k=3)
-        for values in (motion.position, motion.effort, motion.base_position, turn)
-    )
-    slope = position.derivative()
-
-    def at(t: Array) -> Array:
-        return np.clip(t - LEAD, 0.0, motion.duration)
-
-    def wanted(t: Array) -> tuple[Array, Array]:
-        return position(at(t)), slope(at(t)) * (t > LEAD)[:, None]
-
-    def base(t: Array) -> tuple[Array, Array]:
-        return place(at(t)), turned(at(t))
-
-    def down(t: Array) -> Mask:
-        return motion.down[np.minimum(np.searchsorted(motion.time, at(t)), len(motion.time) - 1)]
-
-    return Plan(wanted, base, down, False, length, lambda t: np.asarray(effort(at(t))))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LeggedRun:
+class LeggedRun(Shown):
     """A recording of a simulated robot on legs, and what is true of it.
 
     Attributes
@@ -110,11 +57,7 @@ class LeggedRun:
     motion: Motion
     friction: DryFriction
 
-    def __repr__(self) -> str:
-        return f"LeggedRun({self.recording!r})"
-
-    def _repr_html_(self) -> str:
-        return facts_html("LeggedRun", {"recording": repr(self.recording)})
+    _facts = ("recording",)
 
 
 def simulate_legged(

@@ -1,4 +1,4 @@
-"""What is true of a simulated robot with legs: its parameters and the motion without sensors."""
+"""What is true of a simulated robot with legs: parameters, friction, motion without sensors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.seeds import generator
+from sdpid.errors import DataError
 from sdpid.experiment.plant.drives import check_bodies
+from sdpid.robot.friction.terms import Coulomb, Stribeck
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs
@@ -20,6 +22,74 @@ from sdpid.robot.model.model import RobotModel
 # 0.06 N·m·s and 0.01 kg·m² on a quadruped of 13 kg, 0.03, 0.009 and 0.001 on one of 2.5 kg.
 _COULOMB, _VISCOUS, _ROTOR = 0.03, 0.3, 0.02
 _GRAVITY = 9.81
+
+
+# The narrowest sign over its height at which steps of 1 ms integrate without chatter, rad/s: the
+# slope of friction damps a rotor of the default size by 1/ms there, for a leg of 0.25 m; the
+# method of Runge and Kutta bears 2.8/ms.
+_NARROWEST = 0.015
+
+
+@dataclass(frozen=True, kw_only=True)
+class DryFriction:
+    """Dry friction of joints, as a multiple of their Coulomb friction.
+
+    The torque ``Fs·(1 + peak·exp(−(v/peak_speed)²))·tanh(v/width)``: Coulomb friction with a
+    smooth sign, and a Stribeck peak [armstrong1994]_.
+
+    Attributes
+    ----------
+    width : float
+        Speed that makes the sign smooth, rad/s.
+    peak : float
+        Friction above Coulomb's at low speed, as a share of it.
+    peak_speed : float
+        Speed at which the peak has fallen to 1/e, rad/s.
+
+    Raises
+    ------
+    DataError
+        When a speed is not positive, the peak is negative, or friction is too steep to integrate.
+
+    Examples
+    --------
+    >>> from sdpid.experiment.plant.legged.truth import DryFriction
+    >>> law = DryFriction(width=0.05, peak=0.3, peak_speed=0.2)
+    >>> law(np.array([-1.0, 0.0, 0.1, 1.0])).round(3)
+    array([-1.   ,  0.   ,  1.189,  1.   ])
+    >>> run = sdpid.simulate_legged("solo12", "hang", duration=0.1, friction=law)
+    >>> run.friction
+    DryFriction(width=0.05, peak=0.3, peak_speed=0.2)
+    """
+
+    width: float = 0.02
+    peak: float = 0.0
+    peak_speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("width", "peak_speed"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise DataError(f"{name}: {getattr(self, name)}; give a positive speed in rad/s.")
+        if not 0.0 <= self.peak < np.inf:
+            raise DataError(f"peak: {self.peak}; give a share of Coulomb friction, 0 or more.")
+        if self.width < _NARROWEST * (1.0 + self.peak):
+            raise DataError(
+                f"width: {self.width:g} rad/s with a peak of {self.peak:g} is too steep to be "
+                f"integrated; the limit is {_NARROWEST * (1.0 + self.peak):.3g} rad/s."
+            )
+
+    def __call__(self, velocity: Array) -> Array:
+        """Return the friction of a joint over its Coulomb friction at velocities in rad/s."""
+        peak = self.peak * np.exp(-((velocity / self.peak_speed) ** 2)) if self.peak else 0.0
+        return np.asarray((1.0 + peak) * np.tanh(velocity / self.width))
+
+    @property
+    def terms(self) -> tuple[Coulomb, ...] | tuple[Coulomb, Stribeck]:
+        """The friction terms of `sdpid.identify` with which an estimate can follow this law."""
+        coulomb = Coulomb(width=self.width)
+        if not self.peak:
+            return (coulomb,)
+        return coulomb, Stribeck(velocity=self.peak_speed, width=self.width)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
