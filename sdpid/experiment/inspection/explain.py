@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.kinematic import block_error
+from sdpid.experiment.inspection.block_fit import BlockFit, BlockSums
 from sdpid.experiment.inspection.rows import Rows, smooth_sign
 from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.samples import Samples
@@ -73,6 +73,8 @@ _ASKS = 0.005
 # Orders of more legs are not tried. Of more joints only those that are not explained, or not
 # compared, are exchanged in pairs: of forty there are 800 pairs, of positions and of efforts.
 _MOST_LEGS, _MANY = 4, 20
+# No gain and no friction is so many times what alone makes up all that is due.
+_FREE = 1e3
 
 _STATES = ("position", "velocity", "acceleration")
 _MOVED = (*_STATES, "sign")
@@ -253,14 +255,11 @@ class ExplainedLog:
         return _bounded_fit(columns, due, (GAINS[0] * scale, GAINS[1] * scale))
 
     @cached_property
-    def freely(self) -> tuple[Array, Array, Array]:
-        """Gains and friction of any size and sign, their standard errors, and what they leave.
-
-        On a floating base.
-        """
+    def freely(self) -> tuple[BlockFit, Array]:
+        """Gains and friction of any size and sign on a floating base, and what they leave."""
         ((_, columns, due),) = self.equations
-        fitted, errors = _fitted(columns, due)
-        return fitted, errors, _share(due - columns @ fitted, due, self.usable)
+        fit = _fitted(columns, due)
+        return fit, _share(due - columns @ fit.values, due, self.usable)
 
     @cached_property
     def left(self) -> Array:
@@ -273,16 +272,16 @@ class ExplainedLog:
         ((joints, columns, due),) = self.equations
         fitted, n = self._sensible(columns, due), len(joints)
         of_effort = _share(due - columns @ fitted, columns[..., :n] @ fitted[:n], self.usable)
-        return np.asarray(np.minimum(np.minimum(self.shares, self.freely[2]), of_effort))
+        return np.asarray(np.minimum(np.minimum(self.shares, self.freely[1]), of_effort))
 
     @cached_property
     def gains(self) -> EffortGains:
         """How many times the description's efforts the measured ones are."""
         n = len(self.usable)
         if self.contacts is not None:
-            fitted, errors, left = self.freely
-            gain = np.where(fitted[:n] == 0.0, np.inf, fitted[:n])
-            shows = self.usable & (errors[:n] < _KNOWN * np.abs(gain)) & np.isfinite(gain)
+            fit, left = self.freely
+            gain = np.where(fit.values[:n] == 0.0, np.inf, fit.values[:n])
+            shows = self.usable & (fit.errors[:n] < _KNOWN * np.abs(gain)) & np.isfinite(gain)
             follows = np.sqrt(np.clip(1.0 - left, 0.0, 1.0)) * np.sign(gain)
             return EffortGains(1.0 / gain, follows, shows)
         gain, correlation = np.zeros((2, n))
@@ -313,7 +312,7 @@ class ExplainedLog:
             return True
         known = self.gains
         scaled = bool(known.shows[usable].all() and (known.gain[usable] > 0.0).all())
-        return scaled and bool(np.max(self.freely[2][usable]) < _FINE)
+        return scaled and bool(np.max(self.freely[1][usable]) < _FINE)
 
     @property
     def bears_base(self) -> bool:
@@ -325,8 +324,9 @@ class ExplainedLog:
         """Return the mass that the efforts carry, of the description's, and its standard error."""
         ((joints, columns, due),) = self.equations
         gain, others = np.split(columns, [len(joints)], axis=2)
-        fitted, errors = _fitted(np.dstack([gain.sum(axis=2), others]), due)
-        return 1.0 / float(fitted[0]), float(errors[0] / fitted[0] ** 2)
+        fit = _fitted(np.dstack([gain.sum(axis=2), others]), due)
+        share = 1.0 / float(fit.values[0])
+        return share, float(fit.errors[0]) * share**2
 
     def changed(self, change: Correction) -> ExplainedLog:
         """Return the log with one more change."""
@@ -564,22 +564,11 @@ def _share(left: Array, of: Array, usable: Mask) -> Array:
     return np.where(usable & (power > 0.0), share, 1.0)
 
 
-def _scaled(columns: Array) -> tuple[Array, Array]:
-    """Return columns (K, m, p) as a matrix of unit columns, and their sizes."""
-    A = columns.reshape(-1, columns.shape[2])
-    size = np.linalg.norm(A, axis=0)
-    size[size == 0.0] = 1.0
-    return A / size, size
-
-
-def _fitted(columns: Array, due: Array) -> tuple[Array, Array]:
-    """Return least squares of rows (K, m, p), and standard errors from blocks of samples."""
-    A, size = _scaled(columns)
-    inverse = np.linalg.pinv(A.T @ A, rcond=1e-12, hermitian=True)
-    fitted = inverse @ (A.T @ due.ravel())
-    scores = (A * (due.ravel() - A @ fitted)[:, None]).reshape(*due.shape, -1).sum(axis=1)
-    errors = np.array([block_error(each, 1.0) for each in (scores @ inverse).T])
-    return fitted / size, errors / size
+def _fitted(columns: Array, due: Array) -> BlockFit:
+    """Return least squares of rows (K, m, p), with errors from blocks of samples."""
+    sizes = np.linalg.norm(columns, axis=(0, 1))
+    largest = _FREE * float(np.linalg.norm(due)) / np.where(sizes > 0.0, sizes, 1.0)
+    return BlockSums.of(columns, due, largest).fit(range(len(sizes)))
 
 
 def _bounded_fit(columns: Array, due: Array, gains: tuple[float, float]) -> Array:
@@ -587,7 +576,10 @@ def _bounded_fit(columns: Array, due: Array, gains: tuple[float, float]) -> Arra
     from scipy.optimize import nnls
 
     n = columns.shape[2] // 4
-    A, size = _scaled(columns)
+    A = columns.reshape(-1, 4 * n)
+    size = np.linalg.norm(A, axis=0)
+    size[size == 0.0] = 1.0
+    A = A / size
     # A root of the normal equations is exact enough for shares, and several times faster than QR.
     values, vectors = np.linalg.eigh(A.T @ A)
     root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
