@@ -156,10 +156,6 @@ def _frozen(
     return excess, {"limit": limit}
 
 
-def _effort_frozen(joint: JointChannels) -> _Excess:
-    return _frozen(joint, joint.effort, _OFF_CHORD, joint.off_line)
-
-
 def _velocity_frozen(joint: JointChannels) -> _Excess:
     speeds = joint.velocity
     if speeds is None:
@@ -236,7 +232,7 @@ _RULES: dict[str, Callable[[JointChannels], _Excess]] = {
     "position_coarse": _position_coarse,
     "position_frozen": _position_frozen,
     "velocity_frozen": _velocity_frozen,
-    "effort_frozen": _effort_frozen,
+    "effort_frozen": lambda joint: _frozen(joint, joint.effort, _OFF_CHORD, joint.off_line),
     "effort_spike": _effort_spike,
 }
 
@@ -331,9 +327,9 @@ _FEWEST = 3
 # A channel is clipped where it stays at its very largest value for this many samples in a row,
 # this many times or once for so many samples, and in this share of all rows.
 _PLATEAU, _PLATEAUS, _LONG, _CLIPPED = 5, 2, 20, 0.002
-# A clipped velocity is passed by the rate of the position by this factor; a robot that runs at one
-# speed is not clipped.
-_PASSED = 1.02
+# A clipped velocity is passed by the rate of the position by this share of what that spans; a robot
+# that runs at one speed is not clipped.
+_PASSED = 0.01
 # Of a signal in coarse steps the step below the largest is as long: clipped ones are this many
 # times as long there as on it.
 _AS_LONG = 3.0
@@ -375,12 +371,14 @@ def clipped(subject: Subject) -> Iterator[Finding]:
     for quantity, severity in (("effort", None), ("velocity", subject.about_velocity)):
         table = getattr(log, quantity)
         for j in moves if table is not None else ():
-            values = np.asarray(table[begin : begin + _COMPARED, j])
-            limits = {float(values.max()), float(values.min())} - {0.0}
-            if quantity == "velocity":
-                limits = {limit for limit in limits if _passed(subject, j, limit)}
-            counts = {x: _plateaus(values, x) for x in sorted(limits, reverse=True)}
-            ends = {x: rows for x, rows in counts.items() if rows >= _CLIPPED * values.size}
+            values, ends = np.asarray(table[begin : begin + _COMPARED, j]), {}
+            for end in (1.0, -1.0):
+                limit = end * float((end * values).max())
+                rows = _plateaus(values, limit)
+                if limit == 0.0 or rows < _CLIPPED * values.size:
+                    continue
+                if quantity == "effort" or _passed(subject, j, limit, end):
+                    ends[limit] = rows
             if ends:
                 rows = sum(ends.values())
                 numbers = {"rows": rows, "all": values.size, "share": rows / values.size}
@@ -395,10 +393,13 @@ def clipped(subject: Subject) -> Iterator[Finding]:
                 )
 
 
-def _passed(subject: Subject, j: int, limit: float) -> bool:
+def _passed(subject: Subject, j: int, limit: float, end: float) -> bool:
     """Return whether the rate of a joint's position goes beyond a largest or least velocity."""
     rows = subject.low_passed
-    return rows is not None and bool(np.any(rows.velocity[:, j] / limit > _PASSED))
+    if rows is None:
+        return False
+    rates = rows.velocity[:, j]
+    return bool(np.max(end * rates) - end * limit > _PASSED * np.ptp(rates))
 
 
 def _plateaus(values: Array, limit: float) -> int:
