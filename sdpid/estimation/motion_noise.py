@@ -243,24 +243,18 @@ def _away_from_landings(
     problem: Problem, logs: Sequence[Recording], processing: Processing
 ) -> Mask | None:
     """Return which rows (K, n) of a problem's samples see no landing, None where all are used."""
-    if not landings_used(problem, logs, processing):
+    contacts, used = problem.samples.contacts, problem.samples.used
+    if not landings_used(problem, logs, processing) or contacts is None or contacts.landed is None:
         return None
-
-    def rows(**changed: Any) -> Mask:
-        return _processed(problem, logs, replace(processing, **changed)).used
-
-    try:
-        if processing.impact_s is None:
-            clear = rows(impact_s=0.0)
-        else:
-            # `kept_share` kept them, and rows that are slow, which are not asked for here.
-            clear = rows(kept_share=0.0) | ~rows(kept_share=0.0, impact_s=None)
-    except DataError:
-        # No sample of a recording is away from all landings.
-        return None
-    used = problem.samples.used
-    apart_used: Mask = used & clear
-    return None if np.array_equal(apart_used, used) else apart_used
+    clear = ~contacts.landed
+    for part in problem.samples.parts:
+        if not clear[part].any():
+            return None
+        # Where nobody asked to leave samples out, none are where next to none would stay.
+        if processing.impact_s is None and clear[part].mean() < processing.kept_share:
+            clear[part] = True
+    apart: Mask = used & clear[:, None]
+    return None if np.array_equal(apart, used) else apart
 
 
 def beyond_noise(problem: Problem, apart: Problem, moved: Array) -> Array | None:

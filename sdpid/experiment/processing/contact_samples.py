@@ -57,6 +57,8 @@ class ContactSamples:
     widened_s : float, optional
         By how much flags were widened on either side, for the filter's memory and for flags that
         are late or early, s; None where that is not known.
+    landed : (K,) array_like of bool, optional
+        Whether the filter sees a landing of a foot, or `Processing.impact_s` around it.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class ContactSamples:
     forces: Array | None = None
     force_covariance: Array | None = None
     widened_s: float | None = None
+    landed: Mask | None = None
 
     def __post_init__(self) -> None:
         frames = _several(self.frames)
@@ -181,8 +184,8 @@ class ContactSamples:
 
     def picked(self, which: Any) -> ContactSamples:
         """Return some samples: a slice, or numbers."""
-        forces = None if self.forces is None else self.forces[which]
-        return replace(self, down=self.down[which], forces=forces)
+        forces, landed = (t if t is None else t[which] for t in (self.forces, self.landed))
+        return replace(self, down=self.down[which], forces=forces, landed=landed)
 
     @staticmethod
     def join(
@@ -223,10 +226,12 @@ class ContactSamples:
         measured = bool(np.isfinite(np.einsum("cii->ci", covariance)[:, :3]).any())
         down = np.zeros((sum(counts), len(known)), dtype=np.bool_)
         forces = np.zeros((*down.shape, 6)) if measured else None
+        landed: Mask = np.zeros(len(down), dtype=np.bool_)
         starts = np.cumsum([0, *counts])
         for (number, contacts), at in zip(given, columns, strict=True):
             rows = slice(starts[number - 1], starts[number])
             down[rows, at] = contacts.down
+            landed[rows] = False if contacts.landed is None else contacts.landed
             if forces is not None and contacts.forces is not None:
                 forces[rows, at] = contacts.forces
         widened = [each.widened_s for _, each in given if each.widened_s is not None]
@@ -239,6 +244,7 @@ class ContactSamples:
             forces=forces,
             force_covariance=covariance if measured else None,
             widened_s=max(widened, default=None),
+            landed=landed,
         )
 
     def _each(self) -> dict[tuple[str, str | None], _Contact]:

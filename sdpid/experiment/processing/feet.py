@@ -68,9 +68,9 @@ def feet_of(
         covariance = _covariance(contacts, processing)
     clear: Mask = np.ones(len(kept_down), dtype=np.bool_)
     notes = [_share_note(contacts, pipeline.kept(down), kept_down, reach * step + margin_s)]
+    landing = _landings(down)
+    beside: Mask = pipeline.kept(near(landing, reach + round((impact_s or 0.0) / step)))[:, 0]
     if impact_s is not None:
-        landing = _landings(down)
-        beside: Mask = pipeline.kept(near(landing, reach + round(impact_s / step)))
         share, count = 100.0 * float(beside.mean()), int(landing.sum())
         of_them = f"within {1e3 * impact_s:.3g} ms and the filter's memory of {count} landings"
         if beside.mean() > 1.0 - processing.kept_share:
@@ -79,7 +79,7 @@ def feet_of(
                 f"{100.0 * processing.kept_share:.3g} % would stay"
             )
         else:
-            clear = ~beside[:, 0]
+            clear = ~beside
             if count:
                 notes.append(f"{share:.3g} % of the samples left out, {of_them}")
     if wrench is not None:
@@ -95,6 +95,7 @@ def feet_of(
         forces=filtered,
         force_covariance=covariance,
         widened_s=reach * step + margin_s,
+        landed=beside,
     )
     return samples, clear, notes
 
