@@ -1,11 +1,16 @@
-"""What readers refuse, mappings beside logs, and currents."""
+"""What readers find and refuse, mappings beside logs, currents, and commanded positions."""
 
 import gzip
+import pickle
 import re
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import sdpid
@@ -16,6 +21,8 @@ from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.readers.scaled import scaled
+from sdpid.experiment.recording.gaps import continuous, unwrapped
+from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.commands import given
@@ -376,3 +383,278 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"gains are for currents in A, but the unit .* is N\.m"):
         sdpid.read_recording(path, gains=GAINS, units={"effort": "N.m"})
     refuses(DataError, "asks for currents", sdpid.read_recording, path, gains=GAINS, currents=True)
+
+
+# What is found by the usual names, whatever writes it.
+
+
+def table_csv(folder: Path, header: list[str], *tables: np.ndarray, delimiter: str = ",") -> Path:
+    file, rows = folder / "log.csv", np.column_stack(tables)
+    text = delimiter.join(header)
+    np.savetxt(file, rows, header=text, delimiter=delimiter, comments="", fmt="%.17g")
+    return file
+
+
+def test_npz_by_the_usual_names(tmp_path: Path):
+    file = tmp_path / "log.npz"
+    np.savez(file, t=T, q=Q, tau=TAU, dq=DQ, joint_names=np.array(NAMES))
+    log = read_recording(file)
+    for name, wanted in {"time": T, "position": Q, "effort": TAU, "velocity": DQ}.items():
+        np.testing.assert_array_equal(getattr(log, name), wanted)
+    assert log.joint_names == tuple(NAMES)
+    # Time from the sample rate, and vectors of a single joint.
+    np.savez(file, q=Q[:, 0], tau=TAU[:, 0], fs=2.0)
+    log = read_recording(file)
+    np.testing.assert_array_equal(log.time, T)
+    assert log.n == 1
+
+
+@pytest.mark.parametrize(
+    ("pattern", "delimiter"),
+    [("q{}", ","), ("q_{}", ";"), ("q[{}]", "\t"), ("position.{}", ","), ("Pos_{}", ";")],
+)
+def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, delimiter: str):
+    # In numeric order, and without those of commands.
+    header = ["time", *map(pattern.format, (10, 2, 1)), "tau_2", "tau_1", "tau_10"]
+    tables = T, Q, TAU, DQ[:, 0]
+    file = table_csv(tmp_path, [*header, "tau_target_1"], *tables, delimiter=delimiter)
+    log = read_recording(file)
+    np.testing.assert_array_equal(log.position, Q[:, ::-1])
+    np.testing.assert_array_equal(log.effort, TAU[:, [1, 0, 2]])
+    assert log.joint_names is None
+
+
+def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
+    text = 'label,"time",position_up,position_down,effort_up,effort_down\n'
+    text += "".join(f"go,{k},{k},{-k},{2 * k},{-2 * k}\n" for k in range(4))
+    file = tmp_path / "log.csv"
+    file.write_text("\ufeff" + text, encoding="utf-8")
+    log = read_recording(file)
+    assert log.joint_names == ("up", "down")
+    assert log.effort[3].tolist() == [6.0, -6.0]
+    log = read_recording(file, joint_names=("down", "up"))
+    assert log.effort[3].tolist() == [-6.0, 6.0]
+    log = read_recording(file, columns={"position": ["position_down"], "effort": ["effort_down"]})
+    assert log.position[:, 0].tolist() == [0.0, -1.0, -2.0, -3.0]
+
+
+def test_own_parquet_and_overrides(tmp_path: Path):
+    file = tmp_path / "log.PARQUET"
+    log = Recording(time=T, position=Q, effort=TAU, joint_names=tuple(NAMES), period=1.0)
+    log.to_parquet(file)
+    again = read_recording(file)
+    assert again.period == 1.0
+    assert again.effort.tobytes() == log.effort.tobytes()
+    assert read_recording(file, period=2.0).period == 2.0
+    turned = read_recording(file, joint_names=NAMES[::-1])
+    np.testing.assert_array_equal(turned.position, Q[:, ::-1])
+    assert turned.period == 1.0
+
+
+def test_foreign_parquet_with_lists(tmp_path: Path):
+    file = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}), file)
+    log = read_recording(file)
+    np.testing.assert_array_equal(log.position, Q)
+    pq.write_table(
+        pa.table({"t": [0.0, 1.0], "q": [[1.0], [1.0, 2.0]], "tau": [[1.0], [2.0]]}), file
+    )
+    refuses(DataError, "'q' is ragged: its rows have 1 to 2", read_recording, file)
+    pq.write_table(pa.table({"t": [0.0, 1.0], "q": [1.0, None], "tau": [1.0, 2.0]}), file)
+    refuses(DataError, "row 2: position: 'q' has no value", read_recording, file)
+
+
+class Bomb:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (pytest.fail, ("a pickle was executed",))
+
+
+def test_nothing_is_unpickled(tmp_path: Path):
+    boxed = np.empty((), dtype=object)
+    boxed[()] = Bomb()
+    # An object beside the data does no harm, as long as it is not wanted.
+    file = tmp_path / "log.npz"
+    np.savez(file, t=T, q=Q, tau=TAU, config=boxed)
+    assert read_recording(file).n == 3
+    np.savez(file, t=T, q=boxed, tau=TAU)
+    refuses(DataError, "'q' holds Python objects", read_recording, file)
+    file.write_bytes(pickle.dumps([1]))
+    refuses(DataError, "not a readable NumPy archive", read_recording, file)
+
+
+ROBOTS = {
+    "kinova_gen3_dynamapp/opti_traj_testing1.npz": (4741, 7, 1000.0),
+    "kuka_lwr4plus/measurements_1.npz": (5027, 7, 200.0),
+    "panda_unisa/panda_exciting.npz": (727, 7, 30.0),
+    "staubli_tx40/tx40_rows_0_24750.npz": (24750, 6, 5000.0),
+    "ur10_unisa/ur10_exciting.npz": (3441, 6, 125.0),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_real_logs(data_folder: Path, name: str):
+    samples, joints, rate = ROBOTS[name]
+    log = read_recording(data_folder / name)
+    assert (log.n_samples, log.n) == (samples, joints)
+    assert log.rate_hz == pytest.approx(rate, rel=1e-4)
+    assert log.joint_names is not None
+
+
+# Commanded positions: found where their names are clear, and kept by everything.
+
+
+STEPS = 300
+SLOW = 0.01 * np.arange(STEPS)
+MOVED = np.sin(np.outer(SLOW, [1.0, 1.7]))
+REF = np.sin(np.outer(SLOW + 0.02, [1.0, 1.7]))
+TORQUE = np.random.default_rng(5).standard_normal((STEPS, 2))
+
+
+def with_reference(folder: Path, names: list[str], *tables: Any) -> Path:
+    file = folder / "log.csv"
+    rows = np.column_stack([SLOW, MOVED, TORQUE, *tables])
+    np.savetxt(file, rows, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.17g")
+    return file
+
+
+def pair(template: str) -> list[str]:
+    return [template.format(j) for j in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("q_d_{}", "q_d[{}]", "q_des_{}", "target_q_{}", "position_reference_{}", "reference_{}"),
+        *("ref_pos_{}", "q_cmd{}", "joint_position_command_{}", "q_setpoint_{}"),
+    ],
+)
+def test_numbered_references_are_found(tmp_path: Path, name: str):
+    names = [*pair("q_{}"), *pair("tau_{}"), *pair("dq_d_{}"), *pair("tau_J_d_{}"), *pair(name)]
+    log = read_recording(with_reference(tmp_path, names, 0 * MOVED, 0 * MOVED, REF))
+    np.testing.assert_array_equal(log.reference, REF)
+    np.testing.assert_array_equal(log.position, MOVED)
+    assert log.velocity is None
+
+
+def test_references_by_joints_units_and_arrays(tmp_path: Path):
+    labels = ("lift", "elbow")
+    names = [f"{each}_{q}" for q in ("position", "effort") for each in labels]
+    file = with_reference(
+        tmp_path, [*names, "elbow_target_position", "lift_target_position"], REF[:, ::-1]
+    )
+    np.testing.assert_array_equal(read_recording(file).reference, REF)
+    assert read_recording(file, columns={"reference": None}).reference is None
+    # A reference has the unit of the position, unless it says otherwise.
+    names = [*pair("Joint {} [deg]"), *pair("Torque {} (Nm)"), *pair("Command {} [deg]")]
+    file = with_reference(tmp_path, names, REF)
+    np.testing.assert_allclose(read_recording(file).reference, np.radians(REF))
+    names = [*pair("q_{}"), *pair("tau_{}"), *pair("q_ref_{}")]
+    file = with_reference(tmp_path, names, REF)
+    log = read_recording(file, units={"position": "deg"})
+    np.testing.assert_allclose(log.reference, np.radians(REF))
+    log = read_recording(file, units={"position": "deg", "reference": "rad"})
+    np.testing.assert_array_equal(log.reference, REF)
+    log = read_recording(file, motors={"gear_ratios": [10.0, -20.0], "offsets": [0.5, 0.0]})
+    np.testing.assert_allclose(log.reference, REF / [10.0, -20.0] + [0.5, 0.0])
+    motors = {"gear_ratios": [10.0, 20.0], "applies_to": ["position"]}
+    np.testing.assert_array_equal(read_recording(file, motors=motors).reference, REF)
+    np.savez(tmp_path / "log.npz", t=SLOW, q=MOVED, tau=TORQUE, q_d=REF)
+    np.testing.assert_array_equal(read_recording(tmp_path / "log.npz").reference, REF)
+
+
+@pytest.mark.parametrize(
+    ("names", "table", "why"),
+    [
+        # A derivative by its values, and by the second derivative beside it.
+        (pair("q_d_{}"), np.cos(np.outer(SLOW, [1.0, 1.7])), "may be a derivative"),
+        ([*pair("q_d_{}"), *pair("q_dd_{}")], np.hstack([REF, REF]), None),
+        (pair("command_{}"), REF, None),
+        (pair("target_{}"), REF, None),
+        (pair("target_qd_{}"), REF, None),
+        (pair("qd_des_{}"), REF, None),
+        (pair("tau_ref_{}"), REF, None),
+        (pair("Command {} [A]"), REF, None),
+        (pair("position_error_{}"), REF, None),
+        ([*pair("q_ref_{}"), *pair("target_q_{}")], np.hstack([REF, REF]), "it could be "),
+        (pair("q_ref_{}"), np.where(SLOW[:, None] > 1.0, np.nan, REF), "lacks values"),
+    ],
+)
+def test_what_may_be_something_else_is_left_out(
+    tmp_path: Path, names: list[str], table: np.ndarray, why: str | None
+):
+    file = with_reference(tmp_path, [*pair("q_{}"), *pair("tau_{}"), *names], table)
+    reading = read_described(file)
+    assert reading.recording.reference is None
+    if why is None:
+        assert "reference" not in reading.sources
+    else:
+        assert why in reading.sources["reference"]
+    if np.isfinite(table).all():
+        units = {"reference": "rad"}
+        log = read_recording(file, columns={"reference": names[:2]}, units=units)
+        np.testing.assert_array_equal(log.reference, table[:, :2])
+    else:
+        refuses(DataError, "reference", read_recording, file, columns={"reference": names[:2]})
+
+
+def test_positions_of_a_joint_called_d_are_no_reference(tmp_path: Path):
+    names = ["q_c", "q_d", "tau_c", "tau_d"]
+    log = read_recording(with_reference(tmp_path, names))
+    assert log.joint_names == ("c", "d")
+    assert log.reference is None
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_recording_keeps_its_reference(tmp_path: Path, stored: bool):
+    log = Recording(
+        time=SLOW, position=MOVED, effort=TORQUE, reference=REF, joint_names=("lift", "elbow")
+    )
+    assert repr(log) == "Recording(300 samples, 2 joints, 100 Hz, with reference)"
+    assert "commanded positions" in log._repr_html_()
+    log.to_csv(tmp_path / "log.csv")
+    log.to_parquet(tmp_path / "log.parquet")
+    np.testing.assert_array_equal(read_recording(tmp_path / "log.csv").reference, REF)
+    log = read_recording(tmp_path / "log.parquet", stored=stored)
+    np.testing.assert_array_equal(log.reference, REF)
+    picked = read_recording(tmp_path / "log.parquet", joint_names=["elbow"], stored=stored)
+    np.testing.assert_array_equal(picked.reference, REF[:, 1:])
+    with pytest.raises(DataError, match=r"reference: has shape \(300, 1\), expected \(300, 2\)"):
+        replace(log, reference=REF[:, :1])
+    # The robot's order, gaps and late stamps.
+    robot = SimpleNamespace(n=2, n_base=0, name="arm", joint_names=("elbow", "lift"), passive=())
+    np.testing.assert_array_equal(match_joints(cast(Any, robot), log).reference, REF[:, ::-1])
+    gap = np.delete(np.arange(STEPS), np.s_[100:150])
+    kept = {"time": SLOW[gap], "position": MOVED[gap], "effort": TORQUE[gap], "reference": REF[gap]}
+    pieces, _ = continuous(Recording(**kept))
+    assert len(pieces) == 2
+    np.testing.assert_array_equal(np.concatenate([each.reference for each in pieces]), REF[gap])
+
+
+def test_wrapped_references_follow_positions():
+    angle, ahead = 3.0 * np.outer(SLOW, [1.0, 0.3]), 3.0 * np.outer(SLOW + 0.03, [1.0, 0.3])
+
+    def wrapped(values: np.ndarray) -> np.ndarray:
+        return np.mod(values + np.pi, 2.0 * np.pi) - np.pi
+
+    log = Recording(time=SLOW, position=wrapped(angle), effort=TORQUE, reference=wrapped(ahead))
+    found, _ = unwrapped(log)
+    np.testing.assert_allclose(found.reference, ahead, atol=1e-12)
+    # Whole turns off, and only one of them wrapped.
+    log = Recording(time=SLOW, position=angle, effort=TORQUE, reference=ahead + 4.0 * np.pi)
+    np.testing.assert_allclose(unwrapped(log)[0].reference, ahead, atol=1e-12)
+    # In degrees nothing is known of turns.
+    log = Recording(time=SLOW, position=angle, effort=TORQUE, reference=np.degrees(ahead))
+    assert unwrapped(log)[0] is log
+
+
+def test_simulated_references_are_what_the_controller_followed():
+    robot = sdpid.load_robot("denso_vp6242")
+    from sdpid.experiment.plant.drives import load_drives
+
+    log = sdpid.simulate(robot, seed=1, noise=False)
+    drives = load_drives(robot.name)
+    speed = (log.position[2:] - log.position[:-2]) / (2.0 * log.step)
+    behind = log.reference[1:-1] - log.position[1:-1]
+    torque = drives.velocity_gain * (drives.proportional_gain * behind - speed)
+    off = np.sqrt(np.mean((torque - log.effort[1:-1]) ** 2, axis=0))
+    assert np.all(off < 2e-3 * log.effort.std(axis=0))
