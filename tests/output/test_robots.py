@@ -8,11 +8,11 @@ import re
 import runpy
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -1086,6 +1086,20 @@ class Own(JointwiseTerm):
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         return velocity**3
+
+
+class Written(Own):
+    """One that says how it is written."""
+
+    efforts: ClassVar[Mapping[str, str]] = {"Mine": "{v} * {v} * {v}"}
+
+
+def test_a_term_of_your_own_is_written_by_its_formula(tmp_path: Path) -> None:
+    model, code = model_of(FRICTION_ARM, (Written(), "viscous")), {}
+    write_friction(model, tmp_path / "friction.py")
+    exec((tmp_path / "friction.py").read_text(), code)
+    v = np.random.default_rng(0).standard_normal((5, model.robot.n))
+    np.testing.assert_allclose(code["friction"](v), model.friction(v), rtol=1e-14)
 
 
 class Subclassed(Coulomb):

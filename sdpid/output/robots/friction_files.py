@@ -12,6 +12,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, is_dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.certificate.certificate import Certificate
-from sdpid.errors import ExportError, ModelError
+from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
@@ -31,9 +32,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 SCHEMA, VERSION = "sdpid-friction", 1
 
 
-# Formulas (`FrictionTerm.efforts`) are of a joint's velocity `v`, acceleration `a` and load `load`,
-# of the sign of its velocity `sign`, and of settings; the functions in them stand in the written
-# files. Of settings, links and the names of joints stand in no formula.
+# Of settings, links and the names of joints stand in no formula (`FrictionTerm.efforts`).
 _NOT_IN_FORMULAS = {"bodies", "first", "second"}
 
 # Far out a power may overflow; the Stribeck peak is zero long before.
@@ -85,8 +84,8 @@ def _sums(data: Mapping[str, Any], name: str, place: str) -> _Sums:
     n = len(data["joints"])
     sums: _Sums = {function: [[] for _ in range(n)] for function in _FUNCTIONS}
     for term in data["terms"]:
-        efforts = CLASSES[term["term"]].efforts
-        of_all = {key: term[key] for key in term.keys() - {"term", "joints", "values"}}
+        efforts = term.get("efforts") or CLASSES[term["term"]].efforts
+        of_all = {key: term[key] for key in term.keys() - {"term", "efforts", "joints", "values"}}
         # Where friction acts: its parameters' ending, the joints that feel and make it, its speed.
         places: list[Any] = [(f"{k + 1}", ((k, k),), f"v[{k}]") for k in range(n)]
         if "joints" in term:
@@ -296,8 +295,8 @@ def write_friction(
     Raises
     ------
     ExportError
-        For another suffix, a folder that cannot be written to, or a term of your own, whose code
-        no file can hold.
+        For another suffix, a folder that cannot be written to, or a term of your own without
+        formulas (`FrictionTerm.efforts`).
     """
     path = Path(target)
     writer = WRITERS.get(path.suffix.lower())
@@ -352,14 +351,17 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
         kind = type(term).__name__
         if type(term) is Tilt:
             continue
-        try:
-            settings = term_to_dict(term)
-        except ModelError as cause:
-            raise ExportError(
-                f"friction: {kind} is a term of your own, and no file has its code; leave it out, "
-                "or use estimate.model().friction."
-            ) from cause
         found: dict[str, Any] = {"term": kind}
+        if CLASSES.get(kind) is type(term):
+            settings = term_to_dict(term)
+        elif "efforts" in vars(type(term)):
+            settings = asdict(term) if is_dataclass(term) else {}
+            found["efforts"] = dict(term.efforts)
+        else:
+            raise ExportError(
+                f"friction: {kind} is a term of your own without formulas for written code; give "
+                "its class `efforts`, leave it out, or use estimate.model().friction."
+            )
         count = n
         if isinstance(term, Coupling):
             found["joints"], count = [names.index(term.first), names.index(term.second)], 1

@@ -28,23 +28,10 @@ from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
-from sdpid.robot.friction.terms import (
-    AsymmetricCoulomb,
-    Coulomb,
-    Coupling,
-    Offset,
-    RotorInertia,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-    Viscous,
-)
+from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Kind = type[JointwiseTerm]
-
-# Functions of speed that dry friction and damping stand in for.
-_CURVES = (SigmoidFriction, SquareRootFriction, Stribeck, AsymmetricCoulomb)
 
 # What attributes are called in notes, whatever the format calls them.
 _WORDS: dict[Kind, str] = {Coulomb: "dry friction", Viscous: "damping", RotorInertia: "armature"}
@@ -260,7 +247,7 @@ class Places:
         for term, own in problem.friction.placed:
             names = tuple(p.name for p in problem.friction.parameters[own])
             part = Part(term, names, theta[10 * problem.robot.n_links :][own])
-            if isinstance(term, _CURVES) or (isinstance(term, Coulomb) and not _sharp(term)):
+            if term.curve or (isinstance(term, Coulomb) and not _sharp(term)):
                 self.curves.append(part)
             elif isinstance(term, JointwiseTerm) and type(term) in attributes:
                 self._held.append(part)

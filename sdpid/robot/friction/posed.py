@@ -7,7 +7,7 @@ The columns take the links from given bodies, so that the effort is linear in th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -17,6 +17,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import (
+    EffortCurve,
     FrictionTerm,
     TermParameter,
     check_speeds,
@@ -134,6 +135,10 @@ class Tilt(PosedTerm):
         ]
         return np.stack(columns, axis=2)
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield nothing: gravity is no friction."""
+        yield from ()
+
     @staticmethod
     def change(gravity: Array) -> Array:
         """Return the change of gravity (2, 3) with each angle, m/s² per rad."""
@@ -210,6 +215,16 @@ class LoadFriction(PosedTerm):
         columns = np.zeros((*load.shape, len(joints)))
         columns[:, joints, joints] = load * sign
         return columns
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the shares of the load, and where their signs jump."""
+        n = len(values)
+        widths, none = joint_speeds(self, "width", n).tolist(), (0.0,) * n
+        speeds = joint_speeds(self, "velocity", n).tolist() if self.share else none
+        for j, numbers in enumerate(zip(self.share or none, speeds, widths, strict=True)):
+            yield EffortCurve("load", (j, -1), float(values[j]), numbers)
+            if widths[j] == 0.0 and numbers[0] < 1.0:
+                yield EffortCurve("jump", (j, -1), 0.0, (0.0, 0.0, 0.0))
 
     def sign(self, velocity: Array, acceleration: Array) -> Array:
         """Return what the size of the load is multiplied by, (K, n)."""

@@ -8,10 +8,11 @@ open: `sdpid.estimation.effects.choose` fits them to the data.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +38,14 @@ SLOWEST, FASTEST = 1e-9, 1e9
 # A joint whose top speed is below this (rad/s, or m/s) does not move: limits that follow it would
 # fall below the slowest speed of a curve. Rounding of a filtered constant is far slower.
 _MOVES = SLOWEST / _LEAST_OF_TOP[0]
+
+# A simulation takes a term of one's own as linear between these speeds, rad/s or m/s, in steps of
+# 7 %, which miss a square by less than 0.15 %. Below the first it may jump, above the last it goes
+# on as before.
+_SPEEDS = np.geomspace(1e-4, 1e2, 200)
+
+# Less of a term's largest effort is no jump.
+_JUMP = 1e-4
 
 # Top speed (rad/s) taken for a joint that does not move: any will do.
 _STANDING = 1.0
@@ -71,6 +80,51 @@ class TermParameter:
     nonnegative: bool
     joint: int
     deviation: float | None = None
+
+
+class EffortCurve(NamedTuple):
+    """A part of a term's effort over the velocity, as a simulation takes it.
+
+    Attributes
+    ----------
+    kind : str
+        ``"slope"``: `size` times the other joint's velocity. ``"constant"``: `size`. ``"jump"``: at
+        the velocity `numbers[0]`, from `numbers[1]` to `size`. ``"load"``: `size` times the load
+        and a sign, with share and speed of a sigmoid and the width of the sign. Smooth curves
+        without jumps, where s is the speed: ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead
+        zone, w); ``"root"``: √s; ``"peak"``: ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``:
+        ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w); ``"line"``: a slope between two speeds (1, from, to).
+    joints : tuple of int
+        The joint it acts on, and the other one, -1 for none: smooth curves and jumps of two joints
+        act on both, at their summed velocity.
+    size : float
+        What it is multiplied by.
+    numbers : tuple of float
+        By kind.
+    side : int
+        1 or -1 where it acts at velocities of one sign only, 0 for both.
+    """
+
+    kind: str
+    joints: tuple[int, int]
+    size: float
+    numbers: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    side: int = 0
+
+
+def sign_curves(
+    joints: tuple[int, int], size: float, width: float, dead_zone: float, side: int = 0
+) -> Iterator[EffortCurve]:
+    """Yield the curve and the jumps of a sign, exact or smooth, beyond a dead zone."""
+    at_edge = size * (math.tanh(dead_zone / width) if width > 0.0 else 1.0)
+    if width > 0.0:
+        yield EffortCurve("tanh", joints, size, (1.0, dead_zone, width), side)
+    if width > 0.0 and not dead_zone:
+        return
+    if side >= 0:
+        yield EffortCurve("jump", joints, at_edge, (dead_zone, 0.0, 0.0))
+    if side <= 0:
+        yield EffortCurve("jump", joints, 0.0, (-dead_zone if dead_zone else 0.0, -at_edge, 0.0))
 
 
 @dataclass(frozen=True)
@@ -138,9 +192,14 @@ class FrictionTerm(ABC):
         motion are the filtered columns.
     posed : bool
         Whether the columns depend on the position, so that only `columns_in` can give them.
+    curve : bool
+        Whether dry friction and damping stand in for it in files that have room for these alone.
     efforts : mapping of str to str
         Formulas of the efforts of a joint's parameters of one, by their symbols, for friction
-        written as code (see `sdpid.output.robots.friction_files`).
+        written as code: of its velocity ``{v}``, acceleration ``{a}`` and load ``{load}``, the sign
+        of its velocity ``{sign}``, and settings such as ``{width!r}``, with the functions ``sign``,
+        ``tanh``, ``size``, ``root`` and others that stand in the written files. A class must give
+        them itself.
 
     Examples
     --------
@@ -151,6 +210,7 @@ class FrictionTerm(ABC):
 
     linear: ClassVar[bool] = False
     posed: ClassVar[bool] = False
+    curve: ClassVar[bool] = False
     efforts: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
@@ -190,6 +250,22 @@ class FrictionTerm(ABC):
             self.columns(v, a, joint_names) for v, a in zip(velocity, acceleration, strict=True)
         )
         return low, high
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the effort of parameters of these values, curve by curve.
+
+        A class must give it itself: its base's may be of another effort.
+
+        Raises
+        ------
+        ModelError
+            By default: the jumps and slopes of any columns are not known.
+        """
+        raise ModelError(
+            f"simulation: the friction term {type(self).__name__} is neither one of sdpid's own "
+            "nor a JointwiseTerm, so that its jumps and slopes are not known; give it a method "
+            "simulated(values, joint_names), or identify with terms of sdpid.friction."
+        )
 
     def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
         """Return the columns (K, n, number of parameters) as they stand in filtered efforts.
@@ -289,6 +365,35 @@ class JointwiseTerm(FrictionTerm):
         """Return the columns: diagonal in the joints."""
         return diagonal(self.shape(velocity, acceleration))
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield lines between speeds, and a jump at rest.
+
+        Raises
+        ------
+        ModelError
+            When the effort depends on the acceleration, or the term has columns of its own.
+        """
+        if type(self).columns is not JointwiseTerm.columns:
+            yield from FrictionTerm.simulated(self, values, joint_names)
+        v = np.array([-1.0, 1.0])[:, None, None] * np.tile(_SPEEDS[:, None], (1, len(values)))
+        still, fast = (
+            np.stack([self.shape(x, np.full_like(x, a)) for x in v]) * values for a in (0.0, 1.0)
+        )
+        if not np.array_equal(still, fast):
+            raise ModelError(
+                f"simulation: the effort of {type(self).__name__} depends on the acceleration, "
+                "which is not simulated; identify with terms of sdpid.friction."
+            )
+        slopes, ends = np.diff(still, axis=1) / np.diff(v, axis=1), [*_SPEEDS[:-1], np.inf]
+        for side, k, j in np.argwhere(slopes != 0.0).tolist():
+            numbers = (1.0, float(ends[k]), float(ends[k + 1]))
+            yield EffortCurve("line", (j, -1), float(slopes[side, k, j]), numbers, 2 * side - 1)
+        for j, (low, high) in enumerate(still[:, 0].T.tolist()):
+            if abs(high - low) > _JUMP * np.abs(still[..., j]).max():
+                yield EffortCurve("jump", (j, -1), high, (0.0, low, 0.0))
+            else:
+                yield EffortCurve("constant", (j, -1), 0.5 * (low + high))
+
     def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
         """Return the columns as they stand in filtered efforts: diagonal in the joints."""
         if type(self).columns is not JointwiseTerm.columns:
@@ -326,6 +431,17 @@ class JointwiseTerm(FrictionTerm):
         rows = [joint_speeds(self, field, n) for field in self.speed_fields]
         kept = [row for row in rows if np.any(row > 0.0)]
         return np.reshape(kept, (len(kept), n))
+
+
+def simulated_curves(
+    term: FrictionTerm, values: Array, joint_names: Sequence[str]
+) -> Iterator[EffortCurve]:
+    """Yield the curves of a term: its class's own, else lines of any jointwise one."""
+    if "simulated" in vars(type(term)):
+        return term.simulated(values, joint_names)
+    if isinstance(term, JointwiseTerm):
+        return JointwiseTerm.simulated(term, values, joint_names)
+    return FrictionTerm.simulated(term, values, joint_names)
 
 
 def diagonal(shape: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -14,6 +14,7 @@ from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import (
     SLOWEST,
+    EffortCurve,
     FrictionTerm,
     JointwiseTerm,
     OpenParameter,
@@ -21,9 +22,14 @@ from sdpid.robot.friction.term import (
     check_speeds,
     close_speeds,
     diagonal,
+    joint_speeds,
     open_speeds,
+    sign_curves,
     smooth_sign,
 )
+
+# Far out a power may overflow; the Stribeck peak is zero long before.
+_STEEPEST = 50.0
 
 # A speed of a term: one for all joints, one per joint, or None to fit it to the data.
 Speed = float | tuple[float, ...] | None
@@ -76,6 +82,11 @@ class Coulomb(_SignTerm):
         """Return the sign of the velocity, or its smooth or dead-zone variant."""
         return self._sign(velocity)
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the signs."""
+        for j, width in enumerate(self.speed("width", len(values)).tolist()):
+            yield from sign_curves((j, -1), float(values[j]), width, self.dead_zone)
+
 
 @dataclass(frozen=True)
 class Viscous(JointwiseTerm):
@@ -100,6 +111,10 @@ class Viscous(JointwiseTerm):
         """Return the velocity."""
         return velocity
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the slopes."""
+        yield from (EffortCurve("slope", (j, j), value) for j, value in enumerate(values.tolist()))
+
 
 @dataclass(frozen=True)
 class Offset(JointwiseTerm):
@@ -123,6 +138,12 @@ class Offset(JointwiseTerm):
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return ones."""
         return np.ones_like(velocity)
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the constants."""
+        yield from (
+            EffortCurve("constant", (j, -1), value) for j, value in enumerate(values.tolist())
+        )
 
 
 @dataclass(frozen=True)
@@ -151,6 +172,10 @@ class RotorInertia(JointwiseTerm):
         """Return the acceleration."""
         return acceleration
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield nothing: mass is no friction."""
+        yield from ()
+
 
 @dataclass(frozen=True)
 class SquareRootFriction(JointwiseTerm):
@@ -170,10 +195,15 @@ class SquareRootFriction(JointwiseTerm):
     efforts: ClassVar[Mapping[str, str]] = {"Fq": "root({v})"}
     unit: ClassVar[str] = "N.m.s^0.5/rad^0.5"
     nonnegative: ClassVar[bool] = True
+    curve: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the signed root of the speed."""
         return np.asarray(np.sign(velocity) * np.sqrt(np.abs(velocity)))
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the roots."""
+        yield from (EffortCurve("root", (j, -1), value) for j, value in enumerate(values.tolist()))
 
 
 @dataclass(frozen=True)
@@ -212,6 +242,7 @@ class Stribeck(JointwiseTerm):
     }
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
+    curve: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity", "width")
 
     def __post_init__(self) -> None:
@@ -225,8 +256,19 @@ class Stribeck(JointwiseTerm):
         n = velocity.shape[-1]
         ratio = np.abs(velocity) / self.speed("velocity", n)
         # Far out the power may overflow; the peak is zero long before.
-        peak = np.exp(-(np.minimum(ratio, 1e3) ** min(self.exponent, 50.0)))
+        peak = np.exp(-(np.minimum(ratio, 1e3) ** min(self.exponent, _STEEPEST)))
         return np.asarray(peak * smooth_sign(velocity, self.speed("width", n), 0.0))
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the peaks."""
+        speeds, power = self.speed("velocity", len(values)), min(self.exponent, _STEEPEST)
+        for j, width in enumerate(self.speed("width", len(values)).tolist()):
+            value, numbers = float(values[j]), (float(speeds[j]), power, width or 1.0)
+            if width > 0.0:
+                yield EffortCurve("smooth_peak", (j, -1), value, numbers)
+            else:
+                yield EffortCurve("jump", (j, -1), value, (0.0, -value, 0.0))
+                yield EffortCurve("peak", (j, -1), value, numbers)
 
     def enclosed(
         self,
@@ -276,6 +318,7 @@ class SigmoidFriction(JointwiseTerm):
     efforts: ClassVar[Mapping[str, str]] = {"Fsg": "tanh({v} / {velocity!r})"}
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
+    curve: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
     # Samples this slow are masked by default, but the filter carries what happens there to others.
     # From the slowest of the samples, 0.025 to 0.03 rad/s, signs 0.02 rad/s wide were out of reach:
@@ -289,6 +332,11 @@ class SigmoidFriction(JointwiseTerm):
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sigmoid."""
         return np.tanh(velocity / self.speed("velocity", velocity.shape[-1]))
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the sigmoids."""
+        for j, speed in enumerate(self.speed("velocity", len(values)).tolist()):
+            yield from sign_curves((j, -1), float(values[j]), speed, 0.0)
 
 
 @dataclass(frozen=True)
@@ -335,6 +383,7 @@ class AsymmetricCoulomb(FrictionTerm):
     width: Speed = 0.0
     dead_zone: float = 0.0
     efforts: ClassVar[Mapping[str, str]] = {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}
+    curve: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_speeds(self, ("width", "dead_zone"))
@@ -358,6 +407,13 @@ class AsymmetricCoulomb(FrictionTerm):
         """Return the columns of the two sides as they stand in filtered efforts."""
         sides = [side.columns_in(motion, joint_names) for side in self._sides()]
         return np.concatenate(sides, axis=2)
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the signs of both sides."""
+        n = len(joint_names)
+        for j, width in enumerate(joint_speeds(self, "width", n).tolist()):
+            for value, side in ((values[j], 1), (values[n + j], -1)):
+                yield from sign_curves((j, -1), float(value), width, self.dead_zone, side)
 
     def alike(self, joint_names: Sequence[str]) -> tuple[tuple[int, int], ...]:
         """Return both sides of every joint: a side that never moved is like the other."""
@@ -464,6 +520,14 @@ class Coupling(FrictionTerm):
             columns[:, own, 1] = velocity[:, other]
             columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], width, 0.0)
         return columns
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the slopes and the sign of the motor's speed; its inertia is no friction."""
+        _, viscous, coulomb = values.tolist()
+        i, j = self._joints(joint_names)
+        yield EffortCurve("slope", (i, j), viscous)
+        yield EffortCurve("slope", (j, i), viscous)
+        yield from sign_curves((min(i, j), max(i, j)), coulomb, self.width or 0.0, 0.0)
 
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
