@@ -234,8 +234,8 @@ def test_bad_options_are_model_errors() -> None:
 
 
 def test_a_missing_or_broken_file(tmp_path: Path) -> None:
-    with pytest.raises((ModelError, DataError), match=r"nothing\.toml"):
-        sdpid.RobotModel.from_mdh(tmp_path / "nothing.toml")
+    path = tmp_path / "nothing.toml"
+    refuses((ModelError, DataError), r"nothing\.toml", sdpid.RobotModel.from_mdh, path)
     broken = tmp_path / "broken.toml"
     broken.write_text("joint = [[")
     refuses((ModelError, DataError), "not a TOML file", sdpid.RobotModel.from_mdh, broken)
@@ -459,8 +459,8 @@ def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
 
 
 def test_a_root_is_that_of_the_file() -> None:
-    with pytest.raises(ModelError, match="an MJCF says itself whether its base floats"):
-        sdpid.load_robot(ARM, root="free_flyer")
+    words = "an MJCF says itself whether its base floats"
+    refuses(ModelError, words, sdpid.load_robot, ARM, root="free_flyer")
     assert sdpid.load_robot(FLOATING, root="free_flyer").free_flyer
 
 

@@ -17,7 +17,7 @@ def kinematics_digest(robot: RobotModel) -> str:
     Inertias, limits and shapes do not count. Robots of equal digest have the same regressor.
     """
     digest = hashlib.sha256("\n".join(robot.joint_names).encode("utf-8", "surrogatepass"))
-    for values in (*robot.tree.arrays, robot.expansion, robot.offset):
+    for values in (*robot.tree, robot.expansion, robot.offset):
         # Adding zero makes one of the two zeros.
         array = np.ascontiguousarray(np.asarray(values, dtype="<f8") + 0.0)
         digest.update(f"\n{array.shape}\n".encode())

@@ -14,8 +14,7 @@ import math
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -55,8 +54,7 @@ Entries = tuple[Array, Indices, Indices]
 _PATIENCE = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tree:
+class Tree(NamedTuple):
     """A robot's kinematics as plain arrays, which is what a compiled function takes.
 
     Attributes
@@ -83,8 +81,6 @@ class Tree:
         Axes in the joints' own frames.
     gravity : ndarray, shape (3,)
         Gravity in the base link, m/s².
-    n : int
-        The robot's coordinates.
     """
 
     kind: Indices
@@ -99,13 +95,6 @@ class Tree:
     place: Array
     axis: Array
     gravity: Array
-    n: int
-
-    @functools.cached_property
-    def arrays(self) -> tuple[Any, ...]:
-        """The arrays, in the order in which the compiled function takes them."""
-        names = "kind parent first_q first_v unbounded column factor shared turn place axis gravity"
-        return tuple(getattr(self, name) for name in names.split())
 
 
 def flatten(model: Any, expansion: Array) -> Tree:
@@ -170,7 +159,6 @@ def flatten(model: Any, expansion: Array) -> Tree:
         place=place,
         axis=axis,
         gravity=np.array(model.gravity.linear),
-        n=expansion.shape[1],
     )
 
 
@@ -211,7 +199,7 @@ def regressor(
     ndarray of shape (K, n, 10·links) or that of `out`, or None
     """
     count = 10 * len(tree.kind)
-    shape = (len(q), tree.n, count) if out is None else out.shape
+    shape = (len(q), int(tree.column.max()) + 1, count) if out is None else out.shape
     size = 8 * math.prod(shape)
     fill = compiled() if (size >= SMALL if worth is None else worth) else None
     if fill is None:
@@ -233,7 +221,7 @@ def regressor(
 
     def work(part: slice) -> None:
         parts = (x[part] for x in states)
-        fill(*tree.arrays, route, whole, clear, *places_of, *parts, rows[part])
+        fill(tree, route, whole, clear, *places_of, *parts, rows[part])
 
     if cores == 1:
         work(slice(None))
@@ -270,15 +258,16 @@ def compiled_loop(function: Any, first: Callable[[Any], None]) -> Callable[..., 
         import numba
     except ImportError:  # missing, or it refuses this NumPy
         return None
-    options = {"fastmath": {"contract", "nsz", "reassoc"}}
-    return _compile(numba.njit, function, first, **options)
+    options = {"fastmath": {"contract", "nsz", "reassoc"}, "error_model": "numpy"}
+    for helper in (joint_at, turned_back):
+        numba.extending.register_jitable(forceinline=True, **options)(helper)
+    return _compile(numba.njit, function, first, nogil=True, **options)
 
 
 def _compile(
     njit: Any, function: Any, first: Callable[[Any], None], **options: Any
 ) -> Callable[..., None]:
     """Compile a function and keep the result on the disk where that is possible."""
-    options = {"nogil": True, "error_model": "numpy", **options}
     try:
         # Beside the module or, where that is not writable, in the user's cache folder.
         quick = njit(cache=True, **options)(function)
@@ -296,25 +285,8 @@ def _first_call(fill: Callable[..., None]) -> None:
     timer.daemon = True
     timer.start()
     try:
-        index, flags = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.bool_)
-        row, table = np.zeros(0), np.zeros((0, 0))
-        fill(
-            *(index,) * 4,
-            flags,
-            index,
-            row,
-            flags,
-            np.zeros((0, 3, 3, 3)),
-            np.zeros((0, 2, 3)),
-            np.zeros((0, 3)),
-            np.zeros(3),
-            index,
-            True,
-            True,
-            *(index,) * 2,
-            *(table,) * 4,
-            np.zeros((0, 0, 0)),
-        )
+        index, table = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
+        fill(NOTHING, index, True, True, index, index, *(table,) * 4, np.zeros((0, 0, 0)))
     finally:
         timer.cancel()
 
@@ -326,19 +298,64 @@ def _say() -> None:
         print(f"sdpid: {note}", file=sys.stderr)
 
 
+# A tree of no links, for the first call of a function that is compiled.
+NOTHING = Tree(
+    *(np.zeros(0, dtype=np.intp),) * 4,
+    unbounded=np.zeros(0, dtype=np.bool_),
+    column=np.zeros(0, dtype=np.intp),
+    factor=np.zeros(0),
+    shared=np.zeros(0, dtype=np.bool_),
+    turn=np.zeros((0, 3, 3, 3)),
+    place=np.zeros((0, 2, 3)),
+    axis=np.zeros((0, 3)),
+    gravity=np.zeros(3),
+)
+
+
+def joint_at(tree: Any, i: int, q: Array, k: int, R: Array, r: Array) -> None:
+    """Write the rotation and the origin of a joint's frame in its parent's, at sample k.
+
+    A floating base is in the origin: where it is makes no difference.
+    """
+    turn, place, at = tree.turn, tree.place, tree.first_q[i]
+    if tree.kind[i] == FLOATING:
+        qx, qy, qz, qw = q[k, at + 3], q[k, at + 4], q[k, at + 5], q[k, at + 6]
+        R[0, 0] = 1.0 - 2.0 * (qy * qy + qz * qz)
+        R[1, 1] = 1.0 - 2.0 * (qx * qx + qz * qz)
+        R[2, 2] = 1.0 - 2.0 * (qx * qx + qy * qy)
+        R[0, 1], R[1, 0] = 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qy + qz * qw)
+        R[0, 2], R[2, 0] = 2.0 * (qx * qz + qy * qw), 2.0 * (qx * qz - qy * qw)
+        R[1, 2], R[2, 1] = 2.0 * (qy * qz - qx * qw), 2.0 * (qy * qz + qx * qw)
+        for c in range(3):
+            x, y, z = R[0, c], R[1, c], R[2, c]
+            for e in range(3):
+                R[e, c] = turn[i, 2, e, 0] * x + turn[i, 2, e, 1] * y + turn[i, 2, e, 2] * z
+        r[0] = r[1] = r[2] = 0.0
+        return
+    x, y, d = 0.0, 0.0, 0.0
+    if tree.kind[i] == PRISMATIC:
+        d = q[k, at]
+    elif tree.unbounded[i]:
+        x, y = q[k, at], q[k, at + 1]
+    else:
+        x, y = math.cos(q[k, at]), math.sin(q[k, at])
+    for c in range(3):
+        for e in range(3):
+            R[c, e] = turn[i, 0, c, e] * x + turn[i, 1, c, e] * y + turn[i, 2, c, e]
+        r[c] = place[i, 0, c] + place[i, 1, c] * d
+
+
+def turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a vector of the parent's axes in the joint's own."""
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
 def _fill(
-    kind: Indices,
-    parent: Indices,
-    first_q: Indices,
-    first_v: Indices,
-    unbounded: Any,
-    column: Indices,
-    factor: Array,
-    shared: Any,
-    turn: Array,
-    place: Array,
-    axis: Array,
-    gravity: Array,
+    tree: Any,
     route: Indices,
     whole: bool,
     clear: bool,
@@ -353,16 +370,17 @@ def _fill(
     """Write the regressor's blocks, link by link along each sample's tree.
 
     `out` holds zeros, or is to be cleared. Written for a compiler: scalars, and nothing allocated
-    for a sample; lines of like products, four or more in a row, become one instruction each.
+    for a sample.
     """
+    kind, parent, first_v, axis = tree.kind, tree.parent, tree.first_v, tree.axis
+    column, factor, shared, gravity = tree.column, tree.factor, tree.shared, tree.gravity
     links, nv = len(kind), len(column)
-    R, G = np.zeros((3, 4)), np.empty((3, 3))
-    r = np.empty(3)
+    R, r, row = np.zeros((3, 3)), np.empty(3), np.empty(10)
     spin, turning = np.empty((links, 3)), np.empty((links, 3))
     # Body regressors. The first four columns give the acceleration of a point at r, too.
     M = np.zeros((links, 6, 10))
     # Axes of the coordinates that move a link, in its frame, translation first; how many, which.
-    S = np.zeros((links, nv, 8))
+    S = np.zeros((links, nv, 6))
     moves, count = np.empty((links, nv), dtype=np.intp), np.zeros(links, dtype=np.intp)
     for i in range(links):
         p, n = parent[i], 0
@@ -375,18 +393,18 @@ def _fill(
         if kind[i] == FLOATING:
             for j in range(6):
                 moves[i, n + j] = first_v[i] + j
-                S[i, n + j, j + j // 3] = 1.0
+                S[i, n + j, j] = 1.0
             n += 6
         else:
             moves[i, n] = first_v[i]
-            start = 4 if kind[i] == REVOLUTE else 0
+            start = 3 if kind[i] == REVOLUTE else 0
             for c in range(3):
                 S[i, n, start + c] = axis[i, c]
             n += 1
         count[i] = n
     # Which of a link's parameters have a place: wanted[first[i] : first[i + 1]].
     first, wanted = np.zeros(links + 1, dtype=np.intp), np.zeros(10 * links, dtype=np.intp)
-    row, total = np.empty(10), 0
+    total = 0
     for c in range(10 * links):
         if route[c] >= 0:
             wanted[total] = c
@@ -398,52 +416,26 @@ def _fill(
                 for c in range(out.shape[2]):
                     out[k, t, c] = 0.0
         for i in range(links):
-            p, at, to = parent[i], first_q[i], first_v[i]
-            x, y, d = 0.0, 0.0, 0.0
-            if kind[i] == PRISMATIC:
-                d = q[k, at]
-            elif unbounded[i]:
-                x, y = q[k, at], q[k, at + 1]
-            elif kind[i] == REVOLUTE:
-                x, y = math.cos(q[k, at]), math.sin(q[k, at])
-            for c in range(3):
-                for e in range(3):
-                    R[c, e] = turn[i, 0, c, e] * x + turn[i, 1, c, e] * y + turn[i, 2, c, e]
-                r[c] = place[i, 0, c] + place[i, 1, c] * d
-            if kind[i] == FLOATING:
-                qx, qy, qz, qw = q[k, at + 3], q[k, at + 4], q[k, at + 5], q[k, at + 6]
-                G[0, 0] = 1.0 - 2.0 * (qy * qy + qz * qz)
-                G[1, 1] = 1.0 - 2.0 * (qx * qx + qz * qz)
-                G[2, 2] = 1.0 - 2.0 * (qx * qx + qy * qy)
-                G[0, 1], G[1, 0] = 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qy + qz * qw)
-                G[0, 2], G[2, 0] = 2.0 * (qx * qz + qy * qw), 2.0 * (qx * qz - qy * qw)
-                G[1, 2], G[2, 1] = 2.0 * (qy * qz - qx * qw), 2.0 * (qy * qz + qx * qw)
-                for c in range(3):
-                    for e in range(3):
-                        R[c, e] = (
-                            turn[i, 2, c, 0] * G[0, e]
-                            + turn[i, 2, c, 1] * G[1, e]
-                            + turn[i, 2, c, 2] * G[2, e]
-                        )
+            p, to = parent[i], first_v[i]
+            joint_at(tree, i, q, k, R, r)
             # The parent's motion at this origin, turned into this frame.
+            gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
+            wx = wy = wz = ax = ay = az = 0.0
             if p >= 0:
-                ux, uy, uz = spin[p, 0], spin[p, 1], spin[p, 2]
-                tx, ty, tz = turning[p, 0], turning[p, 1], turning[p, 2]
                 gx = M[p, 0, 0] + M[p, 0, 1] * r[0] + M[p, 0, 2] * r[1] + M[p, 0, 3] * r[2]
                 gy = M[p, 1, 0] + M[p, 1, 1] * r[0] + M[p, 1, 2] * r[1] + M[p, 1, 3] * r[2]
                 gz = M[p, 2, 0] + M[p, 2, 1] * r[0] + M[p, 2, 2] * r[1] + M[p, 2, 3] * r[2]
-                wx = R[0, 0] * ux + R[1, 0] * uy + R[2, 0] * uz
-                wy = R[0, 1] * ux + R[1, 1] * uy + R[2, 1] * uz
-                wz = R[0, 2] * ux + R[1, 2] * uy + R[2, 2] * uz
-                ax = R[0, 0] * tx + R[1, 0] * ty + R[2, 0] * tz
-                ay = R[0, 1] * tx + R[1, 1] * ty + R[2, 1] * tz
-                az = R[0, 2] * tx + R[1, 2] * ty + R[2, 2] * tz
-            else:
-                gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
-                wx = wy = wz = ax = ay = az = 0.0
-            bx = R[0, 0] * gx + R[1, 0] * gy + R[2, 0] * gz
-            by = R[0, 1] * gx + R[1, 1] * gy + R[2, 1] * gz
-            bz = R[0, 2] * gx + R[1, 2] * gy + R[2, 2] * gz
+                wx, wy, wz = turned_back(R, spin[p, 0], spin[p, 1], spin[p, 2])
+                ax, ay, az = turned_back(R, turning[p, 0], turning[p, 1], turning[p, 2])
+                # The axes that move the parent, seen from here.
+                for j in range(count[p]):
+                    ux, uy, uz = S[p, j, 3], S[p, j, 4], S[p, j, 5]
+                    lx = S[p, j, 0] + uy * r[2] - uz * r[1]
+                    ly = S[p, j, 1] + uz * r[0] - ux * r[2]
+                    lz = S[p, j, 2] + ux * r[1] - uy * r[0]
+                    S[i, j, 0], S[i, j, 1], S[i, j, 2] = turned_back(R, lx, ly, lz)
+                    S[i, j, 3], S[i, j, 4], S[i, j, 5] = turned_back(R, ux, uy, uz)
+            bx, by, bz = turned_back(R, gx, gy, gz)
             # The joint's own.
             sx, sy, sz = axis[i, 0], axis[i, 1], axis[i, 2]
             dq, ddq = v[k, to], a[k, to]
@@ -451,9 +443,7 @@ def _fill(
                 ax += sx * ddq + (wy * sz - wz * sy) * dq
                 ay += sy * ddq + (wz * sx - wx * sz) * dq
                 az += sz * ddq + (wx * sy - wy * sx) * dq
-                wx += sx * dq
-                wy += sy * dq
-                wz += sz * dq
+                wx, wy, wz = wx + sx * dq, wy + sy * dq, wz + sz * dq
             elif kind[i] == PRISMATIC:
                 bx += sx * ddq + 2.0 * (wy * sz - wz * sy) * dq
                 by += sy * ddq + 2.0 * (wz * sx - wx * sz) * dq
@@ -481,89 +471,24 @@ def _fill(
             M[i, 4, 7], M[i, 4, 8], M[i, 4, 9] = zz - xx, az - xy, -xz
             M[i, 5, 4], M[i, 5, 5], M[i, 5, 6] = -xy, xx - yy, xy
             M[i, 5, 7], M[i, 5, 8], M[i, 5, 9] = ax - yz, ay + xz, az
-            # The axes that move the parent, seen from here.
-            if p >= 0:
-                for j in range(count[p]):
-                    lx, ly, lz = S[p, j, 0], S[p, j, 1], S[p, j, 2]
-                    ux, uy, uz = S[p, j, 4], S[p, j, 5], S[p, j, 6]
-                    lx += uy * r[2] - uz * r[1]
-                    ly += uz * r[0] - ux * r[2]
-                    lz += ux * r[1] - uy * r[0]
-                    s0 = R[0, 0] * lx + R[1, 0] * ly + R[2, 0] * lz
-                    s1 = R[0, 1] * lx + R[1, 1] * ly + R[2, 1] * lz
-                    s2 = R[0, 2] * lx + R[1, 2] * ly + R[2, 2] * lz
-                    s3 = R[0, 3] * lx + R[1, 3] * ly + R[2, 3] * lz
-                    S[i, j, 0], S[i, j, 1], S[i, j, 2], S[i, j, 3] = s0, s1, s2, s3
-                    s0 = R[0, 0] * ux + R[1, 0] * uy + R[2, 0] * uz
-                    s1 = R[0, 1] * ux + R[1, 1] * uy + R[2, 1] * uz
-                    s2 = R[0, 2] * ux + R[1, 2] * uy + R[2, 2] * uz
-                    s3 = R[0, 3] * ux + R[1, 3] * uy + R[2, 3] * uz
-                    S[i, j, 4], S[i, j, 5], S[i, j, 6], S[i, j, 7] = s0, s1, s2, s3
             for j in range(count[i]):
                 lx, ly, lz = S[i, j, 0], S[i, j, 1], S[i, j, 2]
-                ux, uy, uz = S[i, j, 4], S[i, j, 5], S[i, j, 6]
-                r0 = (
-                    lx * M[i, 0, 0]
-                    + ly * M[i, 1, 0]
-                    + lz * M[i, 2, 0]
-                    + ux * M[i, 3, 0]
-                    + uy * M[i, 4, 0]
-                    + uz * M[i, 5, 0]
-                )
-                r1 = (
-                    lx * M[i, 0, 1]
-                    + ly * M[i, 1, 1]
-                    + lz * M[i, 2, 1]
-                    + ux * M[i, 3, 1]
-                    + uy * M[i, 4, 1]
-                    + uz * M[i, 5, 1]
-                )
-                r2 = (
-                    lx * M[i, 0, 2]
-                    + ly * M[i, 1, 2]
-                    + lz * M[i, 2, 2]
-                    + ux * M[i, 3, 2]
-                    + uy * M[i, 4, 2]
-                    + uz * M[i, 5, 2]
-                )
-                r3 = (
-                    lx * M[i, 0, 3]
-                    + ly * M[i, 1, 3]
-                    + lz * M[i, 2, 3]
-                    + ux * M[i, 3, 3]
-                    + uy * M[i, 4, 3]
-                    + uz * M[i, 5, 3]
-                )
-                r4 = ux * M[i, 3, 4] + uy * M[i, 4, 4] + uz * M[i, 5, 4]
-                r5 = ux * M[i, 3, 5] + uy * M[i, 4, 5] + uz * M[i, 5, 5]
-                r6 = ux * M[i, 3, 6] + uy * M[i, 4, 6] + uz * M[i, 5, 6]
-                r7 = ux * M[i, 3, 7] + uy * M[i, 4, 7] + uz * M[i, 5, 7]
-                r8 = ux * M[i, 3, 8] + uy * M[i, 4, 8] + uz * M[i, 5, 8]
-                r9 = ux * M[i, 3, 9] + uy * M[i, 4, 9] + uz * M[i, 5, 9]
+                ux, uy, uz = S[i, j, 3], S[i, j, 4], S[i, j, 5]
                 m, to = moves[i, j], 10 * i
                 h, f = column[m], factor[m]
                 if whole and not shared[m]:
-                    out[k, h, to + 0] = r0
-                    out[k, h, to + 1] = r1
-                    out[k, h, to + 2] = r2
-                    out[k, h, to + 3] = r3
-                    out[k, h, to + 4] = r4
-                    out[k, h, to + 5] = r5
-                    out[k, h, to + 6] = r6
-                    out[k, h, to + 7] = r7
-                    out[k, h, to + 8] = r8
-                    out[k, h, to + 9] = r9
+                    # Straight into the block: a row in between takes an eighth of the time.
+                    for c in range(4):
+                        force = lx * M[i, 0, c] + ly * M[i, 1, c] + lz * M[i, 2, c]
+                        moment = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
+                        out[k, h, to + c] = force + moment
+                    for c in range(4, 10):
+                        out[k, h, to + c] = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
                     continue
-                row[0] = r0
-                row[1] = r1
-                row[2] = r2
-                row[3] = r3
-                row[4] = r4
-                row[5] = r5
-                row[6] = r6
-                row[7] = r7
-                row[8] = r8
-                row[9] = r9
+                for c in range(10):
+                    row[c] = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
+                for c in range(4):
+                    row[c] += lx * M[i, 0, c] + ly * M[i, 1, c] + lz * M[i, 2, c]
                 if shared[m]:
                     for t in range(first[i], first[i + 1]):
                         out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]

@@ -47,10 +47,8 @@ def states(robot: RobotModel, rng: np.random.Generator, count: int) -> tuple[Arr
 
 
 def check(robot: RobotModel, seed: int, count: int = 3) -> None:
-    tree = robot.tree
-    assert tree is not None
     q, v, a = states(robot, np.random.default_rng(seed), count)
-    found, expected = kernels.regressor(tree, q, v, a), robot._pinocchio_regressor(q, v, a)
+    found, expected = kernels.regressor(robot.tree, q, v, a), robot._pinocchio_regressor(q, v, a)
     assert found is not None
     scale = max(1.0, float(np.abs(expected).max()))
     np.testing.assert_allclose(found, expected, rtol=0, atol=DYNAMICS * scale)
@@ -102,9 +100,7 @@ def test_small_new_and_used_memory_are_filled_the_same(
 ) -> None:
     """As zeros from the system, and cleared sample by sample, in several threads."""
     robot = load_robot(text)
-    arrays = states(robot, np.random.default_rng(3), 50)
-    tree = robot.tree
-    assert tree is not None
+    arrays, tree = states(robot, np.random.default_rng(3), 50), robot.tree
     cleared = kernels.regressor(tree, *arrays)
     monkeypatch.setattr(kernels, "_LARGE", 0)
     monkeypatch.setattr(kernels, "threads", lambda: threads)
@@ -142,8 +138,8 @@ def test_memory_of_the_wrong_shape_is_refused(denso: RobotModel) -> None:
         refuses(DataError, "out: shape", denso.regressor, q, q, q, out=wrong)
     out = np.zeros((4, 6, 60))
     assert denso.regressor(q, q, q, out=out) is out
-    with pytest.raises(DataError, match="places: 60 entries up to 60"):
-        denso.regressor_columns(q, q, q, places=np.arange(1, 61), out=out)
+    places, words = np.arange(1, 61), "places: 60 entries up to 60"
+    refuses(DataError, words, denso.regressor_columns, q, q, q, places=places, out=out)
 
 
 def test_samples_do_not_depend_on_their_neighbors(denso: RobotModel) -> None:

@@ -15,10 +15,11 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.robot.model.regressor_kernel import (
     FLOATING,
+    NOTHING,
     PRISMATIC,
-    REVOLUTE,
     Tree,
     compiled_loop,
+    joint_at,
 )
 
 # Bytes from which on Numba is loaded for them: searches ask again and again, and in all take eight
@@ -44,13 +45,13 @@ def jacobians(
     worth : bool or None
         Whether to use the compiled loop; by default the size decides.
     """
-    shape = (len(q), len(links), 6, tree.n)
+    shape = (len(q), len(links), 6, int(tree.column.max()) + 1)
     many = 8 * math.prod(shape) >= _SMALL if worth is None else worth
     fill = _jacobian_loop() if many else None
     if fill is None:
         return None
     out = np.zeros(shape)
-    fill(*tree.arrays[:-1], links, places, offsets, np.ascontiguousarray(q, dtype=float), out)
+    fill(tree, links, places, offsets, np.ascontiguousarray(q, dtype=float), out)
     return out
 
 
@@ -59,77 +60,30 @@ def _jacobian_loop() -> Callable[..., None] | None:
     """Return the compiled loop over Jacobians."""
 
     def first(fill: Callable[..., None]) -> None:
-        index, flags = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.bool_)
-        fill(
-            *(index,) * 4, flags, index, np.zeros(0), flags, np.zeros((0, 3, 3, 3)),
-            np.zeros((0, 2, 3)), np.zeros((0, 3)), index, *(np.zeros((0, 3)),) * 2,
-            np.zeros((0, 0)), np.zeros((0, 0, 6, 0)),
-        )  # fmt: skip
+        points = np.zeros((0, 3))
+        index = np.zeros(0, dtype=np.intp)
+        fill(NOTHING, index, points, points, np.zeros((0, 0)), np.zeros((0, 0, 6, 0)))
 
     return compiled_loop(_fill, first)
 
 
-def _fill(
-    kind: Indices,
-    parent: Indices,
-    first_q: Indices,
-    first_v: Indices,
-    unbounded: Any,
-    column: Indices,
-    factor: Array,
-    shared: Any,
-    turn: Array,
-    place: Array,
-    axis: Array,
-    links: Indices,
-    places: Array,
-    offsets: Array,
-    q: Array,
-    out: Array,
-) -> None:
+def _fill(tree: Any, links: Indices, places: Array, offsets: Array, q: Array, out: Array) -> None:
     """Write the Jacobians; `out` holds zeros. Written for a compiler."""
-    count = len(kind)
+    kind, parent, first_v, axis = tree.kind, tree.parent, tree.first_v, tree.axis
+    column, factor, count = tree.column, tree.factor, len(tree.kind)
     R, o = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    S, G, z = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    S, z = np.zeros((3, 3)), np.zeros(3)
     for k in range(len(q)):
         for i in range(count):
-            p, at = parent[i], first_q[i]
-            x, y, d = 0.0, 0.0, 0.0
-            if kind[i] == PRISMATIC:
-                d = q[k, at]
-            elif unbounded[i]:
-                x, y = q[k, at], q[k, at + 1]
-            elif kind[i] == REVOLUTE:
-                x, y = math.cos(q[k, at]), math.sin(q[k, at])
+            p = parent[i]
+            if p < 0:
+                joint_at(tree, i, q, k, R[i], o[i])
+                continue
+            joint_at(tree, i, q, k, S, z)
             for a in range(3):
                 for b in range(3):
-                    S[a, b] = turn[i, 0, a, b] * x + turn[i, 1, a, b] * y + turn[i, 2, a, b]
-                z[a] = place[i, 0, a] + place[i, 1, a] * d
-            if kind[i] == FLOATING:
-                qx, qy, qz, qw = q[k, at + 3], q[k, at + 4], q[k, at + 5], q[k, at + 6]
-                G[0, 0] = 1.0 - 2.0 * (qy * qy + qz * qz)
-                G[1, 1] = 1.0 - 2.0 * (qx * qx + qz * qz)
-                G[2, 2] = 1.0 - 2.0 * (qx * qx + qy * qy)
-                G[0, 1], G[1, 0] = 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qy + qz * qw)
-                G[0, 2], G[2, 0] = 2.0 * (qx * qz + qy * qw), 2.0 * (qx * qz - qy * qw)
-                G[1, 2], G[2, 1] = 2.0 * (qy * qz - qx * qw), 2.0 * (qy * qz + qx * qw)
-                for a in range(3):
-                    for b in range(3):
-                        R[i, a, b] = S[a, 0] * G[0, b] + S[a, 1] * G[1, b] + S[a, 2] * G[2, b]
-                    # Where the base is makes no difference.
-                    o[i, a] = 0.0
-            elif p < 0:
-                for a in range(3):
-                    for b in range(3):
-                        R[i, a, b] = S[a, b]
-                    o[i, a] = z[a]
-            else:
-                for a in range(3):
-                    for b in range(3):
-                        R[i, a, b] = (
-                            R[p, a, 0] * S[0, b] + R[p, a, 1] * S[1, b] + R[p, a, 2] * S[2, b]
-                        )
-                    o[i, a] = o[p, a] + R[p, a, 0] * z[0] + R[p, a, 1] * z[1] + R[p, a, 2] * z[2]
+                    R[i, a, b] = R[p, a, 0] * S[0, b] + R[p, a, 1] * S[1, b] + R[p, a, 2] * S[2, b]
+                o[i, a] = o[p, a] + R[p, a, 0] * z[0] + R[p, a, 1] * z[1] + R[p, a, 2] * z[2]
         for f in range(len(links)):
             i = links[f]
             if i < 0:
