@@ -1108,14 +1108,14 @@ class Subclassed(Coulomb):
 
 @pytest.mark.parametrize("term", [Own(), Subclassed()])
 def test_terms_of_your_own_are_refused_by_name(term: FrictionTerm, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=f"{type(term).__name__} is a term of your own"):
-        write_friction(model_of(FRICTION_ARM, (term,)), tmp_path / "friction.py")
+    model, words = model_of(FRICTION_ARM, (term,)), f"{type(term).__name__} is a term of your own"
+    refuses(ExportError, words, write_friction, model, tmp_path / "friction.py")
     assert not list(tmp_path.iterdir())
 
 
 def test_other_languages_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"written as \.py or \.hpp"):
-        write_friction(CASES[0], tmp_path / "friction.rs")
+    words = r"written as \.py or \.hpp"
+    refuses(ExportError, words, write_friction, CASES[0], tmp_path / "friction.rs")
 
 
 # Repaired descriptions: nearest, nothing else changed, and every loader takes them.

@@ -78,8 +78,7 @@ GRAVITIES = ((0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (3.0, -5.0, 
 
 
 def bodies_of(robot: sdpid.RobotModel, seed: int) -> tuple[tuple[float, ...], ...]:
-    links = random_links(np.random.default_rng(seed), robot.n_links)
-    return tuple(tuple(float(x) for x in body) for body in links)
+    return tuple(map(tuple, random_links(np.random.default_rng(seed), robot.n_links).tolist()))
 
 
 def motion_of(robot: sdpid.RobotModel, seed: int, count: int = 20) -> Motion:
@@ -159,12 +158,8 @@ def test_what_cannot_be_evaluated_is_refused(term: PosedTerm) -> None:
         term.columns(motion.velocity, motion.acceleration, ARM.joint_names)
     refuses(ModelError, "needs", type(term)(((1.0,) * 10,)).columns_in, motion, ARM.joint_names)
     floating = sdpid.load_robot(TREE, root="free_flyer")
-    state = Motion(
-        position=np.zeros((1, floating.pin_model.nq)),
-        velocity=np.zeros((1, floating.n - 6)),
-        acceleration=np.zeros((1, floating.n - 6)),
-        robot=floating,
-    )
+    still, position = np.zeros((1, floating.n - 6)), np.zeros((1, floating.pin_model.nq))
+    state = Motion(position=position, velocity=still, acceleration=still, robot=floating)
     refuses(ModelError, "floats", term.columns_in, state, floating.joint_names[6:])
 
 
@@ -176,8 +171,7 @@ def test_base_parameters_hold_them() -> None:
     base = structural_base(ARM, friction)
     assert {"Gx", "Gy", "Fl1", "Fl4"} <= set(base.names)
     units = dict(zip(base.names, base.units, strict=True))
-    assert units["Gx"] == "rad"
-    assert units["Fl1"] == "1"
+    assert (units["Gx"], units["Fl1"]) == ("rad", "1")
     # At an instant without a position they have no columns.
     plain = friction.columns(np.ones((1, 4)), np.zeros((1, 4)))
     assert not plain[:, :, 8:].any()
