@@ -12,10 +12,10 @@ from sdpid.errors import DataError
 from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
-from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.preparation.prepare import Logs, ProcessingOf, prepare
+from sdpid.workflow.formulate import Formulation
 
 # Units of parameters that belong to the rigid part beside the links: rotors and gravity's
 # direction. Everything else of a joint changes with temperature, wear and zero errors.
@@ -96,16 +96,14 @@ def adapt(
     rigid[:links] = True
     kept = {old.base.theta_names[i]: float(estimate.theta[i]) for i in np.flatnonzero(rigid)}
     constraints = old.constraints.replace(others=(*old.constraints.others, Fixed(kept)))
-    samples = prepared.samples
-    problem = build_problem(
-        old.robot,
-        samples,
+    formulation = Formulation(
         friction=old.friction.terms,
-        weighting="residual" if samples.covariance is None else "gls",
         consistency=old.consistency,
         constraints=constraints,
         prior=Prior(bodies=estimate.theta[:links].reshape(-1, 10)),
+        effects="none",
     )
+    problem = formulation.problem(old.robot, prepared)
     found = solve_sdp(problem)
     assert found.theta is not None
     # Equations hold up to rounding; what was not fitted again is the same number.
