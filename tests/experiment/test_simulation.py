@@ -22,9 +22,8 @@ from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller as ControllerControllers
 from sdpid.experiment.simulation.kernels import loops
 from sdpid.experiment.simulation.kernels.layout import memory_for
-from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
+from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
-from sdpid.experiment.simulation.tip import tip_positions
 from sdpid.friction import Coulomb
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
@@ -415,7 +414,7 @@ def test_an_unstable_loop_ends_where_it_diverges() -> None:
     assert motion.diverged is not None
     assert len(motion.time) < 500
     assert np.isfinite(motion.position).all()
-    assert "diverged at" in repr(motion)
+    assert "diverged=0." in repr(motion)
 
 
 def test_what_does_not_fit_is_told_before_the_simulation() -> None:
@@ -588,7 +587,6 @@ def test_noise_that_the_controller_saw_does_no_harm(arm_model: RobotDynamics):
 
 def test_much_noise_is_told_and_refused(arm_model: RobotDynamics):
     fitted = fit_controller(logged(arm_model, LAWS["pd"], noise=0.1), "pd")
-    assert fitted.bias.max() > 0.02
     assert not fitted.usable
     refuses(DataError, r"not known well enough: .*(deviation of|explains)", fitted.require)
 
@@ -747,16 +745,16 @@ def test_they_are_the_differences_of_simulated_motions(terms: Any, law: Any, lim
     model = model_of(robot, terms, np.full(count, 0.4))
     base, theta = structural_base(robot, model.terms), model.theta
     moved = simulated(model, law)
-    stiffness, damping = law.slopes(TOLD[:1], TOLD[:1], TOLD[:1], TOLD[:1], None, 0.0 * TOLD[:1])
-    ki = law.gains.integral
+    slopes = law.slopes(TOLD[:1], TOLD[:1], TOLD[:1], TOLD[:1], None, 0.0 * TOLD[:1])
+    stiffness, damping = (np.broadcast_to(each, (len(TOLD), 2, 2)) for each in slopes)
     loop = ControlledMotion(
         time=moved.time,
         position=moved.position,
         velocity=moved.velocity,
         effort=moved.effort,
-        stiffness=stiffness[0],
-        damping=damping[0],
-        integral=ki if ki.any() else None,
+        stiffness=stiffness,
+        damping=damping,
+        integral=law.gains.integral,
     )
     found = sensitivities(model, base, loop)
     for k, place in enumerate(base.kept):

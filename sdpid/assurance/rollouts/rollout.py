@@ -47,8 +47,7 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
-from sdpid.experiment.simulation.open_loop import Track, simulate_stretches
-from sdpid.experiment.simulation.tip import tip_positions
+from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 

@@ -302,7 +302,7 @@ class ClosedLoop:
                 effort=self.controller.effort(*given),
                 stiffness=stiffness,
                 damping=damping,
-                integral=self.integral_gain,
+                integral=np.zeros(log.n) if self.integral_gain is None else self.integral_gain,
             )
             at = np.arange(0, count, path[1]) if stride == 1 else None
             values = sensitivities(model, base, loop, at=at)

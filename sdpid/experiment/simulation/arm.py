@@ -132,43 +132,6 @@ class SimulatedArm:
         entries().many_accelerations(self.arrays, memory, q, v, effort, none, out)
         return out
 
-    def step(
-        self,
-        q: ArrayLike,
-        v: ArrayLike,
-        effort: ArrayLike,
-        dt: float,
-        *,
-        free: ArrayLike | None = None,
-        acceleration: Array | None = None,
-    ) -> tuple[Array, Array]:
-        """Return positions and velocities (S, n) of S states after a step.
-
-        Parameters
-        ----------
-        q, v, effort : array_like, shape (S, n)
-            States, and the mean efforts over the step.
-        dt : float
-            Length of the step, s.
-        free : array_like of bool, shape (n,) or (S, n), optional
-            Joints that move by the equations of motion, by default all.
-        acceleration : ndarray, shape (S, n), optional
-            What the other joints are accelerated by.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (S, n)
-            NaN where the state has diverged: speeds beyond 1000 rad/s (m/s).
-        """
-        q, v, effort = self._states(q, v, effort)
-        a = np.zeros_like(q) if acceleration is None else np.asarray(acceleration, np.float64)
-        # Each follows its own acceleration over one step.
-        record = np.stack([[q, q + dt * (v + 0.5 * dt * a)], [v, v + dt * a]]).swapaxes(1, 2)
-        position, velocity, _ = self.run(
-            q, v, effort[:, None], dt, free=free, record=(record[0], record[1])
-        )
-        return position[:, 1], velocity[:, 1]
-
     def run(
         self,
         q: ArrayLike,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
@@ -61,7 +62,7 @@ class DesiredMotion:
         if isinstance(reference, DesiredMotion):
             found = reference
         elif isinstance(reference, Trajectory):
-            rate = _rate(rate_hz or reference.rate_hz)
+            rate = _positive(rate_hz or reference.rate_hz, "rate_hz", "rate in Hz")
             q, v, a = reference.sample()
             own = np.arange(len(q)) / reference.rate_hz
             curve = SampledCurve(time=own, position=q, velocity=v, acceleration=a)
@@ -77,30 +78,26 @@ class DesiredMotion:
             own = np.asarray(reference.time) - reference.time[0]
             found = cls(time=own, curve=SampledCurve(time=own, position=np.asarray(position)))
         else:
-            found = cls._of_arrays(reference, rate_hz)
+            parts = reference if isinstance(reference, tuple) else (reference,)
+            if rate_hz is None:
+                raise DataError(
+                    "rate_hz: missing; an array of positions needs the rate of its rows."
+                )
+            if len(parts) not in (1, 3):
+                raise DataError(
+                    f"reference: {len(parts)} arrays; give positions, or positions, velocities and "
+                    "accelerations."
+                )
+            states = [real_array(x, "reference", ndim=2) for x in parts]
+            own = np.arange(len(states[0])) / _positive(rate_hz, "rate_hz", "rate in Hz")
+            names = ("position", "velocity", "acceleration")
+            curve = SampledCurve(time=own, **dict(zip(names, states, strict=False)))
+            found = cls(time=own, curve=curve)
         if found.curve.n != n:
             raise DataError(
                 f"reference: {found.curve.n} joints, the robot has {n}; give one column a joint."
             )
         return found
-
-    @classmethod
-    def _of_arrays(cls, reference: Any, rate_hz: float | None) -> DesiredMotion:
-        if rate_hz is None:
-            raise DataError("rate_hz: missing; an array of positions needs the rate of its rows.")
-        parts = reference if isinstance(reference, tuple) else (reference,)
-        if len(parts) not in (1, 3):
-            raise DataError(
-                f"reference: {len(parts)} arrays; give positions, or positions, velocities and "
-                "accelerations."
-            )
-        names = ("position", "velocity", "acceleration")
-        arrays = {
-            name: real_array(values, f"reference {name}", ndim=2)
-            for name, values in zip(names, parts, strict=False)
-        }
-        time = np.arange(len(arrays["position"])) / _rate(rate_hz)
-        return cls(time=time, curve=SampledCurve(time=time, **arrays))
 
     def at(self, time: Array) -> Array:
         """Return positions, velocities and accelerations (T, 3, n); held at the end."""
@@ -119,7 +116,7 @@ class DesiredMotion:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Motion:
+class Motion(Shown):
     """A simulated motion at K sample times.
 
     Attributes
@@ -141,7 +138,7 @@ class Motion:
     >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
     >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
     >>> moved
-    Motion(3800 samples, 6 joints, 37.99 s)
+    Motion(samples=3800, joints=6, duration=37.99, diverged=None)
     >>> moved.diverged is None
     True
     """
@@ -154,36 +151,36 @@ class Motion:
     measured: Array
     diverged: float | None = None
 
+    _facts = ("_samples", "_joints", "_duration, s", "diverged, s")
+
     def __post_init__(self) -> None:
         for name in ("time", "position", "velocity", "acceleration", "effort", "measured"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
-    def __repr__(self) -> str:
-        K, n = self.position.shape
-        span = f"{self.time[-1] - self.time[0]:.4g} s" if K else "no time"
-        end = "" if self.diverged is None else f", diverged at {self.diverged:.4g} s"
-        return f"Motion({K} samples, {n} joints, {span}{end})"
+    @property
+    def _samples(self) -> int:
+        return len(self.time)
 
-    def _repr_html_(self) -> str:
-        joints = range(self.position.shape[1])
-        some = self.position if len(self.position) else np.zeros((1, len(joints)))
-        speeds = np.abs(self.velocity).max(axis=0, initial=0.0)
-        efforts = np.abs(self.effort).max(axis=0, initial=0.0)
-        table = Table.of_columns(
+    @property
+    def _joints(self) -> int:
+        return int(self.position.shape[1])
+
+    @property
+    def _duration(self) -> float:
+        return float(np.ptp(self.time)) if len(self.time) else 0.0
+
+    def _tables(self) -> Iterator[Table]:
+        """Yield the range of every joint's motion."""
+        rows = self.position if len(self.time) else np.zeros((1, self._joints))
+        yield Table.of_columns(
             {
-                "joint": [j + 1 for j in joints],
-                "least position": some.min(axis=0).tolist(),
-                "greatest position": some.max(axis=0).tolist(),
-                "top speed": speeds.tolist(),
-                "top effort": efforts.tolist(),
+                "joint": [j + 1 for j in range(self._joints)],
+                "least position": rows.min(axis=0).tolist(),
+                "greatest position": rows.max(axis=0).tolist(),
+                "top speed": np.abs(self.velocity).max(axis=0, initial=0.0).tolist(),
+                "top effort": np.abs(self.effort).max(axis=0, initial=0.0).tolist(),
             }
         )
-        facts: dict[str, object] = {
-            "samples": len(self.time),
-            "seconds": float(self.time[-1] - self.time[0]) if len(self.time) else 0.0,
-            "diverged at, s": self.diverged,
-        }
-        return facts_html("Motion", facts, table)
 
 
 def simulate_closed_loop(
@@ -351,7 +348,8 @@ def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Ar
                 measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
             )
             error = told[:, 0] - measured
-        q1, v1 = arm.step(q, v, effort, run.dt)
+        moved = arm.run(q, v, effort[:, None], run.dt)
+        q1, v1 = moved[0][:, 1], moved[1][:, 1]
         if not np.isfinite(v1).all():
             return sample
         while sample < len(run.times) and run.times[sample] < (step + 1 - 1e-6) * run.dt:
@@ -369,13 +367,9 @@ def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Ar
 
 def _steps(times: Array, control_hz: Any, step: Any) -> tuple[float, int, int]:
     """Return the length of a step, the steps of a held effort (0: continuous), and how many."""
-    longest = LONGEST_STEP if step is None else float(step)
-    if not (np.isfinite(longest) and longest > 0.0):
-        raise DataError(f"step is {step!r:.80}; give a positive length in s.")
+    longest = _positive(LONGEST_STEP if step is None else step, "step", "length in s")
     if control_hz is not None:
-        rate = float(control_hz)
-        if not (np.isfinite(rate) and rate > 0.0):
-            raise DataError(f"control_hz is {control_hz!r:.80}; give a positive rate in Hz.")
+        rate = _positive(control_hz, "control_hz", "rate in Hz")
         every = max(1, int(np.ceil(1.0 / (rate * longest) - 1e-9)))
         dt = 1.0 / (rate * every)
     else:
@@ -407,11 +401,11 @@ def _noise(
     return np.asarray(rng.standard_normal((-(-steps // every), n)) * sizes)
 
 
-def _rate(rate_hz: Any) -> float:
+def _positive(value: Any, name: str, what: str) -> float:
     try:
-        rate = float(rate_hz)
+        number = float(value)
     except (TypeError, ValueError):
-        rate = float("nan")
-    if not (np.isfinite(rate) and rate > 0.0):
-        raise DataError(f"rate_hz is {rate_hz!r:.80}; give a positive rate in Hz.")
-    return rate
+        number = float("nan")
+    if not (np.isfinite(number) and number > 0.0):
+        raise DataError(f"{name} is {value!r:.80}; give a positive {what}.")
+    return number

@@ -441,18 +441,23 @@ class ComputedTorque(JointLaw):
         return np.asarray(np.einsum("kij,kj->ki", M, a) + h + friction)
 
     def _slopes(self, q: Array, *states: Array) -> tuple[Array, Array]:
-        import pinocchio as pin
-
         v, _, _, ad, _ = states
         M, _ = self.arm.mass_and_bias(q, v)
         a = ad + super()._unlimited(q, *states)
-        robot = self.model.robot
-        links, E = self.model.to_pinocchio(), robot.expansion
-        links.armature[:] = 0.0
-        data = links.createData()
-        by_position, by_velocity = -M * self.kp, -M * self.kd
-        for k, state in enumerate(zip(robot.configuration(q), v @ E.T, a @ E.T, strict=True)):
-            pin.computeRNEADerivatives(links, data, *state)
-            by_position[k] += E.T @ data.dtau_dq @ E
-            by_velocity[k] += E.T @ data.dtau_dv @ E
-        return by_position, by_velocity
+        by_position, by_velocity = inverse_dynamics_slopes(self.model, q, v, a)
+        return by_position - M * self.kp, by_velocity - M * self.kd
+
+
+def inverse_dynamics_slopes(
+    model: RobotDynamics, q: Array, v: Array, a: Array
+) -> tuple[Array, Array]:
+    """Return the derivatives (K, n, n) of the links' efforts by position and velocity."""
+    import pinocchio as pin
+
+    robot, links = model.robot, model.to_pinocchio()
+    data, E = links.createData(), robot.expansion
+    slopes = np.empty((2, len(q), robot.n, robot.n))
+    for k, state in enumerate(zip(robot.configuration(q), v @ E.T, a @ E.T, strict=True)):
+        pin.computeRNEADerivatives(links, data, *state)
+        slopes[:, k] = E.T @ np.stack([data.dtau_dq, data.dtau_dv]) @ E
+    return slopes[0], slopes[1]

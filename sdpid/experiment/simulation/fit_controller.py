@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass, stencil
-from sdpid.experiment.processing.motion import motion_frequency, white_noise
+from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, channels
@@ -20,9 +20,8 @@ from sdpid.experiment.recording.uniform_grid import make_grid
 from sdpid.experiment.simulation.controllers import PD, PID, Controller, P
 
 KINDS: dict[str, type[P] | type[PD] | type[PID]] = {"p": P, "pd": PD, "pid": PID}
-# Above this standard deviation of a gain, output error is no better than without the controller,
-# nor where noise may take more than this part of a gain.
-_LARGEST_DEVIATION, _LARGEST_BIAS = 0.1, 0.02
+# Above this standard deviation of a gain, output error is no better than without the controller.
+_LARGEST_DEVIATION = 0.1
 # The right law explains all but noise; wrong ones leave more.
 _LEAST_EXPLAINED = 0.98
 # A law whose weights are off by less than this, squared and over their variances, is not excluded.
@@ -60,9 +59,6 @@ class FittedController(Shown):
         By their names in the controller's class.
     deviations : mapping of str to ndarray, shape (n,)
         Standard deviations over the gains, from blocks of residuals.
-    bias : ndarray, shape (n,)
-        How much of a gain noise of the positions may take at most, as a part of it, where the
-        controller did not see that noise.
     r_squared : ndarray, shape (n,)
         Part of the efforts' variance that the controller explains.
     offset : ndarray, shape (n,)
@@ -92,7 +88,6 @@ class FittedController(Shown):
     joint_names: tuple[str, ...]
     gains: Mapping[str, Array]
     deviations: Mapping[str, Array]
-    bias: Array
     r_squared: Array
     offset: Array
     delay: float
@@ -182,8 +177,8 @@ def fit_controller(
     -------
     FittedController
         With standard deviations from blocks of residuals, and reasons where it is not to be used:
-        a gain with a standard deviation of more than 10 %, or of which noise of the encoders may
-        take more than 2 %, a gain that is not positive, efforts that the law does not explain.
+        a gain with a standard deviation of more than 10 %, a gain that is not positive, efforts
+        that the law does not explain.
 
     Raises
     ------
@@ -221,8 +216,7 @@ def fit_controller(
     columns = [off, told - seen if feedforward else -seen, *others]
     fit = _LawFit.of(signals, columns)
     gains, deviations = _named(fit, kind)
-    bias = _bias(recording, fit, cutoff_hz)
-    reasons += _doubts(fit, gains, deviations, bias, recording.names)
+    reasons += _doubts(fit, gains, deviations, recording.names)
     if kind != "pid":
         reasons += _missing_integral(signals, columns, fit, recording.names)
     limited = {name: np.maximum(x, 0.0) if name == "ki" else x for name, x in gains.items()}
@@ -234,7 +228,6 @@ def fit_controller(
         joint_names=recording.names,
         gains={name: frozen(x) for name, x in gains.items()},
         deviations={name: frozen(x) for name, x in deviations.items()},
-        bias=frozen(bias),
         r_squared=frozen(1.0 - fit.left),
         offset=frozen(fit.weights[:, -1]),
         delay=fit.delay,
@@ -276,29 +269,10 @@ def _named(fit: _LawFit, kind: str) -> tuple[dict[str, Array], dict[str, Array]]
     return dict(zip(names, w.T, strict=False)), dict(zip(names, deviations.T, strict=False))
 
 
-def _bias(recording: Recording, fit: _LawFit, cutoff_hz: float) -> Array:
-    """Return the part of the gains (n,) that noise may take which the controller did not see."""
-    longest = max(continuous(recording)[0], key=lambda piece: piece.n_samples)
-    white = np.array([white_noise(longest.position[:, j]) ** 2 for j in range(recording.n)])
-    # What the filter leaves of white noise, and of its rate.
-    f = np.linspace(0.0, recording.rate_hz / 2.0, 20_001)
-    rate = recording.rate_hz
-    power = low_pass("butterworth", cutoff_hz, _ORDER, rate).gain(f, rate) ** 2
-    shares = np.array([np.mean(power), np.mean(power * (2.0 * np.pi * f) ** 2)])
-    bias = np.empty(len(white))
-    for j, X in enumerate(fit.columns):
-        lost = np.zeros(X.shape[1])
-        lost[:2] = len(X) * white[j] * shares * fit.weights[j, :2]
-        part = np.linalg.lstsq(X.T @ X, lost)[0][:2]
-        bias[j] = np.max(np.abs(part) / np.maximum(np.abs(fit.weights[j, :2]), 1e-300))
-    return bias
-
-
 def _doubts(
     fit: _LawFit,
     gains: dict[str, Array],
     deviations: dict[str, Array],
-    bias: Array,
     names: tuple[str, ...],
 ) -> list[str]:
     """Return why a controller is not to be used."""
@@ -308,11 +282,6 @@ def _doubts(
         reasons.append(
             f"the law explains {1.0 - fit.left[left]:.1%} of what moves {names[left]}, limit "
             f"{_LEAST_EXPLAINED:.0%}: it is another controller, or the efforts have other parts"
-        )
-    if bias.max() > _LARGEST_BIAS:
-        reasons.append(
-            f"noise of the encoders may take {bias.max():.0%} of a gain of "
-            f"{names[int(np.argmax(bias))]}, limit {_LARGEST_BIAS:.0%}"
         )
     for name in gains.keys() - {"ki"}:
         values, worst = gains[name], int(np.argmax(deviations[name]))
@@ -346,7 +315,6 @@ def _missing_integral(
 class _LawFit:
     """A law of n joints with m weights: least squares, and one delay of the efforts."""
 
-    columns: Array
     weights: Array
     covariances: Array
     left: Array
@@ -364,7 +332,7 @@ class _LawFit:
             _solved(*each, delay, variance) for each in zip(table, efforts, rates, strict=True)
         ]
         weights, covariances, left = (np.stack([each[k] for each in found]) for k in range(3))
-        return cls(table, weights, covariances, left, delay)
+        return cls(weights, covariances, left, delay)
 
 
 def _delay(table: Array, efforts: Array, rates: Array) -> tuple[float, float]:

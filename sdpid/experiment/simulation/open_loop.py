@@ -17,6 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.robot.model.model import RobotModel
 
 # Longest step, s. Linearly implicit in friction, halving it moves no median by more than
 # docs/evidence/rollouts.md says.
@@ -74,15 +75,9 @@ class Track:
             states = [CubicSpline(own, x[part])(time) for x in (samples.position, samples.velocity)]
             effort = CubicSpline(own, samples.effort[part])(time + 0.5 * h)
             parts.append((time, *states, effort, np.full(len(time), number)))
-        joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
-        return cls(
-            step=h,
-            time=joined[0],
-            position=joined[1],
-            velocity=joined[2],
-            effort=joined[3],
-            piece=joined[4],
-        )
+        names = ("time", "position", "velocity", "effort", "piece")
+        joined = map(np.concatenate, zip(*parts, strict=True))
+        return cls(step=h, **dict(zip(names, joined, strict=True)))
 
     def starts(self, length: float, every: float) -> Indices:
         """Return instants `every` s apart that have `length` s of their piece before them."""
@@ -140,4 +135,25 @@ def simulate_stretches(
             lost = ~(np.abs(velocity).max(axis=2) < limit)
         lost = np.logical_or.accumulate(lost, axis=1)
         out[own] = np.where(lost[:, :, None], np.nan, position)[:, wanted]
+    return out
+
+
+def tip_positions(robot: RobotModel, q: Array) -> Array:
+    """Return where the tip is (K, 3), m, at positions (K, n); not a number where they are not.
+
+    The last joint has the most joints before it; of the frames that it carries the farthest is
+    the tip, or else its own origin.
+    """
+    import pinocchio as pin
+
+    model, data = robot.pin_model, robot.pin_model.createData()
+    last = max(range(model.njoints), key=lambda i: len(model.supports[i]))
+    places = [np.array(f.placement.translation) for f in model.frames if f.parentJoint == last]
+    place = max([np.zeros(3), *places], key=lambda each: float(np.linalg.norm(each)))
+    sound = np.asarray(np.isfinite(q).all(axis=1))
+    out = np.full((len(q), 3), np.nan)
+    configurations = robot.configuration(np.where(sound[:, None], q, 0.0))
+    for k in np.flatnonzero(sound):
+        pin.forwardKinematics(model, data, configurations[k])
+        out[k] = data.oMi[last].act(place)
     return out

@@ -20,6 +20,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
 from sdpid.robot.friction.motion import Motion as FrictionMotion
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -45,9 +46,9 @@ class ControlledMotion:
         Instants in s, close enough together to follow the controlled arm.
     position, velocity, effort : ndarray, shape (N, n)
         The motion, and the controller's effort.
-    stiffness, damping : ndarray, shape (N, n, n) or (n, n)
+    stiffness, damping : ndarray, shape (N, n, n)
         Derivatives of the controller's effort by position and velocity.
-    integral : ndarray, shape (n,) or None
+    integral : ndarray, shape (n,)
         Minus the effort per integrated position, in N·m/(rad·s): the gain ki of a PID controller.
     """
 
@@ -57,7 +58,7 @@ class ControlledMotion:
     effort: Array
     stiffness: Array
     damping: Array
-    integral: Array | None = None
+    integral: Array
 
 
 def sensitivities(
@@ -82,8 +83,7 @@ def sensitivities(
     count, n = loop.position.shape
     wanted = np.arange(count) if at is None else at
     out = np.empty((len(wanted), n, base.count))
-    blocks = 3 if loop.integral is None else 4
-    state = np.zeros((blocks * n, base.count))
+    state = np.zeros((4 * n, base.count))
     jumps = _jumps(model)
     first = _Instants.of(arm, base, loop, slice(0, 1), jumps)
     # At rest the arm changes first in its accelerations.
@@ -113,7 +113,7 @@ class _Instants:
     C: Array
     K: Array
     Y: Array
-    integral: Array | None
+    integral: Array
     velocity: Array
     acceleration: Array
     jumps: Array
@@ -133,9 +133,8 @@ class _Instants:
         v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
         a = arm.acceleration(q, v, effort)
         M, _ = arm.mass_and_bias(q, v)
-        by_position, by_velocity = _inverse_dynamics_slopes(model, q, v, a)
-        stiffness = loop.stiffness if loop.stiffness.ndim == 2 else loop.stiffness[part]
-        damping = loop.damping if loop.damping.ndim == 2 else loop.damping[part]
+        by_position, by_velocity = inverse_dynamics_slopes(model, q, v, a)
+        stiffness, damping = loop.stiffness[part], loop.damping[part]
         return cls(
             np.diff(loop.time[part]),
             M,
@@ -157,9 +156,9 @@ class _Instants:
         return -np.linalg.solve(M, Y)
 
     def transitions(self) -> tuple[Array, Array]:
-        """Return T (k, 3n, 3n) and G (k, 3n, b): the next (S, S', S'') is ``T @ now + G``."""
+        """Return T (k, 4n, 4n) and G (k, 4n, b): the next (S, S', S'', ∫S) is ``T @ now + G``."""
         v, n = self.velocity, self.velocity.shape[1]
-        count, b = len(self.step), self.Y.shape[2]
+        count = len(self.step)
         rests = v == 0.0
         turns = (v[:-1] * v[1:] < 0.0) & (self.jumps > 0.0)
         held = rests[1:] & (self.jumps > 0.0)
@@ -171,39 +170,24 @@ class _Instants:
         gamma = np.where(new, 1.0, 0.5)[:, None, None]
         beta = np.where(new, 0.5, 0.25)[:, None, None]
         M, C, K, Y = self.M[1:].copy(), self.C[1:].copy(), self.K[1:].copy(), -self.Y[1:]
-        ki = None
-        if self.integral is not None:
-            ki = np.zeros((count, n, n))
-            ki[:, np.arange(n), np.arange(n)] = self.integral
-            ki[held] = 0.0
-        for matrix in (M, C, K, Y):
+        ki = np.zeros((count, n, n))
+        ki[:, np.arange(n), np.arange(n)] = self.integral
+        for matrix in (M, C, K, Y, ki):
             matrix[held] = 0.0
         M[held, np.nonzero(held)[1]] = 1.0
-        K1 = K if ki is None else K + 0.5 * h * ki
-        inverse = np.linalg.inv(M + gamma * h * C + beta * h**2 * K1)
-        E = np.broadcast_to(np.eye(n), (count, n, n))
-        blocks = 3 if ki is None else 4
+        K = K + 0.5 * h * ki
+        inverse = np.linalg.inv(M + gamma * h * C + beta * h**2 * K)
+        E, none = np.broadcast_to(np.eye(n), (count, n, n)), np.zeros((count, n, n))
         # What S and S' come to without the new acceleration, by blocks of the state.
-        S0 = np.zeros((count, n, blocks * n))
-        V0 = np.zeros_like(S0)
-        S0[:, :, :n], S0[:, :, n : 2 * n] = E, h * P
-        S0[:, :, 2 * n : 3 * n] = (0.5 - beta) * h**2 * E
-        V0[:, :, n : 2 * n], V0[:, :, 2 * n : 3 * n] = P, (1.0 - gamma) * h * E
-        pull = C @ V0 + K1 @ S0
-        if ki is not None:
-            pull[:, :, :n] += 0.5 * h * ki
-            pull[:, :, 3 * n :] += ki
-        A1, GA = -inverse @ pull, inverse @ Y
-        T = np.empty((count, blocks * n, blocks * n))
-        G = np.empty((count, blocks * n, b))
-        T[:, :n], G[:, :n] = S0 + beta * h**2 * A1, beta * h**2 * GA
-        T[:, n : 2 * n], G[:, n : 2 * n] = V0 + gamma * h * A1, gamma * h * GA
-        T[:, 2 * n : 3 * n], G[:, 2 * n : 3 * n] = A1, GA
-        if ki is not None:
-            T[:, 3 * n :] = 0.5 * h * T[:, :n]
-            T[:, 3 * n :, :n] += 0.5 * h * E
-            T[:, 3 * n :, 3 * n :] += E
-            G[:, 3 * n :] = 0.5 * h * G[:, :n]
+        S = np.concatenate([E, h * P, (0.5 - beta) * h**2 * E, none], axis=2)
+        V = np.concatenate([none, P, (1.0 - gamma) * h * E, none], axis=2)
+        sums = np.concatenate([0.5 * h * E, none, none, E], axis=2)
+        A = -inverse @ (C @ V + K @ S + ki @ sums)
+        GA = inverse @ Y
+        S, V = S + beta * h**2 * A, V + gamma * h * A
+        GS = beta * h**2 * GA
+        T = np.concatenate([S, V, A, sums + 0.5 * h * S], axis=1)
+        G = np.concatenate([GS, gamma * h * GA, GA, 0.5 * h * GS], axis=1)
         return T, G
 
     def _saltations(self, turns: Mask, enters: Mask) -> Array:
@@ -245,25 +229,6 @@ def base_regressor(
     own = places[links:]
     out[:, :, own[own >= 0]] = columns[:, :, own >= 0]
     return out
-
-
-def _inverse_dynamics_slopes(
-    model: RobotDynamics, q: Array, v: Array, a: Array
-) -> tuple[Array, Array]:
-    """Return the derivatives (N, n, n) of the links' efforts by position and velocity."""
-    import pinocchio as pin
-
-    robot, pinned = model.robot, model.to_pinocchio()
-    data, E = pinned.createData(), robot.expansion
-    configurations = robot.configuration(q)
-    by_position = np.empty((len(q), pinned.nv, pinned.nv))
-    by_velocity = np.empty_like(by_position)
-    for k, (each, rate, change) in enumerate(zip(configurations, v @ E.T, a @ E.T, strict=True)):
-        pin.computeRNEADerivatives(pinned, data, each, rate, change)
-        by_position[k], by_velocity[k] = data.dtau_dq, data.dtau_dv
-    if np.array_equal(E, np.eye(robot.n)):
-        return by_position, by_velocity
-    return np.asarray(E.T @ by_position @ E), np.asarray(E.T @ by_velocity @ E)
 
 
 def _friction_slopes(model: RobotDynamics, v: Array) -> Array:
