@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import correlated
-from sdpid.experiment.processing.motion import band, spectrum
+from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid
@@ -19,9 +19,6 @@ from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 _ROWS = 300
 # Samples that are read, from the middle of longer recordings.
 _READ = 1 << 19
-# Positions are averaged down to this rate (Hz) before the motion's frequency is looked for.
-_RATE_OF_MOTION = 200.0
-_LEAST_MEANS = 20
 # The low-pass filter lets pass this many times the frequency of the motion, and at least 1 Hz.
 _PASS, _LEAST_PASS = 10.0, 1.0
 # Samples for each period of the cut-off.
@@ -84,18 +81,15 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     without : collection of str
         Joints whose effort says nothing.
     """
+    longest = max(pieces, key=lambda piece: piece.n_samples)
     try:
         grids = [make_grid(piece) for piece in pieces]
+        cutoff = max(_PASS * motion_frequency(longest), _LEAST_PASS)
     except DataError:
         return None
     low = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
     high = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
     moves = moving(low, high)
-    longest, grid = max(zip(pieces, grids, strict=True), key=lambda each: each[0].n_samples)
-    motion = _motion(longest, grid, moves)
-    if motion is None:
-        return None
-    cutoff = max(_PASS * motion, _LEAST_PASS)
     filtered = [_filtered(piece, grid, cutoff) for piece, grid in zip(pieces, grids, strict=True)]
     parts = [part for part in filtered if part]
     if not parts:
@@ -105,18 +99,6 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     known = np.array([name not in without for name in longest.names])
     usable = moves & known & (np.ptp(signals["effort"], axis=0) > 0.0)
     return Rows(**signals, usable=usable, step=longest.step)
-
-
-def _motion(log: Recording, grid: Grid, moves: Mask) -> float | None:
-    """Return the frequency below which 95 % of the motion lies, the median over joints."""
-    count = max(1, int(1.0 / (grid.step * _RATE_OF_MOTION)))
-    if min(grid.count, _READ) < _LEAST_MEANS * count:
-        return None
-    means = [_averaged(log.position[:, j], grid, count) for j in np.flatnonzero(moves)]
-    rate = 1.0 / (grid.step * count)
-    bands = [band(*spectrum(position, rate, len(position))) for position in means]
-    tops = [each[1] for each in bands if each is not None]
-    return float(np.median(tops)) if tops else None
 
 
 def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
