@@ -49,21 +49,6 @@ def same(log: Recording, *, velocity: bool = True) -> None:
         np.testing.assert_array_equal(log.velocity, DQ)
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-def test_mat_by_scipy(tmp_path: Path, compressed: bool):
-    file = tmp_path / "log.mat"
-    names = np.array(["up", "down"], dtype=object)
-    content = {"t": T[:, None], "q": Q, "qd": DQ, "tau": TAU, "joint_names": names, "fs": 4.0}
-    savemat(file, content, do_compression=compressed)
-    log = read_recording(file)
-    same(log)
-    assert log.joint_names == ("up", "down")
-    savemat(file, {"data": {"time": T, "q": Q, "tau": TAU, "inner": {"qd": DQ}}})
-    same(read_recording(file))
-    savemat(file, {"t": T, "q": Q, "tau": TAU}, format="4")
-    same(read_recording(file), velocity=False)
-
-
 def test_mat_of_what_cannot_be_read(tmp_path: Path):
     file = tmp_path / "log.mat"
     cell = np.empty(2, dtype=object)
@@ -95,31 +80,6 @@ def matlab_73(file: Path, **arrays: Any) -> None:
         raw.write(head)
 
 
-def test_mat_73_by_h5py(tmp_path: Path):
-    file = tmp_path / "log.mat"
-    matlab_73(file, t=T[:, None], q=Q, qd=DQ, tau=TAU, joint_names=["up", "down"])
-    log = read_recording(file)
-    same(log)
-    assert log.joint_names == ("up", "down")
-
-
-def test_hdf5_by_h5py(tmp_path: Path):
-    file = tmp_path / "log.h5"
-    with h5py.File(file, "w") as out:
-        group = out.create_group("robot/arm")
-        group.create_dataset("position", data=Q, compression="gzip", chunks=(8, 2))
-        group.create_dataset("velocity", data=DQ)
-        group.create_dataset("effort", data=TAU)
-        group.attrs["joint_names"] = ["up", "down"]
-        out.attrs["fs"] = 4.0
-    log = read_recording(file)
-    same(log)
-    assert log.joint_names == ("up", "down")
-    sources = read_described(file).sources
-    assert sources["position"] == "robot/arm/position"
-    assert sources["time"] == "sample rate, 4 Hz"
-
-
 def test_hdf5_joint_by_joint_tables_and_doubt(tmp_path: Path):
     file = tmp_path / "log.hdf5"
     with h5py.File(file, "w") as out:
@@ -127,6 +87,8 @@ def test_hdf5_joint_by_joint_tables_and_doubt(tmp_path: Path):
             out[f"joints/{name}/position"] = Q[:, j]
             out[f"joints/{name}/effort"] = TAU[:, j]
         out["t"] = T
+    sources = read_described(file).sources
+    assert sources["position"] == "joints/down/position ... joints/up/position"
     # The library lists groups by the alphabet.
     assert read_recording(file).joint_names == ("down", "up")
     log = read_recording(file, joint_names=["up", "down"])
@@ -359,7 +321,7 @@ def write_npz(folder: Path, packed: bool = True) -> Path:
 
 
 def write_mat(folder: Path, version: str) -> Path:
-    content = {"t": T, "tau": TAU, "joint_names": np.array(["up", "down"], dtype=object)}
+    content = {"t": T, "tau": TAU, "joint_names": np.array(["a", "b"], dtype=object)}
     file = folder / "log.mat"
     if version == "4":
         savemat(file, {"t": T, "q": Q, "tau": TAU}, format="4")
@@ -369,11 +331,17 @@ def write_mat(folder: Path, version: str) -> Path:
     return file
 
 
+def write_mat_73(folder: Path) -> Path:
+    matlab_73(folder / "log.mat", t=T[:, None], q=Q, qd=DQ, tau=TAU, joint_names=["a", "b"])
+    return folder / "log.mat"
+
+
 def write_h5(folder: Path) -> Path:
     with h5py.File(folder / "log.h5", "w") as out:
         out.create_dataset("arm/q", data=Q, compression="gzip", chunks=(8, 2))
-        out["arm/tau"], out["t"] = TAU, T
+        out["arm/tau"], out["arm/velocity"] = TAU, DQ
         out["arm"].attrs["joint_names"] = ["a", "b"]
+        out.attrs["fs"] = 4.0
     return folder / "log.h5"
 
 
@@ -401,6 +369,7 @@ WRITERS = {
     "mat 4": lambda folder: write_mat(folder, "4"),
     "mat 5": lambda folder: write_mat(folder, "5"),
     "mat 7": lambda folder: write_mat(folder, "7"),
+    "mat 7.3": write_mat_73,
     "hdf5": write_h5,
     "feather": write_feather,
     "parquet": lambda folder: write_table(folder, own=False),
@@ -409,6 +378,20 @@ WRITERS = {
     "mcap": lambda folder: write_bag(folder / "bag", "mcap", T, Q, DQ, TAU),
     "ros1": lambda folder: write_bag(folder / "bag", "ros1", T, Q, DQ, TAU),
 }
+
+
+# Kinds without velocities, and those without names of joints.
+STILL = ("csv", "toml", "npz", "npz plain", "mat 4", "feather", "parquet")
+UNNAMED = ("csv", "mat 4", "feather", "parquet")
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in WRITERS if kind not in ("toml", "db3", "mcap", "ros1")]
+)
+def test_every_format_is_read(tmp_path: Path, kind: str):
+    log = read_recording(WRITERS[kind](tmp_path))
+    same(log, velocity=kind not in STILL)
+    assert log.joint_names == (None if kind in UNNAMED else ("a", "b"))
 
 
 @pytest.mark.parametrize("kind", WRITERS)
@@ -662,12 +645,26 @@ def test_arrays_that_only_begin_like_a_quantity(tmp_path: Path):
     close(read_recording(write(tmp_path / "log.csv", header, TIME, Q, TAU, TIME)))
 
 
-def test_franka_columns(tmp_path: Path):
-    groups = {"q": Q, "q_d": 0 * Q, "dq": DQ, "dq_d": 0 * Q, "ddq_d": 0 * Q, "tau_J": TAU}
-    groups |= {"tau_J_d": 0 * Q, "dtau_J": 0 * Q, "tau_ext_hat_filtered": 0 * Q, "O_T_EE": Q}
-    header = ",".join(["time", *(f"{key}_{j}" for key in groups for j in range(2))])
-    file = write(tmp_path / "log.csv", header, TIME, *groups.values())
-    close(read_recording(file), velocity=True)
+ZERO = 0.0 * Q
+FRANKA = {"q": Q, "q_d": ZERO, "dq": DQ, "dq_d": ZERO, "ddq_d": ZERO, "tau_J": TAU, "tau_J_d": ZERO}
+FRANKA |= {"dtau_J": ZERO, "tau_ext_hat_filtered": ZERO, "O_T_EE": Q}
+# Names of columns, their tables, and the joints.
+HEADERS: dict[str, tuple[list[str], tuple[np.ndarray, ...], tuple[str, ...] | None]] = {
+    "franka": ([f"{key}_{j}" for key in FRANKA for j in range(2)], tuple(FRANKA.values()), None),
+    "short suffixes": (
+        [f"joint{j}_{key}" for key in ("pos", "vel", "eff") for j in (1, 2)],
+        (Q, DQ, TAU),
+        ("joint1", "joint2"),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_usual_names(tmp_path: Path, kind: str):
+    names, tables, joints = HEADERS[kind]
+    log = read_recording(write(tmp_path / "log.csv", ",".join(["time", *names]), TIME, *tables))
+    close(log, velocity=True)
+    assert log.joint_names == joints
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
@@ -693,13 +690,6 @@ def test_currents_with_units(tmp_path: Path):
     refuses(DataError, r"current1 \[A\].* look like currents: give gains=", read_recording, file)
     log = read_recording(file, effort_scale=[10.0, 12.0])
     np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)
-
-
-def test_short_suffixes(tmp_path: Path):
-    names = [f"joint{j}_{key}" for key in ("pos", "vel", "eff") for j in (1, 2)]
-    log = read_recording(write(tmp_path / "log.csv", ",".join(["t", *names]), TIME, Q, DQ, TAU))
-    close(log, velocity=True)
-    assert log.joint_names == ("joint1", "joint2")
 
 
 @pytest.mark.parametrize("mark", [";", "\t", " "])

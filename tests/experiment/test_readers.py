@@ -404,9 +404,10 @@ def test_npz_by_the_usual_names(tmp_path: Path):
     assert log.joint_names == tuple(NAMES)
     # Time from the sample rate, and vectors of a single joint.
     np.savez(file, q=Q[:, 0], tau=TAU[:, 0], fs=2.0)
-    log = read_recording(file)
-    np.testing.assert_array_equal(log.time, T)
-    assert log.n == 1
+    reading = read_described(file)
+    np.testing.assert_array_equal(reading.recording.time, T)
+    assert reading.recording.n == 1
+    assert reading.sources["time"] == "sample rate, 2 Hz"
 
 
 @pytest.mark.parametrize(
