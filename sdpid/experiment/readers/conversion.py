@@ -88,7 +88,7 @@ def convert(
     )
     time = tables.pop("time")[:, 0]
     for name, table in tables.items():
-        tables[name] = _in_si(name, table, units, first if name in CHANNELS else None)
+        tables[name] = in_si(name, table, units, first if name in CHANNELS else None)
     if motors is not None:
         for name in set(CHANNELS) & set(tables):
             tables[name] = transformed(tables[name], partial(motors.to_joints, name))
@@ -231,21 +231,13 @@ def _zero_where_absent(
     """Return efforts with zeros for those of some joints that have no value in any row."""
     if not joints or efforts.dtype.kind != "f":
         return efforts
-    numbers = [str(j + 1) for j in range(efforts.shape[1])]
-    absent = [
-        j
-        for j, name in zip(range(efforts.shape[1]), labels or numbers, strict=False)
-        if name in joints and bool(np.isnan(efforts[:, j]).all())
-    ]
-    if not absent:
+    count = efforts.shape[1]
+    names = (labels or tuple(str(j + 1) for j in range(count)))[:count]
+    absent = [n in joints and bool(np.isnan(efforts[:, j]).all()) for j, n in enumerate(names)]
+    if not any(absent):
         return efforts
-
-    def zeroed(rows: NDArray[Any]) -> NDArray[Any]:
-        rows = np.array(rows)
-        rows[:, absent] = 0.0
-        return rows
-
-    return transformed(efforts, zeroed)
+    zeros = np.array([*absent, *[False] * (count - len(names))])
+    return transformed(efforts, lambda rows: np.where(zeros, 0.0, rows))
 
 
 def _column_names(found: Selection, quantity: str, order: list[int] | None) -> list[str]:
@@ -283,7 +275,7 @@ def _factor(quantity: str, unit: str) -> float:
     return UNITS[quantity][unit]
 
 
-def _in_si(
+def in_si(
     quantity: str, values: NDArray[Any], units: Mapping[str, Any], order: list[int] | None
 ) -> NDArray[Any]:
     """Convert a table to SI units; amperes stay amperes."""

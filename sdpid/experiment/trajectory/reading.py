@@ -13,8 +13,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import Columns
+from sdpid.experiment.readers.conversion import in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
-from sdpid.experiment.readers.names import UNITS
 from sdpid.experiment.readers.table import Table
 from sdpid.experiment.trajectory.curve import rests_at_ends
 from sdpid.experiment.trajectory.sampled import SampledCurve
@@ -128,7 +128,7 @@ def _sampled(
             values[quantity] = found
     for quantity, array in values.items():
         _check_finite(file, table, log.used[quantity], array)
-        array = array * _factors(log, quantity)
+        array = in_si(quantity, array, log.implied, None)
         values[quantity] = array if quantity == "time" else array[:, order]
     short = np.flatnonzero(np.diff(values["time"]) <= 0.0)
     if short.size:
@@ -162,14 +162,6 @@ def _begins(key: str, table: Table) -> bool:
     """Return whether an array, or columns by joint, have a name."""
     pattern = re.compile(rf"{key}(?:$|[_./\s\-\[\d])", re.IGNORECASE)
     return any(pattern.match(name) for name in table.arrays)
-
-
-def _factors(log: Columns, quantity: str) -> Array:
-    """Return the factors to SI of the units that the names of columns imply."""
-    units = log.implied.get(quantity)
-    if units is None:
-        return np.ones(1)
-    return np.array([UNITS[quantity][unit] for unit in np.atleast_1d(units)])
 
 
 def _check_finite(file: Path, table: Table, columns: Sequence[str], values: Array) -> None:
