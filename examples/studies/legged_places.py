@@ -25,8 +25,9 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks
-from sdpid.experiment.inspection.kinds import Finding
+from sdpid.experiment.inspection.kinds import Finding, explained
 from sdpid.experiment.inspection.subject import Check, Subject
+from sdpid.experiment.inspection.view import LogView
 
 MOTIONS = ("stand", "trot", "walk", "hang")
 ROBOTS = ("go1", "a1", "solo12")
@@ -44,9 +45,8 @@ CHECKS: tuple[Check, ...] = (
     base_checks.orientation,
     base_checks.gyroscope,
     base_checks.accelerometer,
-    feet_checks.feet_down,
     imu_checks.imu,
-    feet_checks.points,
+    feet_checks.feet,
 )
 GRAVITY, BIAS, HIGH = 9.81, 0.2, 1.05
 
@@ -111,8 +111,9 @@ MISTAKES = {
 
 def told(robot: sdpid.RobotModel, log: Log) -> list[Finding]:
     """Return what the checks find."""
-    subject = Subject(log=log, robot=robot)
-    return [each for look in CHECKS for each in look(subject)]
+    subject = Subject(view=LogView(given=log, asked=robot))
+    found = [each for look in CHECKS for each in look(subject)]
+    return [each for each in found if not explained(each, found)]
 
 
 def row(name: str, motion: str, logs: Sequence[tuple[sdpid.RobotModel, Log]]) -> tuple[object, ...]:

@@ -1,9 +1,8 @@
-"""`BlockSums`: least squares of any of some columns, with standard errors by blocks of time."""
+"""Least squares with standard errors by blocks of time, in which neighbors may be alike."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,112 +16,82 @@ SURE = 5.0
 _KNOWN = 0.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BlockFit:
-    """Coefficients of the chosen columns.
+def block_error(scores: Array, blocks: int = _BLOCKS) -> Array:
+    """Return the standard error of the sum of scores (N, ...) over their rows."""
+    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, blocks)])
+    return np.asarray(np.sqrt(np.sum(sums**2, axis=0)))
 
-    Attributes
-    ----------
-    chosen : tuple of int
-        Numbers of the columns, p in all.
-    values : ndarray, shape (p,)
-        Their coefficients.
-    covariance : ndarray, shape (p, p)
-        Of the coefficients.
-    left : float
-        Root mean square of what they leave of the signal.
+
+def pooled(values: Array, errors: Array) -> tuple[float, float]:
+    """Return the mean of values with errors, and its error, in which their spread counts."""
+    errors = np.maximum(errors, 1e-3 * np.abs(values).max(initial=1e-9))
+    spread = 0.0
+    for _ in range(20):
+        weights = 1.0 / (errors**2 + spread)
+        mean = float(weights @ values / weights.sum())
+        # The spread between values that makes the deviations as large as their errors say.
+        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+        if excess <= 0.0 and spread == 0.0:
+            break
+        spread = max(0.0, spread + excess / float(weights.sum()))
+    return mean, float(1.0 / np.sqrt(weights.sum()))
+
+
+def orthonormal(columns: Array, rank: float) -> tuple[Array, Array]:
+    """Return an orthonormal basis of columns, and the way from it to their weights.
+
+    Directions with less than a share `rank` of the largest singular value are noise.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    inverse = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    scaled = columns * inverse
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    kept = values > rank**2 * values[-1]
+    back = vectors[:, kept] / np.sqrt(values[kept])
+    return np.asarray(scaled @ back), np.asarray(inverse[:, None] * back)
+
+
+class BlockFit(NamedTuple):
+    """Coefficients (p,), their covariance, and the root mean square of what they leave.
+
+    `filled` is the number of blocks of time that have rows.
     """
 
-    chosen: tuple[int, ...]
     values: Array
     covariance: Array
     left: float
+    filled: int
 
     @property
     def errors(self) -> Array:
         """Standard errors of the coefficients, (p,)."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
-    def of(self, columns: Sequence[int]) -> tuple[Array, Array]:
-        """Return coefficients of some of the chosen columns, and their covariance."""
-        at = [self.chosen.index(column) for column in columns]
-        return self.values[at], self.covariance[np.ix_(at, at)]
 
+def block_fit(columns: Array, signal: Array, scale: Array) -> BlockFit:
+    """Return the coefficients of columns (K, m, p) that make up a signal (K, m).
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BlockSums:
-    """Normal equations of blocks of time.
-
-    Attributes
-    ----------
-    matrix, vector : ndarray, shapes (blocks, p, p), (blocks, p)
-        Of all columns.
-    power : float
-        Sum of squares of the signal.
-    count : int
-        Rows of the signal.
-    scale : ndarray, shape (p,)
-        Coefficients of this size are as large as any can be: they make directions that the data do
-        not show known to be within it.
+    Coefficients of the size `scale` (p,) are as large as any can be: directions that the data do
+    not show are known to be within it. Rows of zeros are none.
     """
-
-    matrix: Array
-    vector: Array
-    power: float
-    count: int
-    scale: Array
-
-    @classmethod
-    def of(cls, columns: Array, signal: Array, scale: Array, count: int | None = None) -> BlockSums:
-        """Sum up columns (K, m, p) and a signal (K, m), of which `count` values are not masked."""
-        parts = zip(np.array_split(columns, _BLOCKS), np.array_split(signal, _BLOCKS), strict=True)
-        flat = [(A.reshape(-1, A.shape[-1]), y.ravel()) for A, y in parts]
-        return cls(
-            matrix=np.array([A.T @ A for A, _ in flat]),
-            vector=np.array([A.T @ y for A, y in flat]),
-            power=float(np.sum(signal**2)),
-            count=signal.size if count is None else count,
-            scale=scale,
-        )
-
-    @property
-    def filled(self) -> int:
-        """Number of blocks with rows."""
-        return int(np.count_nonzero(np.einsum("bii->b", self.matrix)))
-
-    def plus(self, other: BlockSums) -> BlockSums:
-        """Return the sums of two signals with the same coefficients in the same blocks."""
-        return replace(
-            self,
-            matrix=self.matrix + other.matrix,
-            vector=self.vector + other.vector,
-            power=self.power + other.power,
-            count=self.count + other.count,
-        )
-
-    def fit(self, chosen: Sequence[int]) -> BlockFit:
-        """Return the coefficients of some columns, those of the others being 0."""
-        at = np.asarray(chosen, dtype=np.intp)
-        each, right = self.matrix[:, at[:, None], at], self.vector[:, at]
-        whole, total = each.sum(axis=0), right.sum(axis=0)
-        values = np.zeros(len(at))
-        # What is known beforehand weighs as much as the noise says, which comes first.
-        for _ in range(2):
-            rest = self.power - 2.0 * values @ total + values @ whole @ values
-            noise = max(rest, 1e-12 * self.power) / self.count
-            inverse = np.linalg.inv(whole + np.diag(noise / self.scale[at] ** 2))
-            values = inverse @ total
-        rest = max(self.power - 2.0 * values @ total + values @ whole @ values, 0.0)
-        scores = right - each @ values
-        scores -= scores.mean(axis=0)
-        spread = scores.T @ scores * (len(scores) / (len(scores) - 1.0))
-        spread += np.diag((noise / self.scale[at]) ** 2)
-        return BlockFit(
-            chosen=tuple(int(i) for i in at),
-            values=values,
-            covariance=inverse @ spread @ inverse,
-            left=float(np.sqrt(rest / self.count)),
-        )
+    parts = zip(np.array_split(columns, _BLOCKS), np.array_split(signal, _BLOCKS), strict=True)
+    flat = [(A.reshape(-1, A.shape[-1]), y.ravel()) for A, y in parts]
+    each, right = np.array([A.T @ A for A, _ in flat]), np.array([A.T @ y for A, y in flat])
+    whole, total, power = each.sum(axis=0), right.sum(axis=0), float(np.sum(signal**2))
+    count = max(int(np.count_nonzero(columns.any(axis=-1))), 1)
+    values, rest = np.zeros(len(scale)), power
+    # What is known beforehand weighs as much as the noise says, which comes first.
+    for _ in range(2):
+        noise = max(rest, 1e-12 * power) / count
+        inverse = np.linalg.inv(whole + np.diag(noise / scale**2))
+        values = inverse @ total
+        rest = max(power - 2.0 * values @ total + values @ whole @ values, 0.0)
+    scores = right - each @ values
+    scores -= scores.mean(axis=0)
+    spread = scores.T @ scores * (len(scores) / (len(scores) - 1.0))
+    spread += np.diag((noise / scale) ** 2)
+    covariance, filled = inverse @ spread @ inverse, int(np.count_nonzero(each.any(axis=(1, 2))))
+    return BlockFit(values, covariance, float(np.sqrt(rest / count)), filled)
 
 
 def sure_part(value: Array, covariance: Array, size: float) -> tuple[Array, float] | None:

@@ -7,26 +7,38 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.delays.dynamic import orthonormal
+from sdpid.experiment.inspection.block_fit import SURE, orthonormal, pooled
 from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
     LEAST,
     gyroscope_delay,
     is_told,
 )
-from sdpid.experiment.inspection.delays.kinematic import block_error, pooled
-from sdpid.experiment.inspection.kinds import Finding, found
+from sdpid.experiment.inspection.delays.kinematic import delay_step
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
 from sdpid.experiment.inspection.rows import Rows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.recording.rest import moving
 
+KINDS.update(
+    velocity_late=warning(
+        "velocity of {joints} is {late} by up to {size:.3g ms} against the rate of the position, "
+        "limit {limit:.3g ms}",
+        "shift it, or leave the velocity out (velocity=none)",
+        about="speed",
+    ),
+    effort_late=warning("{what}", "{remedy}", excuses=True, about="late"),
+    imu_late=warning("{what}", "{remedy}", about="late"),
+    base_late=warning("{what}", "{remedy}", about="late"),
+    # Forces that are late differ from those of their time.
+    contacts_late=warning("{what}", "{remedy}", hides=("forces_unlike_motion",), about="late"),
+)
+
 # Delays below this (s), and below this many samples, are the drives' own and those of filters: of
 # 17 good recordings the efforts seem late by -13 to 12 ms.
 _LEAST_DELAY, _LEAST_STEPS = 0.02, 1.5
-# A delay counts from this many of its standard errors on, ...
-_SURE = 5.0
-# ... in which the joints' spread counts too, and where it takes this share of the residual.
+# A delay of all efforts counts where it takes this share of the residual.
 _TAKES = 0.1
 # Rows slower than tanh of one width and a half are left out: stiction has delays of its own.
 _MOVES = 0.9
@@ -38,7 +50,8 @@ _LEAST_JOINTS = 2
 _LEAST_ALONE, _TAKES_ALONE, _ALSO_TAKES, _ALIKE = 0.025, 0.6, 0.5, 0.02
 # Directions of the regressor with less than this share of the largest singular value are noise.
 _RANK = 1e-3
-_BLOCKS = 12
+# Rows that are left beside the columns, at least.
+_LEAST_ROWS = 24
 _CORRELATED = 0.9
 
 
@@ -51,9 +64,14 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
     limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
     lags = {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
-        lag = _lag(rows.recorded_velocity[:, j], rows.velocity[:, j], rows.acceleration[:, j])
-        if lag is not None and abs(lag) >= limit:
-            lags[subject.log.names[j]] = lag
+        measured, velocity = rows.recorded_velocity[:, j], rows.velocity[:, j]
+        columns = np.column_stack([velocity, rows.acceleration[:, j], np.ones_like(velocity)])
+        scale, rate, _ = weights = np.linalg.lstsq(columns, measured, rcond=None)[0]
+        left = float(np.var(measured - columns @ weights))
+        # Another signal has no delay.
+        if scale and left < (1.0 - _CORRELATED**2) * float(np.var(measured)):
+            lags[subject.log.names[j]] = -float(rate / scale)
+    lags = {name: lag for name, lag in lags.items() if abs(lag) >= limit}
     if not lags:
         return
     worst = max(lags.values(), key=abs)
@@ -69,20 +87,6 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
     )
 
 
-def _lag(measured: Array, velocity: Array, acceleration: Array) -> float | None:
-    """Return by how much a velocity is late, s; None where it is another signal.
-
-    A signal that is late by a little is itself less its derivative times the delay.
-    """
-    columns = np.column_stack([velocity, acceleration, np.ones_like(velocity)])
-    weights = np.linalg.lstsq(columns, measured, rcond=None)[0]
-    left = measured - columns @ weights
-    power = float(np.var(measured))
-    if weights[0] == 0.0 or not float(np.var(left)) < (1.0 - _CORRELATED**2) * power:
-        return None
-    return -float(weights[1] / weights[0])
-
-
 @check_of_efforts
 def late_efforts(subject: Subject) -> Iterator[Finding]:
     """Find efforts that are late, or early, against the motion: of all joints, or late ones of few.
@@ -94,13 +98,13 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
         return
     Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
     delays = effort_delays(rows, Y)
-    values, errors, takes = np.array([*delays.values()]).reshape(-1, 3).T
     limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
     # With a wrong sign or order nothing can be said of delays.
     right = subject.corrected is None or not subject.corrected.steps
-    if right and len(delays) >= _LEAST_JOINTS and takes.mean() >= _TAKES:
+    if right and len(delays) >= _LEAST_JOINTS:
+        values, errors, takes = np.transpose([*delays.values()])
         delay, error = pooled(values, errors)
-        if abs(delay) >= max(limit, _SURE * error):
+        if takes.mean() >= _TAKES and abs(delay) >= max(limit, SURE * error):
             what = (
                 f"efforts are {_late(delay)} by {1e3 * abs(delay):.2g} ms or more against the "
                 f"motion, limit {1e3 * limit:.2g} ms: of delays in simulated logs 62 to 80 % are "
@@ -129,36 +133,6 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
         yield found("effort_late", name, what=what, remedy=remedy, **numbers)
 
 
-@check_of_efforts
-def late_channels(subject: Subject) -> Iterator[Finding]:
-    """Find channels of a recording with a base that are late, or early, against the joints."""
-    robot, log = subject.floating, subject.log
-    if log.base is None or not subject.pieces or subject.closed:
-        return
-    if subject.corrected is not None and subject.corrected.steps:
-        return  # With a wrong sign or order nothing can be said of delays.
-    against = "the joints' positions"
-    if robot is not None and robot.free_flyer:
-        delays = subject.view.delays(subject.without)
-    else:
-        delays, against = gyroscope_delay(log), "the orientation of the base"
-    for channel, delay in delays.items():
-        if not is_told(channel, delay):
-            continue
-        limit = max(LEAST[channel], DEVIATIONS * delay.error)
-        what = (
-            f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} {_late(delay.value)} by "
-            f"{1e3 * abs(delay.value):.3g} ms (error {1e3 * delay.error:.2g} ms) against "
-            f"{against}, limit {1e3 * limit:.2g} ms"
-        )
-        remedy = (
-            "identify takes this off by itself; elsewhere give processing="
-            f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
-        )
-        numbers = {"delay": delay.value, "error": delay.error, "limit": limit}
-        yield found(f"{channel}_late", what=what, remedy=remedy, **numbers)
-
-
 def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, float]]:
     """Return by how much each joint's effort is late, s, the standard error, and what that takes.
 
@@ -176,23 +150,49 @@ def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, flo
     delays = {}
     for j in np.flatnonzero(rows.usable).tolist():
         keep = np.abs(rows.sign[:, j]) > _MOVES
-        if np.count_nonzero(keep) < 2 * _BLOCKS:
-            continue
         columns = np.column_stack([links[:, j], *friction(rows, j), np.ones(len(links))])[keep]
-        basis, _ = orthonormal(columns, _RANK)
-        if len(columns) < 2 * basis.shape[1] + 2 * _BLOCKS:
+        if len(columns) < _LEAST_ROWS:
             continue
+        basis, _ = orthonormal(columns, _RANK)
         effort, rate = (
-            each - basis @ (basis.T @ each)
+            (each - basis @ (basis.T @ each))[:, None]
             for each in (rows.effort[keep, j], rows.effort_rate[keep, j])
         )
-        power, size = float(rate @ rate), float(effort @ effort)
-        if power * size > 0.0:
-            delay = -float(effort @ rate) / power
-            rest = effort + delay * rate
-            error = block_error(rest * rate, power, _BLOCKS)
-            delays[j] = delay, error, 1.0 - float(rest @ rest) / size
+        step = delay_step(effort, -rate[..., None])
+        if step is not None and len(columns) >= 2 * basis.shape[1] + _LEAST_ROWS:
+            delay, error, left = step
+            takes = 1.0 - float(np.sum(left**2) / np.sum(effort**2))
+            delays[j] = delay.item(), error.item(), takes
     return delays
+
+
+@check_of_efforts
+def late_channels(subject: Subject) -> Iterator[Finding]:
+    """Find channels of a recording with a base that are late, or early, against the joints."""
+    robot, log = subject.floating, subject.log
+    if log.base is None or not subject.pieces or subject.closed:
+        return
+    if subject.corrected is not None and subject.corrected.steps:
+        return  # With a wrong sign or order nothing can be said of delays.
+    if robot is not None and robot.free_flyer:
+        delays, against = subject.view.delays(subject.without), "the joints' positions"
+    else:
+        delays, against = gyroscope_delay(log), "the orientation of the base"
+    for channel, delay in delays.items():
+        if not is_told(channel, delay):
+            continue
+        limit = max(LEAST[channel], DEVIATIONS * delay.error)
+        what = (
+            f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} {_late(delay.value)} by "
+            f"{1e3 * abs(delay.value):.3g} ms (error {1e3 * delay.error:.2g} ms) against "
+            f"{against}, limit {1e3 * limit:.2g} ms"
+        )
+        remedy = (
+            "identify takes this off by itself; elsewhere give processing="
+            f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
+        )
+        numbers = {"delay": delay.value, "error": delay.error, "limit": limit}
+        yield found(f"{channel}_late", what=what, remedy=remedy, **numbers)
 
 
 def _late(delay: float) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.block_fit import BlockSums
+from sdpid.experiment.inspection.block_fit import block_fit
 from sdpid.experiment.inspection.explain import (
     Correction,
     CorrectionStep,
@@ -380,10 +380,10 @@ def _other_load(robot: RobotModel, one: Rows, other: Rows) -> dict[str, float] |
     scale[: bodies.size] = bodies.ravel()
     weights = np.ones((usable.size, 1))
     for _ in range(_PASSES):
-        sums = BlockSums.of(A * weights, due * weights[:, 0], scale)
-        fit = sums.fit(range(len(scale)))
+        weighted, signal = A * weights, due * weights[:, 0]
+        fit = block_fit(weighted, signal, scale)
         weights[:, 0] = 1.0 / np.maximum((due - A @ fit.values).std(axis=0), 1e-9)
-    without = sums.fit(range(len(scale) - _LOAD)).left
+    without = block_fit(weighted[..., :-_LOAD], signal, scale[:-_LOAD]).left
     if not without > 0.0:
         return None
     mass, *moment = fit.values[-_LOAD:].tolist()

@@ -20,12 +20,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.block_fit import BlockFit, BlockSums
+from sdpid.experiment.inspection.block_fit import BlockFit, block_fit
+from sdpid.experiment.inspection.delays.dynamic import free_of_contacts
 from sdpid.experiment.inspection.rows import Rows, smooth_sign
-from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
+from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.rest import moving
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # A change counts where it lowers the misfit by this much: the unexplained share of a joint falls to
@@ -62,8 +62,6 @@ _FLOOR = 0.03
 _FINE = 0.1
 # The base's force weighs in the fit by this share of the weight, its torque at this many meters.
 _WEIGHT_SHARE, _ARM = 0.1, 0.1
-# A contact's direction below this share of the strongest is another one's repetition.
-_RANK = 1e-6
 # Rows of a base that is held are 0 but for rounding.
 _HELD = 1e-6
 # A joint whose bodies ask for less than this share of what they ask for at the strongest is not
@@ -204,16 +202,7 @@ class ExplainedLog:
         unit = np.full(rigid.shape[1], max(own, 1e-9) / self.scale)
         unit[:3] = _WEIGHT_SHARE * weight
         unit[3:6] = _ARM * unit[:3]
-        J = contact_jacobians(self.robot, states[0], self.contacts.frames, self.contacts.offset)
-        parts = [
-            J[:, i, : TRANSMITS[kind]] * self.contacts.down[:, i, None, None]
-            for i, kind in enumerate(self.contacts.kind)
-        ]
-        U, s, _ = np.linalg.svd(
-            np.swapaxes(np.concatenate(parts, axis=1) / unit, 1, 2), full_matrices=False
-        )
-        U = U * (s > _RANK * np.maximum(s[:, :1], 1e-300))[:, None, :]
-        free = np.eye(len(unit)) - U @ np.swapaxes(U, 1, 2)
+        free = free_of_contacts(self.robot, states[0], self.contacts, unit)
         return replace(self, rigid=rigid, free=free / unit)
 
     @cached_property
@@ -568,7 +557,7 @@ def _fitted(columns: Array, due: Array) -> BlockFit:
     """Return least squares of rows (K, m, p), with errors from blocks of samples."""
     sizes = np.linalg.norm(columns, axis=(0, 1))
     largest = _FREE * float(np.linalg.norm(due)) / np.where(sizes > 0.0, sizes, 1.0)
-    return BlockSums.of(columns, due, largest).fit(range(len(sizes)))
+    return block_fit(columns, due, largest)
 
 
 def _bounded_fit(columns: Array, due: Array, gains: tuple[float, float]) -> Array:

@@ -2,23 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TypeAlias
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid.experiment.inspection import base_checks
-from sdpid.experiment.inspection.block_fit import SURE, BlockFit, BlockSums, sure_part
+from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.inspection.base_checks import GRAVITY, LEAST_RATE, rms
+from sdpid.experiment.inspection.block_fit import SURE, BlockFit, block_fit, sure_part
 from sdpid.experiment.inspection.delays.kinematic import Smooth, lag
-from sdpid.experiment.inspection.evidence import GRAVITY, LEAST_RATE, axes_in_words, signed_axes
-from sdpid.experiment.inspection.kinds import Finding, found, vector
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, vector, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.processing.on_time import on_time as shifted
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.base import Imu
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.inertia import skew
+
+_DELAYS = "delays are told once this is mended"
+KINDS.update(
+    imu_axes=warning(f"axes of the {{what}}; {_DELAYS}", "{remedy}", hides=("late",), about="imu"),
+    imu_place=warning(
+        "the {sensor} sits at {place} m in the base's frame, {distance:.3g} m from where it is "
+        f"said to be, as the pose shows (standard error {{error:.2g}} m, limit {{limit:g}} m); "
+        f"{_DELAYS}",
+        "give the IMU's translation={place}",
+        hides=("late",),
+        about="imu",
+    ),
+    imu_bias=warning(
+        "the {sensor} shows {value} {unit} too much along its axes, as the pose shows (standard "
+        "error {error:.2g}, limit {limit:g}){also}",
+        "take it off the {sensor}",
+        about="imu",
+    ),
+    imu_scale=warning(
+        "the {sensor} shows {scale:.4g} times what the pose does (standard error {error:.2g}, "
+        "limit {least:g} to {most:g}){also}",
+        "divide the {sensor} by it",
+        about="imu",
+    ),
+)
 
 # Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
 _RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
@@ -34,110 +57,92 @@ _SAMPLES = 10.0
 # accelerometer 5 cm off costs 1.2 %.
 SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
 RATE_BIAS = 0.05
-# Nothing is farther off than this: m, m/s² (rad/s), 1, rad, s.
-_MOST = {"place": 2.0, "bias": 20.0, "scale": 2.0, "axes": np.pi, "late": 0.1}
-# A reflection is told where rotations leave this share of the turning, and it so much less.
-_MIRROR_SHARE, _MIRROR_BETTER = 0.02, 10.0
-# Columns of what may be wrong. That of the delay is always fitted: it is told elsewhere.
-_GYROSCOPE = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,)}
-_ACCELEROMETER = {**_GYROSCOPE, "place": (8, 9, 10)}
+# Columns of what may be wrong, and how far off it is at most: m/s² (rad/s), 1, rad, s, m. The delay
+# is told elsewhere.
+_AT = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,), "place": (8, 9, 10)}
+_MOST = np.repeat([20.0, 2.0, np.pi, 0.1, 2.0], [3, 1, 3, 1, 3])
 # Turns are linearized anew so often.
 _ROUNDS = 5
 # A turn far from what was stated has to leave less than this of what one nearby leaves.
 _CLEARLY = 0.8
-# Of what explains this share of what the best does, the first is taken: a level base does not tell
-# an axis that is tilted from a bias.
-_RIVAL = 0.5
-_ORDER_OF_BLAME = ("place", "bias", "scale", "axes")
-
 
 # What is wrong with a sensor, with the standard error of its least certain direction: the change
 # from what was stated to what the data show, in the base's axes. In m of a place, m/s² or rad/s of
 # a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
-_Wrong: TypeAlias = dict[str, tuple[Array, float]]
+Wrong = dict[str, tuple[Array, float]]
 
 
-def searched(
-    sums: Callable[[Array], BlockSums],
-    groups: Mapping[str, tuple[int, ...]],
-    sizes: Mapping[str, float],
+def _fit(
+    at: Callable[[Array], tuple[Array, Array]],
+    shown: tuple[str, ...],
     reference: Array,
     start: Array,
-) -> tuple[_Wrong, Array, float]:
-    """Return what is wrong, one after another, the sensor's turn, and what is left.
+    bias: float,
+) -> tuple[Wrong, Array]:
+    """Return what is wrong with a sensor, all of it at once, and its turn.
 
-    What explains most comes first: one mistake leaks into all others until it is known.
+    A level base hardly tells a tilt, or a scale, from a bias. Where these are not sure the sensor
+    is taken to have none.
+
+    Parameters
+    ----------
+    at : callable
+        Returns columns (K, 3, p) in the order of `_AT`, and what is sensed beyond the pose, (K, 3),
+        at a turn of the sensor.
+    shown : tuple of str
+        What can be wrong.
+    reference, start : (3, 3) ndarray
+        The turn from which a change is told, and another one to look from.
+    bias : float
+        Least size of a bias that is told.
     """
     from scipy.spatial.transform import Rotation
 
-    turn, now = reference, sums(reference)
-    chosen: list[str] = []
+    wrong: Wrong = {}
+    for optional in ("axes", "scale", ""):
+        columns = np.concatenate([_AT[name] for name in shown])
+        of_axes = np.isin(columns, _AT["axes"])
 
-    def fit(names: Iterable[str]) -> BlockFit:
-        return now.fit([i for name in ("late", *names) for i in groups[name]])
+        def fit(turn: Array, columns: Indices = columns) -> BlockFit:
+            every, signal = at(turn)
+            return block_fit(every[..., columns], signal, _MOST[columns])
 
-    while True:
-        before, drops = fit(chosen).left, {}
-        for name in _ORDER_OF_BLAME:
-            if name in groups and name not in chosen:
-                tried = fit((*chosen, name))
-                if sure_part(*tried.of(groups[name]), sizes[name]) is not None:
-                    drops[name] = before**2 - tried.left**2
-        if not drops:
-            break
-        chosen.append(next(name for name in drops if drops[name] >= _RIVAL * max(drops.values())))
-        if "axes" in chosen:
-            # Anew with whatever came later: all of them are found together.
-            starts = (reference, start) if chosen[-1] == "axes" else (turn, turn)
-            turn, now = _turned(sums, groups, tuple(chosen), starts)
-    last, wrong = fit(chosen), {}
-    for name in chosen:
-        value, covariance = last.of(groups[name])
-        if name == "axes":
-            value = value + Rotation.from_matrix(turn @ reference.T).as_rotvec()
-        if (sure := sure_part(value, covariance, sizes[name])) is not None:
-            wrong[name] = sure
-    return wrong, turn if "axes" in wrong else reference, last.left
-
-
-def _turned(
-    sums: Callable[[Array], BlockSums],
-    groups: Mapping[str, tuple[int, ...]],
-    chosen: tuple[str, ...],
-    starts: tuple[Array, ...],
-) -> tuple[Array, BlockSums]:
-    """Return the turn that fits best, linearized anew until it stays."""
-    from scipy.spatial.transform import Rotation
-
-    columns = [i for name in ("late", *chosen) for i in groups[name]]
-    ends = []
-    for turn in starts:
-        for _ in range(_ROUNDS):
-            own = sums(turn)
-            turned = own.fit(columns).of(groups["axes"])[0]
-            turn = Rotation.from_rotvec(turned).as_matrix() @ turn
-        own = sums(turn)
-        ends.append((own.fit(columns).left, turn, own))
-    # Where few axes turn, others fit as well that are far from what was stated.
-    near, far = ends
-    return far[1:] if far[0] < _CLEARLY * near[0] else near[1:]
+        ends = []
+        for turn in (reference, start) if of_axes.any() else (reference,):
+            for _ in range(_ROUNDS if of_axes.any() else 0):
+                turn = Rotation.from_rotvec(fit(turn).values[of_axes]).as_matrix() @ turn
+            ends.append((fit(turn), turn))
+        # Where few axes turn, others fit as well that are far from what was stated.
+        near, far = ends[0], ends[-1]
+        last, turn = far if far[0].left < _CLEARLY * near[0].left else near
+        wrong = {}
+        for name in shown:
+            own = np.isin(columns, _AT[name])
+            value, covariance = last.values[own], last.covariance[np.ix_(own, own)]
+            if name == "axes":
+                value = value + Rotation.from_matrix(turn @ reference.T).as_rotvec()
+            size = bias if name == "bias" else SIZES.get(name, np.inf)
+            if (sure := sure_part(value, covariance, size)) is not None:
+                wrong[name] = sure
+        shown = tuple(name for name in shown if name != optional or name in wrong)
+    return wrong, turn if "axes" in wrong else reference
 
 
-def nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
-    """Return the orthogonal matrix that turns vectors (K, 3) best into others [schonemann1966]_.
-
-    Of determinant 1 where it shall be `proper`: a rotation.
-    """
+def _nearest_turn(wanted: Array, given: Array) -> Array:
+    """Return the rotation that turns vectors (K, 3) best into others [schonemann1966]_."""
     left, _, right = np.linalg.svd(wanted.T @ given)
-    if proper and np.linalg.det(left @ right) < 0.0:
+    if np.linalg.det(left @ right) < 0.0:
         left[:, 2] *= -1.0
     return np.asarray(left @ right)
 
 
-def _kept(smooth: Smooth) -> slice:
-    """Return the samples that are compared."""
-    stride = max(1, int(1.0 / (_SAMPLES * smooth.cutoff_hz * smooth.step)))
-    return slice(smooth.inner.start, smooth.inner.stop, stride)
+def _compared(log: Recording, cutoff_hz: float) -> tuple[Smooth, slice] | None:
+    """Return the filter of a sensor's values, and the samples that are compared."""
+    smooth = Smooth.of(log, cutoff_hz, _LEAST)
+    if smooth is None:
+        return None
+    stride = max(1, int(1.0 / (_SAMPLES * cutoff_hz * log.step)))
+    return smooth, slice(smooth.inner.start, smooth.inner.stop, stride)
 
 
 def on_time(log: Recording) -> Recording:
@@ -161,40 +166,32 @@ def on_time(log: Recording) -> Recording:
     return shifted(log, Processing(imu_delay_s=late.value))
 
 
-def gyroscope_fit(log: Recording) -> tuple[_Wrong, Array, bool]:
-    """Compare a gyroscope with the turning of the pose: what is wrong, its turn, if it is mirrored.
+def gyroscope_fit(log: Recording) -> tuple[Wrong, Array]:
+    """Compare a gyroscope with the turning of the pose: what is wrong, and its turn.
 
     Sensed is ``turn @ (E + scale) @ turning + bias``, late by a delay that is of no interest here.
     """
-    base, smooth = log.base, Smooth.of(log, _RATE_HZ, _LEAST)
-    shown = None if base is None else base.sensed("gyroscope")
-    if base is None or shown is None or smooth is None:
-        return {}, np.eye(3), False
-    kept, sensed = _kept(smooth), smooth.low(shown)
-    late = np.gradient(sensed, log.step, axis=0)[kept]
-    turning, sensed = smooth.low(smooth.turning(base))[kept], sensed[kept]
+    base, compared = log.base, _compared(log, _RATE_HZ)
+    stated = None if base is None else base.sensed("gyroscope")
+    if base is None or stated is None or compared is None:
+        return {}, np.eye(3)
+    smooth, kept = compared
+    sensed, turning = smooth.low(stated), smooth.low(smooth.turning(base))[kept]
+    late, sensed = np.gradient(sensed, log.step, axis=0)[kept], sensed[kept]
     # At rest it has nothing but a bias.
-    rests = _rms(turning) < LEAST_RATE
-    groups = {name: _GYROSCOPE[name] for name in ("bias", "late")} if rests else _GYROSCOPE
+    rests = rms(turning) < LEAST_RATE
+    ones = np.broadcast_to(np.eye(3), (len(turning), 3, 3))
 
-    def sums(turn: Array) -> BlockSums:
+    def at(turn: Array) -> tuple[Array, Array]:
         turned = sensed @ turn.T
-        ones = np.broadcast_to(np.eye(3), (len(turned), 3, 3))
-        columns = [ones, turned[:, :, None], skew(turned), -(late @ turn.T)[:, :, None]]
-        return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
+        columns = [ones, turned[..., None], skew(turned), -(late @ turn.T)[..., None]]
+        return np.concatenate(columns, axis=2), turned - turning
 
-    start = nearest_turn(turning, sensed, proper=True)
-    wrong, turn, left = searched(sums, groups, {**SIZES, "bias": RATE_BIAS}, np.eye(3), start)
-    best = nearest_turn(turning, sensed, proper=False)
-    mirrored = (
-        np.linalg.det(best) < 0.0
-        and left > np.sqrt(_MIRROR_SHARE) * _rms(turning)
-        and np.sqrt(_MIRROR_BETTER) * _rms(turning - sensed @ best.T) < left
-    )
-    return ({}, best, True) if mirrored else (wrong, turn, False)
+    shown = ("bias", "late") if rests else ("bias", "scale", "axes", "late")
+    return _fit(at, shown, np.eye(3), _nearest_turn(turning, sensed), RATE_BIAS)
 
 
-def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> tuple[_Wrong, Array, bool]:
+def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> tuple[Wrong, Array, bool]:
     """Compare an accelerometer with the pose's accelerations: what is wrong, its turn, if at rest.
 
     In the world's axes, with the base's orientation R and position p, the sensor's place r and
@@ -210,47 +207,33 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> tuple[_Wro
     turn : (3, 3) ndarray
         Of the sensor, as the gyroscope shows it, against what is stated.
     """
-    base, smooth = log.base, Smooth.of(log, _ACCELERATION_HZ, _LEAST)
+    base, compared = log.base, _compared(log, _ACCELERATION_HZ)
     stated = None if base is None else base.sensed("accelerometer")
-    if base is None or base.position is None or stated is None or smooth is None:
+    if base is None or base.position is None or stated is None or compared is None:
         return {}, turn, False
     assert base.imu is not None
-    R, kept, low = base.rotations, _kept(smooth), smooth.low
+    smooth, kept = compared
+    R, low = base.rotations, smooth.low
     axes = low(R)
-    moved = smooth.second(low(np.asarray(base.position)))
+    moved, swung = smooth.second(low(np.asarray(base.position))), smooth.second(axes)
     moved[:, 2] += gravity
-    swung = smooth.second(axes)
-    wanted = (moved + swung @ base.imu.translation)[kept]
-    axes, swung = axes[kept], swung[kept]
+    axes, swung, wanted = axes[kept], swung[kept], (moved + swung @ base.imu.translation)[kept]
+    # What each axis of the sensor would be along each of the base's, in the world's axes.
+    along = low(np.einsum("kij,kl->kijl", R, stated))
+    rate, along = np.gradient(along, log.step, axis=0)[kept], along[kept]
 
-    def sums(turn: Array) -> BlockSums:
-        sensed = stated @ turn.T
-        force = low(np.einsum("kij,kj->ki", R, sensed))
-        late = np.gradient(force, log.step, axis=0)[kept]
-        turned = low(np.einsum("kij,kjl->kil", R, skew(sensed)))[kept]
-        force = force[kept]
-        columns = np.concatenate(
-            [axes, force[:, :, None], turned, -late[:, :, None], swung], axis=2
-        )
-        return BlockSums.of(columns, force - wanted, _scales(_ACCELEROMETER))
+    def at(turn: Array) -> tuple[Array, Array]:
+        turned = along @ turn.T
+        force, late = (np.einsum("kijj->ki", each) for each in (turned, rate @ turn.T))
+        of_axes = np.einsum("kijm,mjl->kil", turned, skew(np.eye(3)))
+        columns = [axes, force[..., None], of_axes, -late[..., None], swung]
+        return np.concatenate(columns, axis=2), force - wanted
 
-    rests = _rms(low(smooth.turning(base))[kept]) < LEAST_RATE
-    names = ("bias", "scale", "late") if rests else tuple(_ACCELEROMETER)
-    groups = {name: _ACCELEROMETER[name] for name in names}
-    sensed = low(np.einsum("kij,kj->ki", R, stated))[kept]
+    rests = rms(low(smooth.turning(base))[kept]) < LEAST_RATE
+    shown = ("bias", "late") if rests else ("bias", "scale", "axes", "late", "place")
+    sensed = np.einsum("kijj->ki", along)
     in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
-    start = nearest_turn(*in_base, proper=True)
-    wrong, total, _ = searched(sums, groups, SIZES, turn, start)
-    return wrong, total, rests
-
-
-def _scales(groups: Mapping[str, tuple[int, ...]]) -> Array:
-    order = sorted(groups, key=lambda name: groups[name])
-    return np.array([_MOST[name] for name in order for _ in groups[name]])
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return *_fit(at, shown, turn, _nearest_turn(*in_base), SIZES["bias"]), rests
 
 
 @check
@@ -259,21 +242,8 @@ def imu(subject: Subject) -> Iterator[Finding]:
     given = None if subject.based is None else subject.based[1].imu
     if given is None:
         return
-    of_sensors = (base_checks.unchanging_sensors, base_checks.gyroscope, base_checks.accelerometer)
-    if any(True for each in (base_checks.orientation, *of_sensors) for _ in each(subject)):
-        return  # What is far off is told as such, and would seem to be all of these.
     log = on_time(subject.longest)
-    wrong, turn, mirrored = gyroscope_fit(log)
-    if mirrored:
-        matrix = given.rotation.T @ turn @ given.rotation
-        nearest = max(signed_axes(), key=lambda axes: float(np.sum(axes * matrix)))
-        what = (
-            "gyroscope are mirrored: no rotation makes it the pose's turning, and "
-            f"{axes_in_words(nearest)} measured does"
-        )
-        remedy = "exchange its columns or their signs; rotation= can only turn them"
-        yield found("imu_axes", what=what, remedy=remedy, determinant=-1.0)
-        turn = np.eye(3)
+    wrong, turn = gyroscope_fit(log)
     yield from _findings("gyroscope", given, wrong, turn)
     gravity = GRAVITY
     if subject.floating is not None and np.any(subject.floating.gravity):
@@ -285,7 +255,7 @@ def imu(subject: Subject) -> Iterator[Finding]:
 
 
 def _findings(
-    sensor: str, imu: Imu, wrong: _Wrong, turn: Array, also: str = ""
+    sensor: str, imu: Imu, wrong: Wrong, turn: Array, also: str = ""
 ) -> Iterator[Finding]:
     """Yield what is wrong with a sensor."""
     matrix = turn @ imu.rotation

@@ -238,14 +238,13 @@ def _excused(finding: Finding, subject: Subject, without: frozenset[str]) -> boo
 def _told(findings: list[Finding]) -> Iterator[Finding]:
     """Yield findings that no other one explains."""
     kinds = {finding.kind for finding in findings}
-    flags = any(f.kind == "forces_exchanged" and f.numbers["flags"] for f in findings)
     once = set()
     for finding in findings:
         kind = finding.kind
         if "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES:
             continue
-        # What stands still and efforts both tell it, and forces that are exchanged with them.
-        if kind == "feet_exchanged" and (flags or kind in once):
+        # What stands still and efforts both tell it.
+        if kind == "feet_exchanged" and kind in once:
             continue
         once.add(kind)
         if not explained(finding, findings):

@@ -8,17 +8,17 @@ throughout: forces that flags deny look like delays, and rows without them need 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.experiment.inspection.delays.kinematic import Delay, block_error, on_legs
+from sdpid.experiment.inspection.block_fit import orthonormal
+from sdpid.experiment.inspection.delays.kinematic import Delay, delay_step, lag, on_legs
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.contact_samples import TRANSMITS
+from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
 from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
@@ -30,8 +30,8 @@ from sdpid.robot.model.model import RobotModel
 
 # Cut-offs (Hz). Of simulated quadrupeds efforts were found within 0.2 ms at 20 to 30 Hz with an
 # IMU; at 10 Hz the signs of speeds are smeared. Accelerations from poses need 10 Hz: at 20 Hz their
-# noise in the regressor made 2 ms of 0.8 to 3.4.
-_CUTOFF_HZ, _POSE_CUTOFF_HZ = 30.0, 10.0
+# noise in the regressor made 2 ms of 0.8 to 3.4. At that of landings one is a step of 8 ms.
+_CUTOFF_HZ, _POSE_CUTOFF_HZ, _LANDING_HZ = 30.0, 10.0, 120.0
 # Flags may be late as well (s), where they are needed.
 _MARGIN = 0.01
 # Rows a sample that are left where every contact is closed. With the six of a quadruped on balls
@@ -47,138 +47,34 @@ _STEPS, _NEAR, _WEIGHTINGS = 4, 1e-4, 3
 _UNLIKE = 0.05
 # Widths of smooth signs (rad/s) that together imitate any dry friction.
 _WIDTHS = (0.01, 0.02, 0.05, 0.2, 1.0)
-# Directions of the regressor with less than this share of the largest singular value are noise.
-_RANK = 1e-4
+# Directions of the regressor, and of forces of contacts, with less than this share of the largest
+# singular value are noise.
+_RANK, _FORCE_RANK = 1e-4, 1e-6
+# A landing is looked for this far from its flag (s), and must not be at the edge of that.
+_WINDOW, _INSIDE = 0.03, 0.9
+_LEAST_LANDINGS = 6
+# Times the median deviation, a normal error's standard deviation; times that, a median's error.
+_NORMAL, _OF_MEDIAN = 1.4826, 1.2533
+# Forces as recorded must explain those from efforts to this share.
+_ALIKE = 0.5
 
 
-def regressor(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    """Return the columns of the links at some samples, (K, n, 10·links)."""
-    return robot.regressor(
-        samples.position[rows], samples.velocity[rows], samples.acceleration[rows]
-    )
-
-
-def free_columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    """Return columns of links, and of friction, rotors and offsets of every joint, (K, n, p)."""
-    first, n = robot.n_base, robot.n
-    speed, rate = samples.velocity[rows], samples.acceleration[rows]
-    signals = [speed, rate, np.ones_like(speed)]
-    for width in _WIDTHS:
-        signals.append(samples.through_filter(partial(_smooth_sign, width), slice(None))[rows])
-    joints = np.arange(first, n)
-    friction = np.zeros((len(rows), n, len(signals), n - first))
-    for i, signal in enumerate(signals):
-        friction[:, joints, i, joints - first] = signal[:, first:]
-    return np.concatenate(
-        [regressor(robot, samples, rows), friction.reshape(len(rows), n, -1)], axis=2
-    )
-
-
-def _smooth_sign(width: float, speed: Array, _rate: Array) -> Array:
-    return np.asarray(np.tanh(speed / width))
-
-
-def orthonormal(columns: Array, rank: float = _RANK) -> tuple[Array, Array]:
-    """Return an orthonormal basis of columns, and the way from it to their weights.
-
-    Directions with less than a share `rank` of the largest singular value are noise.
-    """
-    size = np.linalg.norm(columns, axis=0)
-    inverse = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    scaled = columns * inverse
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = values > rank**2 * values[-1]
-    back = vectors[:, kept] / np.sqrt(values[kept])
-    return np.asarray(scaled @ back), np.asarray(inverse[:, None] * back)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FreeRows:
-    """Orthonormal combinations of scaled efforts that contacts leave free, sample by sample.
-
-    Attributes
-    ----------
-    scale : (n,) ndarray
-        Size of the error of each effort.
-    groups : tuple of (indices, (k, r, n) ndarray)
-        Samples with the same contacts closed, and the combinations of their efforts.
-    """
-
-    scale: Array
-    groups: tuple[tuple[Indices, Array], ...]
-
-    @classmethod
-    def of(
-        cls,
-        robot: RobotModel,
-        samples: Samples,
-        rows: Indices,
-        scale: Array,
-        unknown: Mask | None = None,
-    ) -> FreeRows:
-        """Return the free rows of some samples.
-
-        `unknown` (c, 6) says which forces and moments closed contacts may have that nobody knows;
-        by default all that their kinds transmit.
-        """
-        contacts = samples.contacts
-        if contacts is None:
-            every = np.broadcast_to(np.diag(1.0 / scale), (len(rows), len(scale), len(scale)))
-            return cls(scale=scale, groups=((np.arange(len(rows)), every),))
-        J = contact_jacobians(robot, samples.position[rows], contacts.frames, contacts.offset)
-        if unknown is None:
-            wide = np.array([TRANSMITS[kind] for kind in contacts.kind])
-            unknown = np.arange(6) < wide[:, None]
-        patterns, which = np.unique(contacts.down[rows], axis=0, return_inverse=True)
-        groups = []
-        for number, down in enumerate(patterns):
-            chosen = np.flatnonzero(which.reshape(-1) == number)
-            parts = [J[chosen, i][:, own] for i, own in enumerate(unknown) if down[i] and own.any()]
-            left = np.broadcast_to(np.eye(robot.n), (len(chosen), robot.n, robot.n))
-            if parts:
-                closed = np.concatenate(parts, axis=1) / scale
-                if closed.shape[1] >= robot.n:
-                    continue
-                # A contact too many costs a row, and lets no force through.
-                whole = np.linalg.qr(closed.transpose(0, 2, 1), mode="complete")[0]
-                left = whole[:, :, closed.shape[1] :].transpose(0, 2, 1)
-            groups.append((chosen, left / scale))
-        return cls(scale=scale, groups=tuple(groups))
-
-    def apply(self, values: Array) -> Array:
-        """Return values (K, n, ...) of efforts in the free rows, (R, ...)."""
-        width = values.shape[2:]
-        if not self.groups:
-            return np.zeros((0, *width))
-        parts = []
-        for rows, left in self.groups:
-            own = left @ values[rows].reshape(len(rows), left.shape[2], -1)
-            parts.append(own.reshape(-1, *width))
-        return np.concatenate(parts)
-
-    @property
-    def sample(self) -> Indices:
-        """The sample of each row, (R,)."""
-        parts = [np.repeat(rows, left.shape[1]) for rows, left in self.groups]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
-
-    def rescaled(self, left: Array) -> Array:
-        """Return the scale of which residuals (R,) are most likely, a step from the present one.
-
-        The base's three forces share one, and so do its three torques.
-        """
-        top, bottom, first = np.zeros(len(self.scale)), np.zeros(len(self.scale)), 0
-        for _, combined in self.groups:
-            k, r, _ = combined.shape
-            own = left[first : first + k * r].reshape(k, r)
-            first += k * r
-            top += np.sum(np.einsum("krn,kr->kn", combined, own) ** 2, axis=0)
-            bottom += np.sum(combined**2, axis=(0, 1))
-        for part in (slice(0, 3), slice(3, 6)):
-            top[part], bottom[part] = top[part].sum(), bottom[part].sum()
-        seen = (top > 0.0) & (bottom > 0.0)
-        share = np.where(seen, top / np.where(seen, bottom, 1.0), 1.0)
-        return np.asarray(self.scale * np.sqrt(share))
+def free_of_contacts(
+    robot: RobotModel, position: Array, contacts: ContactSamples | None, scale: Array
+) -> Array:
+    """Return projectors of efforts over their scale onto what contacts leave free, (K, n, n)."""
+    unit = np.eye(len(scale))
+    if contacts is None:
+        return np.broadcast_to(unit, (len(position), *unit.shape))
+    J = contact_jacobians(robot, position, contacts.frames, contacts.offset)
+    closed = [
+        J[:, i, : TRANSMITS[kind]] * contacts.down[:, i, None, None]
+        for i, kind in enumerate(contacts.kind)
+    ]
+    A = np.swapaxes(np.concatenate(closed, axis=1) / scale, 1, 2)
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    U = U * (s > _FORCE_RANK * np.maximum(s[:, :1], 1e-300))[:, None, :]
+    return np.asarray(unit - U @ np.swapaxes(U, 1, 2))
 
 
 def first_scale(robot: RobotModel, effort: Array, unused: Collection[str] = ()) -> Array:
@@ -194,6 +90,19 @@ def first_scale(robot: RobotModel, effort: Array, unused: Collection[str] = ()) 
     return np.concatenate([base, joints])
 
 
+def _rescaled(scale: Array, left: Array, free: Array) -> Array:
+    """Return the scale of which residuals (K, n) are most likely, a step from the present one.
+
+    The base's three forces share one, and so do its three torques.
+    """
+    top, bottom = np.sum(left**2, axis=0), np.einsum("kjj->j", free)
+    for part in (slice(0, 3), slice(3, 6)):
+        top[part], bottom[part] = top[part].sum(), bottom[part].sum()
+    # What contacts take as a whole leaves rounding errors.
+    seen = (top > 0.0) & (bottom > _FORCE_RANK * len(free))
+    return np.asarray(scale * np.sqrt(np.where(seen, top, 1.0) / np.where(seen, bottom, 1.0)))
+
+
 def is_held(robot: RobotModel, log: Recording) -> bool:
     """Tell whether a base is held throughout, so that it does not matter how it moves."""
     contacts = log.contacts
@@ -202,6 +111,58 @@ def is_held(robot: RobotModel, log: Recording) -> bool:
     planes = np.array([kind == "plane" for kind in contacts.kind])
     holding = planes & ~on_legs(robot, log)
     return bool(holding.any()) and bool(contacts.down[:, holding].any(axis=1).all())
+
+
+def _processing(log: Recording, cutoff_hz: float, **changes: Any) -> Processing:
+    """Return a processing that leaves no samples out, in which delays are looked for."""
+    settings: dict[str, Any] = dict.fromkeys(("decimation", "reversal_time", "impact_s"))
+    settings |= {"contact_force_std": None, "contact_moment_std": None, "reasons": ()}
+    settings["cutoff_hz"] = min(cutoff_hz, BAND_OVER_RATE * log.rate_hz)
+    return replace(default_processing(log), **{**settings, **changes})
+
+
+def _all_closed(robot: RobotModel, log: Recording) -> Recording:
+    """Return a recording whose contacts are closed throughout, those that ever are.
+
+    As it is where that leaves too few rows.
+    """
+    contacts = log.contacts
+    if contacts is None:
+        return log
+    ever = np.any(contacts.closed, axis=0)
+    taken = sum(TRANSMITS[kind] for kind, each in zip(contacts.kind, ever, strict=True) if each)
+    if robot.n - taken < _LEAST_FREE:
+        return log
+    down = np.array(np.broadcast_to(ever, contacts.closed.shape))
+    return replace(log, contacts=replace(contacts, down=down))
+
+
+def without_delays(log: Recording, names: Collection[str], delays: Collection[float]) -> Recording:
+    """Return a recording with its channels on time."""
+    shifts: dict[str, Any] = {
+        f"{name}_delay_s": float(each) for name, each in zip(names, delays, strict=True)
+    }
+    return on_time(log, replace(Processing(), **shifts))
+
+
+def _columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
+    """Return columns of links, and of friction, rotors and offsets of every joint, (K, n, p)."""
+    first = robot.n_base
+
+    def smooth_sign(width: float) -> Array:
+        signs = samples.through_filter(lambda speed, _: np.tanh(speed / width), slice(None))
+        return np.asarray(signs[rows])
+
+    speed, rate = samples.velocity[rows], samples.acceleration[rows]
+    signals = [speed, rate, np.ones_like(speed), *(smooth_sign(width) for width in _WIDTHS)]
+    friction = [signal[:, :, None] * np.eye(robot.n)[:, first:] for signal in signals]
+    return np.concatenate([_links(robot, samples, rows), *friction], axis=2)
+
+
+def _links(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
+    """Return the columns of the links at some samples, (K, n, 10·links)."""
+    q, v, a = samples.position, samples.velocity, samples.acceleration
+    return robot.regressor(q[rows], v[rows], a[rows])
 
 
 def dynamic_delays(
@@ -227,22 +188,54 @@ def dynamic_delays(
     sensed = base is not None and base.imu is not None and base.imu.accelerometer is not None
     names = ("effort", "imu") if sensed and not held else ("effort",)
     cutoff = _CUTOFF_HZ if sensed or held else _POSE_CUTOFF_HZ
-    processing = processing_at(log, cutoff, contact_margin_s=_MARGIN)
+    processing = _processing(log, cutoff, contact_margin_s=_MARGIN)
     log = _all_closed(robot, log)
-    delays, scale, errors = np.zeros(len(names)), None, np.zeros(len(names))
+    half = max(_HALF, 0.5 * log.step)
+    delays, errors, scale = np.zeros(len(names)), np.zeros(len(names)), np.zeros(0)
     for _ in range(_STEPS):
-        at = dict(zip(names, delays.tolist(), strict=True))
-        samples, columns, effort, rates = _linearized(robot, log, processing, at)
-        if scale is None:
+        # All have the same rows, whatever shifting loses at their ends.
+        margin = np.abs(delays).max() + half + 1.5 * log.step
+
+        def at(values: Array, margin: float = margin) -> Samples:
+            shifted = without_delays(log, names, values)
+            inside = (shifted.time > log.time[0] + margin) & (shifted.time < log.time[-1] - margin)
+            piece = rows_of(shifted, np.asarray(inside))
+            return process(piece, processing, gravity=robot.gravity.tolist())
+
+        samples = at(delays)
+        rows = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
+        columns, effort = _columns(robot, samples, rows), samples.effort[rows]
+        slopes = []
+        for step in half * np.eye(len(names)):
+            late, early = at(delays + step), at(delays - step)
+            links = _links(robot, late, rows) - _links(robot, early, rows)
+            slopes.append((late.effort[rows] - early.effort[rows], links))
+        contacts = None if samples.contacts is None else samples.contacts.picked(rows)
+        if not scale.size:
             scale = first_scale(robot, samples.effort, unused)
         for _ in range(_WEIGHTINGS):
-            free = FreeRows.of(robot, samples, _picked(samples), scale)
-            solved = _solved(free, columns, effort, rates)
-            if solved is None:
+            free = free_of_contacts(robot, samples.position[rows], contacts, scale)
+            weighted = (free / scale) @ columns
+            if np.einsum("kjj->", free) <= columns.shape[2]:
                 return {}
-            change, errors, left = solved
-            unlike = float(np.sum(left**2) / np.sum(free.apply(effort) ** 2))
-            scale = free.rescaled(left)
+            due = np.einsum("kij,kj->ki", free, effort / scale)
+            basis, back = orthonormal(weighted.reshape(due.size, -1), _RANK)
+
+            def beyond(values: Array, basis: Array = basis) -> Array:
+                flat = values.ravel()
+                return np.asarray((flat - basis @ (basis.T @ flat)).reshape(values.shape))
+
+            theta = (back @ (basis.T @ due.ravel()))[: slopes[0][1].shape[2]]
+            rates = [
+                beyond(np.einsum("kij,kj->ki", free, (links @ theta - efforts) / scale))
+                for efforts, links in slopes
+            ]
+            found = delay_step(beyond(due), np.stack(rates, axis=2) / (2.0 * half))
+            if found is None:
+                return {}
+            change, errors, left = found
+            unlike = float(np.sum(left**2) / np.sum(due**2))
+            scale = _rescaled(scale, left, free)
         delays = delays + change
         if unlike > _UNLIKE:
             return {}
@@ -252,99 +245,80 @@ def dynamic_delays(
     return {name: Delay(value=value, error=error) for name, value, error in each}
 
 
-def _all_closed(robot: RobotModel, log: Recording) -> Recording:
-    """Return a recording whose contacts are closed throughout, those that ever are.
+def contacts_delay(robot: RobotModel, log: Recording, unused: Collection[str] = ()) -> Delay | None:
+    """Return by how much contacts are late against efforts and joints that are on time.
 
-    As it is where that leaves too few rows.
-    """
-    contacts = log.contacts
-    if contacts is None:
-        return log
-    down = np.array(np.broadcast_to(contacts.closed.any(axis=0), contacts.closed.shape))
-    taken = sum(TRANSMITS[kind] for kind, any_ in zip(contacts.kind, down[0], strict=True) if any_)
-    if robot.n - taken < _LEAST_FREE:
-        return log
-    return replace(log, contacts=replace(contacts, down=down))
-
-
-def processing_at(log: Recording, cutoff_hz: float, **changes: Any) -> Processing:
-    """Return a processing that leaves no samples out, in which delays are looked for."""
-    settings: dict[str, Any] = dict.fromkeys(("decimation", "reversal_time", "impact_s"))
-    settings |= {"contact_force_std": None, "contact_moment_std": None, "reasons": ()}
-    settings["cutoff_hz"] = min(cutoff_hz, BAND_OVER_RATE * log.rate_hz)
-    return replace(default_processing(log), **{**settings, **changes})
-
-
-def _at(log: Recording, delays: Mapping[str, float], margin: float) -> Recording:
-    """Return a recording without delays, and without so many seconds at its ends."""
-    fields: dict[str, Any] = {f"{name}_delay_s": float(delay) for name, delay in delays.items()}
-    moved = on_time(log, replace(Processing(), **fields))
-    inside = (moved.time > log.time[0] + margin) & (moved.time < log.time[-1] - margin)
-    return rows_of(moved, np.asarray(inside))
-
-
-def _picked(samples: Samples) -> Indices:
-    """Return the samples that are looked at."""
-    return np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
-
-
-def _linearized(
-    robot: RobotModel, log: Recording, processing: Processing, delays: Mapping[str, float]
-) -> tuple[Samples, Array, Array, list[tuple[Array, Array | None]]]:
-    """Process a recording at some delays and on either side of each.
+    The forces that the description's bodies need, less the efforts, jump where a foot lands. Flags
+    are compared with the steepest rise, the median of all landings; recorded forces with the
+    forces themselves. Bodies that are 15 % off move neither.
 
     Returns
     -------
-    tuple
-        Samples; of those that are looked at columns of links and friction (K, n, p), and efforts
-        (K, n); and for each delay derivatives of the efforts and of the columns of the links, None
-        where those do not depend on it.
+    Delay or None
+        None where no foot lands often enough, or forces do not follow from efforts.
     """
-    half = max(_HALF, 0.5 * log.step)
-    # All have the same rows, whatever shifting loses at their ends.
-    margin = max(abs(delay) for delay in delays.values()) + half + 1.5 * log.step
-
-    def at(**changed: float) -> Samples:
-        moved = _at(log, {**delays, **changed}, margin)
-        return process(moved, processing, gravity=robot.gravity.tolist())
-
-    samples = at()
-    picked, rates = _picked(samples), []
-    for name, delay in delays.items():
-        ends = [at(**{name: delay + side}) for side in (half, -half)]
-        late, early = (end.effort[picked] for end in ends)
-        of_links = None
-        if name != "effort":
-            behind, before = (regressor(robot, end, picked) for end in ends)
-            of_links = (behind - before) / (2.0 * half)
-        rates.append(((late - early) / (2.0 * half), of_links))
-    return samples, free_columns(robot, samples, picked), samples.effort[picked], rates
-
-
-def _solved(
-    free: FreeRows, columns: Array, effort: Array, rates: list[tuple[Array, Array | None]]
-) -> tuple[Array, Array, Array] | None:
-    """Return changes of the delays, their errors, and residuals; None where nothing shows."""
-    columns, effort = free.apply(columns), free.apply(effort)
-    if len(columns) <= columns.shape[1]:
+    contacts, step = log.contacts, log.step
+    if contacts is None or not on_legs(robot, log).all():
         return None
-    basis, back = orthonormal(columns)
-    fitted = basis.T @ effort
-    theta, left = back @ fitted, effort - basis @ fitted
-    slopes = []
-    for effort_rate, of_links in rates:
-        rate = free.apply(effort_rate)
-        if of_links is not None:
-            rate = rate - free.apply(of_links @ theta[: of_links.shape[2]])
-        slopes.append(rate - basis @ (basis.T @ rate))
-    slope = np.column_stack(slopes)
-    power = slope.T @ slope
-    if not np.linalg.cond(power) < 1.0 / np.finfo(float).eps:
+    wide = [TRANSMITS[kind] for kind in contacts.kind]
+    if sum(wide) >= robot.n or not robot.prior[:, 0].sum() > 0.0:
         return None
-    change = -np.linalg.solve(power, slope.T @ left)
-    left = left + slope @ change
-    # By time, so that neighbors, whose errors are alike, are in one block.
-    order = np.lexsort((free.sample,))
-    influence = np.linalg.solve(power, (slope * left[:, None]).T)[:, order]
-    errors = np.array([block_error(each, 1.0) for each in influence])
-    return np.asarray(change), errors, np.asarray(left)
+    steps, measured = round(_WINDOW / step), contacts.forces is not None
+    if not measured and (contacts.down is None or not _landings(contacts.down, steps)):
+        return None
+    std = 1.0 if measured else None
+    processing = _processing(log, _LANDING_HZ, decimation=1, contact_force_std=std)
+    samples = process(log, processing, gravity=robot.gravity.tolist())
+    q, v, a = samples.position, samples.velocity, samples.acceleration
+    need = robot.inverse_dynamics(robot.prior, q, v, a) - samples.effort
+    scale = first_scale(robot, samples.effort, unused)
+    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
+    closed = np.concatenate([J[:, i, :rows] for i, rows in enumerate(wide)], axis=1) / scale
+    normal = closed @ closed.transpose(0, 2, 1)
+    # Legs that are stretched have forces that no effort shows.
+    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[1])
+    solved = np.linalg.solve(normal, closed @ (need / scale)[:, :, None])
+    force = np.stack([solved[:, row : row + 3, 0] for row in np.cumsum([0, *wide[:-1]])], axis=1)
+    if samples.contacts is not None and samples.contacts.forces is not None:
+        recorded, other = (
+            samples.contacts.forces[..., :3].reshape(len(q), -1),
+            force.reshape(len(q), -1),
+        )
+        moves = np.flatnonzero(np.ptp(recorded, axis=0) > 0.0)
+        alike = [i for i in moves if np.corrcoef(recorded[:, i], other[:, i])[0, 1] ** 2 > _ALIKE]
+        return lag(recorded[:, alike], other[:, alike], step, gain=True) if alike else None
+    assert samples.time is not None
+    assert contacts.down is not None
+    first = round(float(samples.time[0] - log.time[0]) / step)
+    return _of_flags(contacts.down[first : first + len(q)], force[:, :, 2], steps, step)
+
+
+def _of_flags(down: Mask, upward: Array, steps: int, step: float) -> Delay | None:
+    """Return the delay of flags against the steepest rise of upward forces (K, c)."""
+    found = []
+    for foot, row in _landings(down, steps):
+        rise = np.gradient(upward[row - steps : row + steps, foot])
+        peak = int(rise.argmax())
+        if abs(peak - steps) > _INSIDE * steps or not 0 < peak < len(rise) - 1:
+            continue
+        before, top, after = rise[peak - 1 : peak + 2]
+        curved = before - 2.0 * top + after
+        shift = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
+        # A foot lands between the last sample without its flag and the first with it.
+        found.append((steps - 0.5 - peak - shift) * step)
+    if len(found) < _LEAST_LANDINGS:
+        return None
+    value = float(np.median(found))
+    spread = _NORMAL * float(np.median(np.abs(np.array(found) - value)))
+    return Delay(value=value, error=_OF_MEDIAN * spread / float(np.sqrt(len(found))))
+
+
+def _landings(down: Mask, steps: int) -> list[tuple[int, int]]:
+    """Return feet and rows of landings that are clear of others, (foot, first row down)."""
+    found = []
+    for foot, flags in enumerate(down.T):
+        for row in (np.flatnonzero(flags[1:] & ~flags[:-1]) + 1).tolist():
+            inside = steps <= row <= len(flags) - steps
+            if inside and not flags[row - steps : row].any() and flags[row : row + steps].all():
+                found.append((foot, row))
+    return found

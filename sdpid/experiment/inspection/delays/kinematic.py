@@ -1,4 +1,8 @@
-"""Delays that motion alone shows: of two signals, an IMU against a pose, a pose against legs."""
+"""How late channels are, and what motion alone shows of it: an IMU, a pose, two signals.
+
+Every delay is found in the same way. A channel that is late by d leaves residuals that are, to
+first order, d times what a longer delay takes off them (`delay_step`), until that changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.inspection.block_fit import block_error
 from sdpid.experiment.processing.base import angle_noise, body_rate, into_body, unit
 from sdpid.experiment.processing.filters import (
     BAND_OVER_RATE,
@@ -20,6 +25,7 @@ from sdpid.experiment.processing.filters import (
 from sdpid.experiment.processing.motion import white_noise
 from sdpid.experiment.processing.pipeline import near
 from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
@@ -27,10 +33,6 @@ from sdpid.robot.model.model import RobotModel
 # Gauss-Newton steps of a lag end when one is this share of its error. Of motions three are enough
 # from 20 ms away; of forces, which jump, ten and more.
 _SETTLED, _STEPS = 0.02, 50
-# Of filters.
-_ORDER = 2
-# Stretches of a recording whose errors count as independent.
-_BLOCKS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,68 +57,61 @@ class Delay:
         return Delay(value=self.value, error=float(np.hypot(self.error, error)))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Smooth:
-    """A low-pass filter for a recording without gaps, with derivatives.
+def delay_step(left: Array, rates: Array) -> tuple[Array, Array, Array] | None:
+    """Return how much longer k delays are, (k,), their errors, and the residuals then.
 
-    Attributes
+    Parameters
     ----------
-    low_pass : ZeroPhaseFilter
-    weights : Weights
-        Of derivatives of what has passed it.
-    step : float
-        Of the recording, s.
-    cutoff_hz : float
-    inner : slice
-        The samples that its ends do not reach.
+    left : (N, c) ndarray
+        Residuals, in the order of time.
+    rates : (N, c, k) ndarray
+        What longer delays take off them a second.
+
+    Returns
+    -------
+    tuple or None
+        None where the residuals do not depend on a delay.
     """
+    power = np.einsum("nci,ncj->ij", rates, rates)
+    if not np.linalg.cond(power) < 1.0 / np.finfo(float).eps:
+        return None
+    inverse = np.linalg.inv(power)
+    change = inverse @ np.einsum("nci,nc->i", rates, left)
+    left = left - rates @ change
+    return change, block_error(np.einsum("nci,nc->ni", rates, left) @ inverse), left
 
-    low_pass: ZeroPhaseFilter
-    weights: Weights
-    step: float
-    cutoff_hz: float
-    inner: slice
 
-    @classmethod
-    def of(cls, log: Recording, cutoff_hz: float, least: float) -> Smooth | None:
-        """Return the filter; None of a recording shorter than `least` times its memory."""
-        step = log.step
-        cutoff = min(cutoff_hz, BAND_OVER_RATE / step)
-        found = low_pass("finite", cutoff, _ORDER, 1.0 / step)
-        if log.n_samples < least * found.reach:
+def least_delay(at: Callable[[float], tuple[Array, Array]]) -> Delay | None:
+    """Return the delay at which residuals are least, None where they do not depend on it.
+
+    `at` returns the residuals (N, c) at a delay, in the order of time, and what a longer one takes
+    off them a second, (N, c).
+    """
+    delay = 0.0
+    for _ in range(_STEPS):
+        left, rate = at(delay)
+        weight = 1.0 / np.sqrt(np.maximum(np.mean(left**2, axis=0), 1e-30))
+        step = delay_step(left * weight, (rate * weight)[..., None])
+        if step is None:
             return None
-        return cls(
-            low_pass=found,
-            weights=stencil("central4"),
-            step=step,
-            cutoff_hz=cutoff,
-            inner=slice(2 * found.reach, log.n_samples - 2 * found.reach),
-        )
-
-    def low(self, values: Array) -> Array:
-        """Return signals (N, ...) filtered."""
-        return filtered(values.reshape(len(values), -1), self.low_pass).reshape(values.shape)
-
-    def second(self, values: Array) -> Array:
-        """Return the second derivative of signals (N, ...)."""
-        return correlated(values, self.weights.second) / self.step**2
-
-    def turning(self, base: BaseMotion) -> Array:
-        """Return the angular velocity of a base by its orientation, in its axes, (N, 3)."""
-        return body_rate(unit(base.orientation), self.weights.first, self.step)
+        change, error = step[0].item(), step[1].item()
+        delay += change
+        if abs(change) <= _SETTLED * error:
+            break
+    return Delay(value=delay, error=error)
 
 
-def filtered(values: Array, low_pass: ZeroPhaseFilter) -> Array:
-    """Return signals (N, c) filtered, their ends continued by point reflection."""
-    reach = min(low_pass.reach, len(values) - 1)
-    padded = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
-    return low_pass.apply(padded)[reach : reach + len(values)]
+def moved(signal: Array, step: float, rows: Indices) -> Callable[[float], tuple[Array, Array]]:
+    """Return a function that reads a signal at some rows, so much later, and its derivative."""
+    from scipy.interpolate import CubicSpline
 
+    spline = CubicSpline(step * np.arange(len(signal)), signal, axis=0)
 
-def block_error(scores: Array, power: float, blocks: int = _BLOCKS) -> float:
-    """Return the standard error of sum(scores) / power, by blocks of the (N,) scores."""
-    sums = np.array([part.sum() for part in np.array_split(scores, blocks)])
-    return float(np.sqrt(sums @ sums)) / power
+    def at(delay: float) -> tuple[Array, Array]:
+        times = np.clip(step * rows + delay, 0.0, spline.x[-1])
+        return np.asarray(spline(times)), np.asarray(spline(times, 1))
+
+    return at
 
 
 def lag(signal: Array, other: Array, step: float, *, gain: bool = False) -> Delay | None:
@@ -136,60 +131,67 @@ def lag(signal: Array, other: Array, step: float, *, gain: bool = False) -> Dela
     Delay or None
         None where the signal does not change.
     """
-    from scipy.interpolate import CubicSpline
-
-    rows = np.arange(len(signal), dtype=np.float64)
-    spline, target = CubicSpline(rows, signal, axis=0), _centered(other)
+    read, target = moved(signal, step, np.arange(len(signal))), other - other.mean(axis=0)
 
     def at(delay: float) -> tuple[Array, Array]:
-        places = np.clip(rows + delay / step, 0.0, rows[-1])
-        moved, rate = _centered(spline(places)), _centered(spline(places, 1) / step)
+        values, rate = (each - each.mean(axis=0) for each in read(delay))
         if gain:
-            size = np.sum(moved**2, axis=0)
-            moved, rate = (np.sum(moved * target, axis=0) / size * each for each in (moved, rate))
-        return target - moved, rate
+            scale = np.sum(values * target, axis=0) / np.sum(values**2, axis=0)
+            values, rate = scale * values, scale * rate
+        return target - values, rate
 
     return least_delay(at)
 
 
-def least_delay(at: Callable[[float], tuple[Array, Array]]) -> Delay | None:
-    """Return the delay at which residuals are least, None where they do not depend on it.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Smooth:
+    """A low-pass filter for a recording without gaps, with derivatives.
 
-    `at` returns the residuals (N, c) at a delay, in the order of time, and what a longer one takes
-    off them a second, (N, c).
+    Attributes
+    ----------
+    low_pass : ZeroPhaseFilter
+    weights : Weights
+        Of derivatives of what has passed it.
+    step : float
+        Of the recording, s.
+    inner : slice
+        The samples that its ends do not reach.
     """
-    delay, error = 0.0, 0.0
-    for _ in range(_STEPS):
-        left, rate = at(delay)
-        weight = 1.0 / np.maximum(np.mean(left**2, axis=0), 1e-30)
-        power = float(np.sum(rate**2 * weight))
-        if not power > 0.0:
+
+    low_pass: ZeroPhaseFilter
+    weights: Weights
+    step: float
+    inner: slice
+
+    @classmethod
+    def of(cls, log: Recording, cutoff_hz: float, least: float) -> Smooth | None:
+        """Return the filter; None of a recording shorter than `least` times its memory."""
+        cutoff = min(cutoff_hz, BAND_OVER_RATE / log.step)
+        found = low_pass("finite", cutoff, 2, 1.0 / log.step)
+        if log.n_samples < least * found.reach:
             return None
-        change = float(np.sum(left * rate * weight)) / power
-        error = block_error(np.sum((left - change * rate) * rate * weight, axis=1), power)
-        delay += change
-        if abs(change) <= _SETTLED * error:
-            break
-    return Delay(value=delay, error=error)
+        return cls(
+            low_pass=found,
+            weights=stencil("central4"),
+            step=log.step,
+            inner=slice(2 * found.reach, log.n_samples - 2 * found.reach),
+        )
 
+    def low(self, values: Array) -> Array:
+        """Return signals (N, ...) filtered, their ends continued by point reflection."""
+        flat = np.reshape(values, (len(values), -1))
+        reach = min(self.low_pass.reach, len(flat) - 1)
+        padded = np.pad(flat, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+        passed = self.low_pass.apply(padded)[reach : reach + len(flat)]
+        return np.asarray(passed.reshape(np.shape(values)))
 
-def pooled(values: Array, errors: Array) -> tuple[float, float]:
-    """Return the mean of values with errors, and its error, in which their spread counts."""
-    errors = np.maximum(errors, 1e-3 * np.abs(values).max(initial=1e-9))
-    spread = 0.0
-    for _ in range(20):
-        weights = 1.0 / (errors**2 + spread)
-        mean = float(weights @ values / weights.sum())
-        # The spread between values that makes the deviations as large as their errors say.
-        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
-        if excess <= 0.0 and spread == 0.0:
-            break
-        spread = max(0.0, spread + excess / float(weights.sum()))
-    return mean, float(1.0 / np.sqrt(weights.sum()))
+    def second(self, values: Array) -> Array:
+        """Return the second derivative of signals (N, ...)."""
+        return correlated(values, self.weights.second) / self.step**2
 
-
-def _centered(values: Array) -> Array:
-    return np.asarray(values - values.mean(axis=0))
+    def turning(self, base: BaseMotion) -> Array:
+        """Return the angular velocity of a base by its orientation, in its axes, (N, 3)."""
+        return body_rate(unit(base.orientation), self.weights.first, self.step)
 
 
 # Cut-off (Hz) of the motion of feet that stand for some 0.2 s, and least number of memories of the
@@ -208,6 +210,8 @@ class Standing:
     Attributes
     ----------
     robot : RobotModel
+    contacts : Contacts
+        c in all.
     rows : ndarray of int, shape (K,)
     position : ndarray, shape (K, nq)
     base : ndarray, shape (N, 6)
@@ -225,6 +229,7 @@ class Standing:
     """
 
     robot: RobotModel
+    contacts: Contacts
     rows: Indices
     position: Array
     base: Array
@@ -238,33 +243,32 @@ class Standing:
     def of(cls, robot: RobotModel, log: Recording) -> Standing | None:
         """Return the motion of a recording without gaps; None without pose, flags, or time."""
         base, contacts, step = log.base, log.contacts, log.step
-        smooth = Smooth.of(log, _STANCE_HZ, _MEMORIES)
         if base is None or base.position is None or contacts is None or contacts.down is None:
             return None
+        smooth = Smooth.of(log, _STANCE_HZ, _MEMORIES)
         if smooth is None:
             return None
         low, reach, inner = smooth.low, smooth.low_pass.reach, smooth.inner
         turning, orientation = smooth.turning(base), unit(np.asarray(base.orientation))
-        moving = into_body(orientation, np.gradient(np.asarray(base.position), step, axis=0))
-        joints = np.asarray(log.position)
-        speeds = low(np.gradient(joints, step, axis=0))
+        place, joints = np.asarray(base.position), np.asarray(log.position)
+        moving = into_body(orientation, np.gradient(place, step, axis=0))
         rows = np.unique(np.linspace(inner.start, inner.stop - 1, _ROWS).astype(np.intp))
         stands = ~near(~np.asarray(contacts.down), reach + round(_AT_REST / step))[rows]
         impulse = np.eye(8 * reach + 1)[:, 4 * reach :][:, :1]
         gain = np.linalg.norm(low(np.gradient(impulse, step, axis=0)))
         angles = np.hypot(angle_noise(orientation), white_noise(joints))
-        q = np.hstack([low(np.asarray(base.position)), unit(low(orientation)), low(joints)])
         return cls(
             robot=robot,
+            contacts=contacts,
             rows=rows,
-            position=q[rows],
+            position=np.hstack([low(place), unit(low(orientation)), low(joints)])[rows],
             base=low(np.hstack([moving, turning])),
-            speeds=speeds[rows],
+            speeds=low(np.gradient(joints, step, axis=0))[rows],
             # What holds a base stands still, whatever joints do.
             stands=stands & on_legs(robot, log),
             turning=float(np.sqrt(np.mean(turning**2))),
             step=step,
-            noise=float(gain * np.hypot(white_noise(base.position), robot.reach * angles)),
+            noise=float(gain * np.hypot(white_noise(place), robot.reach * angles)),
         )
 
 
@@ -308,22 +312,16 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
     Delay or None
         None where no foot stands long enough, or the base does not move.
     """
-    from scipy.interpolate import CubicSpline
-
-    feet, contacts = Standing.of(robot, log), log.contacts
-    if feet is None or contacts is None:
+    feet = Standing.of(robot, log)
+    if feet is None or np.count_nonzero(feet.stands) < _LEAST or feet.turning < _LEAST_RATE:
         return None
-    stands, velocity, rows, step = feet.stands, feet.base, feet.rows, feet.step
-    if np.count_nonzero(stands) < _LEAST or feet.turning < _LEAST_RATE:
-        return None
-    J = contact_jacobians(robot, feet.position, contacts.frames, contacts.offset)[:, :, :3]
+    frames, offset = feet.contacts.frames, feet.contacts.offset
+    J = contact_jacobians(robot, feet.position, frames, offset)[:, :, :3]
     legs = np.einsum("kcij,kj->kci", J[..., 6:], feet.speeds)
-    spline = CubicSpline(np.arange(len(velocity)), velocity, axis=0)
+    read = moved(feet.base, feet.step, feet.rows)
 
     def at(delay: float) -> tuple[Array, Array]:
-        places = np.clip(rows + delay / step, 0.0, len(velocity) - 1.0)
-        left = np.einsum("kcij,kj->kci", J[..., :6], spline(places)) + legs
-        rate = np.einsum("kcij,kj->kci", J[..., :6], spline(places, 1) / step)
-        return left[stands], -rate[stands]
+        base, rate = (np.einsum("kcij,kj->kci", J[..., :6], each) for each in read(delay))
+        return (base + legs)[feet.stands], -rate[feet.stands]
 
     return least_delay(at)
