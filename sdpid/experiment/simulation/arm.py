@@ -10,10 +10,13 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError
-from sdpid.experiment.simulation.kernels.friction_arrays import FrictionArrays
+from sdpid.experiment.simulation.kernels import layout
+from sdpid.experiment.simulation.kernels.friction import KINDS
 from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
-from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.posed import PosedTerm, Tilt
+from sdpid.robot.friction.term import simulated_curves
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -55,44 +58,35 @@ class SimulatedArm:
             of `sdpid.friction`.
         """
         robot, terms = model.robot, model.terms
+        coefficients = model.theta[10 * robot.n_links :]
         require_fixed_robot(robot, "simulation")
         require_open_chain(robot, "simulation")
-        tree = robot.tree
+        tree, own_v = robot.tree, robot.tree.first_v
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
-        friction, coefficients = FrictionArrays(robot.n), model.theta[10 * robot.n_links :]
-        gravity, none = np.array(robot.gravity), np.zeros((0, 10))
-        tilted, tilt, loaded = none, np.zeros(3), none
-        for term, own_values in terms.placed:
-            values = coefficients[own_values]
-            friction.add(term, values, terms.joint_names)
+        # Bodies and their gravity: the robot's, those of a tilt, and those that carry load.
+        packs = [bodies, np.zeros_like(bodies), np.zeros_like(bodies)]
+        gravity = np.stack([robot.gravity, np.zeros(3), robot.gravity])
+        for term, own in terms.placed:
             if isinstance(term, PosedTerm):
-                own = robot.prior if term.bodies is None else np.array(term.bodies)
-                if isinstance(term, Tilt):
-                    tilted, tilt = np.array(own), values @ term.change(robot.gravity)
-                elif isinstance(term, LoadFriction):
-                    loaded = np.array(own)
-        if len(tilted) and np.array_equal(tilted, bodies):
-            gravity, tilted = gravity + tilt, none
-        which, curves, contacts, jumps = friction.arrays()
-        own_v = tree.first_v
-        offset = np.asarray(robot.offset, dtype=np.float64)[own_v]
-        nothing = np.zeros_like(bodies)
+                at = layout.TILTED if isinstance(term, Tilt) else layout.LOADING
+                packs[at] = np.array(robot.prior if term.bodies is None else term.bodies)
+            if isinstance(term, Tilt):
+                gravity[layout.TILTED] = coefficients[own] @ term.change(robot.gravity)
+        if np.array_equal(packs[layout.TILTED], bodies):
+            gravity[layout.OWN] += gravity[layout.TILTED]
+            packs[layout.TILTED] = np.zeros_like(bodies)
+        friction = _friction(terms, coefficients)
         arrays = Robot(
             tree=_packed([tree.kind, tree.parent, tree.column[own_v]]),
-            angles=_packed([tree.factor[own_v], offset]),
+            angles=_packed([tree.factor[own_v], np.asarray(robot.offset)[own_v]]),
             turn=_packed(tree.turn),
             place=_packed(np.concatenate([tree.place, tree.axis[:, None]], axis=1)),
-            bodies=_packed([bodies, *(x if len(x) else nothing for x in (tilted, loaded))]),
-            gravity=_packed([gravity, tilt, robot.gravity]),
-            matrices=_packed([model.drive_inertia, friction.viscous]),
-            constant=_packed(friction.constant),
-            load=_packed(friction.load),
-            which=_packed(which),
-            curves=_packed(curves),
-            contacts=_packed(contacts),
-            jumps=_packed(jumps),
-            tilted=len(tilted) > 0,
-            loaded=len(loaded) > 0,
+            bodies=_packed(packs),
+            gravity=_packed(gravity),
+            matrices=_packed([model.drive_inertia, friction.pop("viscous")]),
+            tilted=bool(packs[layout.TILTED].any()),
+            loaded=bool(packs[layout.LOADING].any()),
+            **{name: _packed(values) for name, values in friction.items()},
         )
         return cls(model=model, arrays=arrays)
 
@@ -200,6 +194,46 @@ class SimulatedArm:
                 )
             found.append(np.require(array, np.float64, _COMPILED_FOR))
         return found
+
+
+def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
+    """Return what terms say of their simulation, gathered in the arrays of a `Robot`.
+
+    The last column of jumps says where friction of the load adds to them.
+    """
+    n = len(terms.joint_names)
+    viscous, constant, load = np.zeros((n, n)), np.zeros(n), np.zeros((n, 4))
+    curves: list[tuple[float, ...]] = []
+    jumps: dict[tuple[int, int, float], Array] = {}
+    for term, own in terms.placed:
+        for part in simulated_curves(term, coefficients[own], terms.joint_names):
+            i, j = part.joints
+            if part.kind == "slope":
+                viscous[i, j] += part.size
+            elif part.kind == "constant":
+                constant[i] += part.size
+            elif part.kind == "load":
+                load[i] = (part.size, *part.numbers)
+            elif part.kind == "jump":
+                ends = np.array([part.numbers[1], part.size])
+                key = (i, j, part.numbers[0])
+                jumps[key] = jumps.get(key, 0.0) + ends
+            else:
+                kind = KINDS.index(part.kind)
+                curves.append((i, j, kind, part.side, part.size, *part.numbers))
+    table, keys = np.reshape(curves, (-1, 8)), np.reshape(list(jumps), (-1, 3))
+    exact = (load[:, 0] != 0.0) & (load[:, 3] == 0.0)
+    rubs = [j < 0 and speed == 0.0 and exact[i] for i, j, speed in jumps]
+    ends = np.reshape(list(jumps.values()), (-1, 2))
+    return {
+        "viscous": viscous,
+        "constant": constant,
+        "load": load,
+        "which": table[:, :4].astype(np.int64),
+        "curves": table[:, 4:],
+        "contacts": keys[:, :2].astype(np.int64),
+        "jumps": np.column_stack([keys[:, 2], ends, np.array(rubs, dtype=np.float64)]),
+    }
 
 
 def _packed(values: Any) -> Any:

@@ -7,8 +7,9 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 
-# Kinds of smooth curves.
-TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = 0, 1, 2, 3, 4
+# Kinds of smooth curves, as terms name them.
+KINDS = ("tanh", "root", "peak", "smooth_peak", "line")
+TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = range(5)
 
 
 def sign_of(x: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import itertools
 import logging
 import sys
 import threading
@@ -31,7 +32,9 @@ def entries() -> SimpleNamespace:
     try:
         import numba
     except ImportError:  # missing, or it refuses this NumPy
-        return SimpleNamespace(**{name: _quiet(getattr(loops, name)) for name in _ENTRIES})
+        # A motion may diverge: no warnings of numbers that overflow.
+        quiet = np.errstate(all="ignore")
+        return SimpleNamespace(**{name: quiet(getattr(loops, name)) for name in _ENTRIES})
     try:
         # Beside the modules or, where that is not writable, in the user's cache folder.
         return _linked(numba.njit, cache=True)
@@ -64,11 +67,10 @@ def _linked(njit: Any, **kept: Any) -> SimpleNamespace:
 
 def _announced(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function with a line to the user where its first call takes long."""
-    called = False
+    calls = itertools.count()
 
     def call(*arguments: Any) -> Any:
-        nonlocal called
-        if called:
+        if next(calls):
             return function(*arguments)
         timer = threading.Timer(_PATIENCE, _say)
         timer.daemon = True
@@ -77,7 +79,6 @@ def _announced(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*arguments)
         finally:
             timer.cancel()
-            called = True
 
     return call
 
@@ -87,13 +88,3 @@ def _say() -> None:
     logging.getLogger(__name__).info(note)
     if sys.stderr.isatty():
         print(f"sdpid: {note}", file=sys.stderr)
-
-
-def _quiet(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function without warnings of numbers that overflow: a motion may diverge."""
-
-    def call(*arguments: Any) -> Any:
-        with np.errstate(all="ignore"):
-            return function(*arguments)
-
-    return call
