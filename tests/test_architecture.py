@@ -158,7 +158,6 @@ USED_TWICE = {
     "Measure",
     "Motion",
     "Plan",
-    "Reading",
     "Rows",
     "States",
     "Subject",
