@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.legs.feet import foot_radius, sole_corners
 from sdpid.robot.legs.legs import Legs
+from sdpid.robot.model.geometry import collision_points, described_links
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.shapes import link_shapes
 
 # Names of frames at which legs end, in any spelling: of balls, and of flat soles.
 _FOOT, _SOLE = "foot", "sole"
@@ -20,6 +22,12 @@ _FOOT, _SOLE = "foot", "sole"
 _BENT = {3: (0.0, 0.8, -1.6), 6: (0.0, 0.0, -0.4, 0.8, -0.4, 0.0)}
 # Soles of a standing robot are level within this, rad.
 _LEVEL = 1e-6
+# Of feet that the description shows no shape of, m: those of most quadrupeds of a metre or less.
+_RADIUS = 0.02
+# Of soles that the description shows no shape of, m: to the back, to the front, to both sides.
+_BACK, _FRONT, _SIDE = -0.1, 0.1, 0.06
+# What is this near to the lowest point of a foot is its sole, m.
+_THICK = 0.01
 # Joints beside the legs rest this far inside their limits, rad, or a quarter of their range.
 _INSIDE = 0.25
 
@@ -112,13 +120,11 @@ def find_legs(
                 "ones, in rad."
             )
     names = tuple(feet)
+    legs = Legs(robot, names, np.array(chains), 0.0, frozen(angles))
     if len(chains[0]) == 3:
-        radius = foot_radius(robot, names, angles) if radius is None else radius
-        return Legs(robot, names, np.array(chains), radius, frozen(angles))
-    corners = sole_corners(robot, names)
-    legs = Legs(robot, names, np.array(chains), 0.0, frozen(angles), frozen(corners))
+        return replace(legs, radius=_foot_radius(legs) if radius is None else radius)
     _require_level(legs)
-    return legs
+    return replace(legs, sole=frozen(_sole_corners(robot, names)))
 
 
 def _named(robot: RobotModel, word: str) -> list[str]:
@@ -138,15 +144,58 @@ def _require_level(legs: Legs) -> None:
     """Refuse soles that are not level when the robot stands."""
     import pinocchio as pin
 
-    model = legs.robot.pin_model
-    data = model.createData()
-    pin.framesForwardKinematics(
-        model, data, np.concatenate([pin.neutral(model)[:7], legs.standing])
-    )
-    tilts = [float(np.abs(pin.log3(data.oMf[i].rotation)).max()) for i in legs.frame_ids]
+    tilts = [float(np.abs(pin.log3(axes)).max()) for axes in legs.axes()]
     if not max(tilts) < _LEVEL:
         raise ModelError(
             f"legs of '{legs.robot.name}': sole '{legs.frames[int(np.argmax(tilts))]}' is "
             f"turned by {max(tilts):.3g} rad when the robot stands (limit {_LEVEL:g}); give "
             "standing=."
         )
+
+
+def _foot_radius(legs: Legs) -> float:
+    """Return how far the feet reach below their frames when the robot stands, m.
+
+    That of balls is their radius. The largest of all feet; 0.02 m where the description has no
+    collision geometry of them.
+    """
+    elements = {each.name: each.element for each in described_links(legs.robot)}
+    depths = []
+    for name, axes in zip(legs.frames, legs.axes(), strict=True):
+        element, down = elements.get(name), -axes[2]
+        if element is None:
+            continue
+        try:
+            shapes = link_shapes(element, "collision", legs.robot.name, [])
+        except ModelError:
+            # A mesh that is not at hand.
+            continue
+        for shape in shapes:
+            if shape.kind == "sphere":
+                depths.append(float(shape.placement[:3, 3] @ down + shape.sizes[0]))
+            else:
+                depths.append(float(np.max(shape.points() @ down)))
+    return max(depths, default=_RADIUS)
+
+
+def _sole_corners(robot: RobotModel, frames: tuple[str, ...]) -> Array:
+    """Return the lower and the upper corner of all soles in their frames, m, (2, 2).
+
+    The rectangle that every foot's collision geometry has, about the plane that the frame lies
+    in; 0.2 m by 0.12 m where the description has none.
+    """
+    model = robot.pin_model
+    lower, upper = [], []
+    for name in frames:
+        frame = model.frames[model.getFrameId(name)]
+        try:
+            points = collision_points(robot, robot.link_names[frame.parentJoint - 1])
+        except ModelError:
+            continue
+        own = (points - frame.placement.translation) @ frame.placement.rotation
+        own = own[own[:, 2] < own[:, 2].min() + _THICK]
+        lower.append(own[:, :2].min(axis=0))
+        upper.append(own[:, :2].max(axis=0))
+    if not lower:
+        return np.array([[_BACK, -_SIDE], [_FRONT, _SIDE]])
+    return np.array([np.max(lower, axis=0), np.min(upper, axis=0)])

@@ -9,6 +9,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
+from sdpid.robot.model.contacts.jacobians import frame_axes, frame_places
+from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
 
 # Inverse kinematics ends at this distance in m; Newton's method is there after a few steps.
@@ -61,21 +63,19 @@ class Legs:
         A leg bears its share of the robot at its length; other joints what they move, at the
         distance of the farthest center of mass.
         """
-        import pinocchio as pin
-
         model, mass = self.robot.pin_model, self.robot.prior[:, 0]
         masses = np.full(self.n_joints, mass.sum() / len(self.frames))
         levers = np.full(self.n_joints, self.height)
-        data = model.createData()
-        pin.forwardKinematics(model, data, np.concatenate([pin.neutral(model)[:7], self.standing]))
+        placed = link_placements(self.robot, self._configurations(self.standing[None])[0])
+        centers = [
+            place[:3, :3] @ body.lever + place[:3, 3]
+            for place, body in zip(placed, list(model.inertias)[1:], strict=True)
+        ]
         for joint in self.free:
             own = next(i for i in range(2, model.njoints) if model.joints[i].idx_v == joint + 6)
-            moved = list(model.subtrees[own])
-            masses[joint] = mass[np.array(moved) - 1].sum()
-            axis = data.oMi[own].translation
-            levers[joint] = max(
-                np.linalg.norm(data.oMi[i].act(model.inertias[i].lever) - axis) for i in moved
-            )
+            moved, axis = np.array(model.subtrees[own]) - 1, placed[own - 1, :3, 3]
+            masses[joint] = mass[moved].sum()
+            levers[joint] = np.linalg.norm(np.array(centers)[moved] - axis, axis=1).max()
         return frozen(masses), frozen(levers)
 
     @property
@@ -92,18 +92,22 @@ class Legs:
         """Return the description's center of mass in the base frame, (K, 3), for (K, joints)."""
         import pinocchio as pin
 
-        model = self.robot.pin_model
-        data, q = model.createData(), pin.neutral(model)
-        out = np.empty((len(joints), 3))
-        for k, row in enumerate(joints):
-            q[7:] = row
-            out[k] = pin.centerOfMass(model, data, q)
-        return out
+        data = self.robot.pin_model.createData()
+        found = (
+            pin.centerOfMass(self.robot.pin_model, data, q).copy()
+            for q in self._configurations(joints)
+        )
+        return np.stack([*found])
 
     @functools.cached_property
     def center_of_mass(self) -> Array:
         """The center of mass when the robot stands, m, (3,)."""
         return frozen(self.centers_of_mass(self.standing[None])[0])
+
+    def axes(self) -> Array:
+        """Return the axes of the feet's frames as columns when the robot stands, (c, 3, 3)."""
+        q = self._configurations(self.standing[None])
+        return np.asarray(frame_axes(self.robot, q, self.frames)[0])
 
     @property
     def frame_ids(self) -> list[int]:
@@ -112,18 +116,12 @@ class Legs:
 
     def feet(self, joints: Array) -> Array:
         """Return the feet's centers in the base frame, shape (K, c, 3), for (K, joints)."""
-        import pinocchio as pin
+        return frame_places(self.robot, self._configurations(joints), self.frames)
 
-        model = self.robot.pin_model
-        data = model.createData()
-        out = np.empty((len(joints), len(self.frames), 3))
-        q = pin.neutral(model)
-        for k, row in enumerate(joints):
-            q[7:] = row
-            pin.forwardKinematics(model, data, q)
-            for i, frame in enumerate(self.frame_ids):
-                out[k, i] = pin.updateFramePlacement(model, data, frame).translation
-        return out
+    def _configurations(self, joints: Array) -> Array:
+        """Return Pinocchio's configurations (K, nq) of joints (K, joints) under a base at rest."""
+        base = np.tile(neutral(self.robot)[:7], (len(joints), 1))
+        return np.hstack([base, joints])
 
     def reach(self, targets: Array, turned: Array | None = None) -> Array:
         """Return the joints that put the feet where they are wanted.
@@ -148,8 +146,7 @@ class Legs:
 
         model = self.robot.pin_model
         data = model.createData()
-        q = pin.neutral(model)
-        q[7:] = self.standing
+        q = self._configurations(self.standing[None])[0]
         out = np.empty((len(targets), self.n_joints))
         for k, wanted in enumerate(targets):
             for _ in range(_STEPS):

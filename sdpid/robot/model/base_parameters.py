@@ -145,22 +145,15 @@ def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Arr
     comparable on a robot of this length, so that the columns are well scaled.
     """
     rng = np.random.default_rng(seed)
-    n, model = robot.n, robot.pin_model
+    n = robot.n
     rate = np.sqrt(max(float(np.linalg.norm(robot.gravity)), 1.0) / characteristic_length(robot))
     q = rng.uniform(-np.pi, np.pi, (count, n))
     if robot.free_flyer:
         # Mimic joints follow their source here too: apart they would show more parameters.
-        angles = q @ robot.expansion.T
-        q = np.empty((count, model.nq))
+        angles, turn = q @ robot.expansion.T, rng.standard_normal((count, 4))
+        q = robot.configuration_of(angles)
         q[:, :3] = angles[:, :3]
-        q[:, 3:7] = rng.standard_normal((count, 4))
-        q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
-        for joint in list(model.joints)[2:]:
-            angle = angles[:, joint.idx_v]
-            if joint.nq == 2:
-                q[:, joint.idx_q], q[:, joint.idx_q + 1] = np.cos(angle), np.sin(angle)
-            else:
-                q[:, joint.idx_q] = angle
+        q[:, 3:7] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     v = rate * rng.uniform(-1.5, 1.5, (count, n))
     a = rate**2 * rng.uniform(-1.5, 1.5, (count, n))
     return q, v, a
@@ -168,12 +161,10 @@ def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Arr
 
 def characteristic_length(robot: RobotModel) -> float:
     """Return a length of the robot's size (m): the root mean square offset between joints."""
-    offsets = [
-        np.linalg.norm(robot.pin_model.jointPlacements[i].translation)
-        for i in range(2, robot.pin_model.njoints)
-    ]
-    nonzero = [x for x in offsets if x > 1e-6]
-    return float(np.sqrt(np.mean(np.square(nonzero)))) if nonzero else 1.0
+    placements = list(robot.pin_model.jointPlacements)[2:]
+    offsets = np.array([np.linalg.norm(each.translation) for each in placements])
+    apart = offsets[offsets > 1e-6]
+    return float(np.sqrt(np.mean(np.square(apart)))) if apart.size else 1.0
 
 
 def _scan_order(robot: RobotModel, friction: FrictionModel) -> Indices:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,7 +19,6 @@ from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.states import States, is_single, many
 
 # Forward dynamics with friction of the load: friction a tenth of the load shrinks the error tenfold
 # a round, three quarters of it by a quarter. Settled is a state whose efforts are met to this share
@@ -29,6 +28,47 @@ _ROUNDS = 100
 
 # A quaternion, or a cosine and a sine, this far from length one is no configuration.
 _UNIT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States for Pinocchio, one a row."""
+
+    model: Any
+    expansion: Array
+    configurations: Array
+    rates: list[Array]
+    single: bool
+
+    def each(self, algorithm: Callable[..., Array], *, matrix: bool = False) -> Array:
+        """Return the results of an algorithm of Pinocchio, (K, nv) or (K, nv, nv)."""
+        data, nv = self.model.createData(), self.model.nv
+        out = np.empty((len(self.configurations), *((nv, nv) if matrix else (nv,))))
+        expanded = [rate @ self.expansion.T for rate in self.rates]
+        for k, row in enumerate(zip(self.configurations, *expanded, strict=True)):
+            out[k] = algorithm(self.model, data, *row)
+        return out
+
+    def result(self, values: Array) -> Array:
+        """Return the values, of a single state without the first axis."""
+        return values[0] if self.single else values
+
+
+def is_single(values: ArrayLike) -> bool:
+    """Return whether values are one state, and not many."""
+    try:
+        return np.ndim(values) == 1
+    except ValueError:  # ragged, as `real_array` then says
+        return False
+
+
+def many(values: ArrayLike, name: str, columns: int | None) -> Array:
+    """Return values (columns,) or (K, columns) as (K, columns)."""
+    array = real_array(values, name, ndim=1 if is_single(values) else 2)
+    rows = np.atleast_2d(array)
+    if columns is not None and rows.shape[1] != columns:
+        raise DataError(f"{name}: {rows.shape[1]} columns, the robot has {columns} joints.")
+    return rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

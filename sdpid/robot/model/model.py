@@ -598,21 +598,11 @@ class RobotModel:
         -------
         ndarray, shape (K, n, n) or (n, n)
         """
-        import pinocchio as pin
-
-        positions = np.asarray(q, dtype=np.float64)
-        configurations = self.configuration(np.atleast_2d(positions))
-        bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
-        model = self.pin_model.copy()
-        model.gravity = pin.Motion.Zero()
-        data = model.createData()
-        zero = np.zeros(model.nv)
-        out = np.empty((len(configurations), self.n, self.n))
-        for k, configuration in enumerate(configurations):
-            for j in range(self.n):
-                unit = np.ascontiguousarray(self.expansion[:, j])
-                Y = pin.computeJointTorqueRegressor(model, data, configuration, zero, unit)
-                out[k, :, j] = self.expansion.T @ (Y.reshape(model.nv, -1) @ bodies)
+        positions, weightless = np.asarray(q, dtype=np.float64), self.with_gravity(np.zeros(3))
+        rows = np.atleast_2d(positions)
+        rest, units = np.zeros((len(rows), self.n)), np.eye(self.n)
+        columns = [weightless.inverse_dynamics(theta, rows, rest, rest + unit) for unit in units]
+        out = np.stack(columns, axis=2)
         out = 0.5 * (out + out.transpose(0, 2, 1))
         return out[0] if positions.ndim == 1 else out
 

@@ -246,13 +246,16 @@ def threads() -> int:
 @functools.cache
 def compiled() -> Callable[..., None] | None:
     """Return the compiled loop, None where Numba is missing or cannot be imported."""
-    return compiled_loop(_fill, _first_call)
+    index, table = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
+    nothing = (index, True, True, index, index, *(table,) * 4, np.zeros((0, 0, 0)))
+    return compiled_loop(_fill, NOTHING, *nothing)
 
 
-def compiled_loop(function: Any, first: Callable[[Any], None]) -> Callable[..., None] | None:
+def compiled_loop(function: Any, *nothing: Any) -> Callable[..., None] | None:
     """Return a compiled function, None where Numba is missing or cannot be imported.
 
-    `first` calls it for the only types there are.
+    It is compiled for the types of `nothing`, the only ones there are, and kept on the disk where
+    that is possible, with a line to the user when compiling takes long.
     """
     try:
         import numba
@@ -261,38 +264,24 @@ def compiled_loop(function: Any, first: Callable[[Any], None]) -> Callable[..., 
     options = {"fastmath": {"contract", "nsz", "reassoc"}, "error_model": "numpy"}
     for helper in (joint_at, turned_back):
         numba.extending.register_jitable(forceinline=True, **options)(helper)
-    return _compile(numba.njit, function, first, nogil=True, **options)
-
-
-def _compile(
-    njit: Any, function: Any, first: Callable[[Any], None], **options: Any
-) -> Callable[..., None]:
-    """Compile a function and keep the result on the disk where that is possible."""
-    try:
-        # Beside the module or, where that is not writable, in the user's cache folder.
-        quick = njit(cache=True, **options)(function)
-        first(quick)
-    except (OSError, RuntimeError):  # neither is writable, or the disk is full
-        quick = njit(**options)(function)
-        first(quick)
-    done: Callable[..., None] = quick
-    return done
-
-
-def _first_call(fill: Callable[..., None]) -> None:
-    """Compile for the only types there are, with a line to the user when that takes long."""
     timer = threading.Timer(_PATIENCE, _say)
     timer.daemon = True
     timer.start()
+    quick: Callable[..., None]
     try:
-        index, table = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
-        fill(NOTHING, index, True, True, index, index, *(table,) * 4, np.zeros((0, 0, 0)))
+        # Beside the module or, where that is not writable, in the user's cache folder.
+        quick = numba.njit(cache=True, nogil=True, **options)(function)
+        quick(*nothing)
+    except (OSError, RuntimeError):  # neither is writable, or the disk is full
+        quick = numba.njit(nogil=True, **options)(function)
+        quick(*nothing)
     finally:
         timer.cancel()
+    return quick
 
 
 def _say() -> None:
-    note = "compiling the regressor for this machine; this takes seconds, once"
+    note = "compiling a loop for this machine; this takes seconds, once"
     logging.getLogger(__name__).info(note)
     if sys.stderr.isatty():
         print(f"sdpid: {note}", file=sys.stderr)
