@@ -8,32 +8,11 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-
-class Overlapping:
-    """A context of the process: the first of overlapping uses enters it, the last one leaves it."""
-
-    def __init__(self, context: Callable[[], AbstractContextManager[None]]) -> None:
-        self._context, self._lock, self._uses = context, threading.Lock(), 0
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if not self._uses:
-                self._entered = self._context()
-                self._entered.__enter__()
-            self._uses += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._uses -= 1
-            if not self._uses:
-                self._entered.__exit__(None, None, None)
 
 
 @functools.cache
@@ -58,17 +37,30 @@ def _take_control() -> None:
         controller.clear_controlling_thread(force=True)
 
 
-@Overlapping
-@contextmanager
-def _limited() -> Iterator[None]:
-    """Keep linear algebra at one thread: their number belongs to the process."""
-    libraries = _libraries()
-    _take_control()
-    limiter = libraries.limit(limits=1, user_api="blas")
-    yield
-    _take_control()
-    limiter.restore_original_limits()
-    _take_control()
+class _OneThread:
+    """A context of the process: the first of overlapping uses enters it, the last one leaves it."""
+
+    def __init__(self) -> None:
+        self._lock, self._uses = threading.Lock(), 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._uses:
+                libraries = _libraries()
+                _take_control()
+                self._limiter = libraries.limit(limits=1, user_api="blas")
+            self._uses += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._uses -= 1
+            if not self._uses:
+                _take_control()
+                self._limiter.restore_original_limits()
+                _take_control()
+
+
+_limited = _OneThread()
 
 
 def one_thread(function: Callable[P, T]) -> Callable[P, T]:

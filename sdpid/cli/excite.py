@@ -165,7 +165,7 @@ def excite(given: Given) -> None:
     )
     from sdpid.output.plans.page import sentences
 
-    content = {**plan_content(plan), "notes": [*plan.notes, *notes], "files": map(str, files)}
+    content = {**plan_content(plan), "notes": [*plan.notes, *notes], "files": files}
     text = "\n".join(f"{title.lower()}: {printable(text)}" for _, title, text in sentences(plan))
     if given.quick:
         text += f"\nquick: sdpid excite --config {out / 'plan.toml'} --no-quick searches on"
@@ -304,7 +304,7 @@ def _stand(given: Given) -> None:
     config = config_text(given.ctx, given.out)
     files = write_standing(plan, given.out, figures=given.figures, config=config)
     given.show(
-        {**plan_content(plan), "files": [str(file) for file in files]},
+        {**plan_content(plan), "files": files},
         f"{robot.name}: written to {given.out}: {', '.join(file.name for file in files)}",
         listed("notes", dict.fromkeys((*plan.notes, *plan.limits.notes))),
         "\n".join(printable(line) for line in plan.sentences()),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -90,15 +92,9 @@ def identify(given: Given) -> None:
         config=config_text(given.ctx, out),
         exported=exports.append,
     )
-    files = [str(path) for path in saved]
-    content = {
-        **result.to_dict(),
-        "notes": notes,
-        "files": files,
-        "exports": [export.to_dict() for export in exports],
-    }
+    content = {**result.to_dict(), "notes": notes, "files": saved, "exports": exports}
     if given.verbose:
-        details = _details(result, notes, files)
+        details = _details(result, notes, saved)
     else:
         details = [
             f"written to {out}: {', '.join(path.name for path in saved)}\n"
@@ -112,7 +108,7 @@ def identify(given: Given) -> None:
         raise typer.Exit(OURS)
 
 
-def _details(result: Identification, notes: list[str], files: list[str]) -> list[str]:
+def _details(result: Identification, notes: list[str], files: Sequence[Path]) -> list[str]:
     """Return what is printed of a result with ``--verbose``."""
     fits = {"constrained": result.training, "unconstrained": result.training_wls}
     tables: list[Any] = [*result.rollouts]
@@ -161,12 +157,12 @@ def compare(given: Given) -> None:
         max_iterations=given.max_iterations,
         n_jobs=given.jobs,
     )
-    files = [] if given.out is None else [str(given.out)]
+    files = [] if given.out is None else [given.out]
     if files:
         comparison.to_csv(given.out)
     certificate = comparison.certificate
     content = {
-        "findings": [finding.to_dict() for finding in prepared.findings],
+        "findings": prepared.findings,
         "lower_bound": certificate.lower_bound,
         "certified": certificate.passed,
         "rows": comparison.rows,
@@ -207,14 +203,10 @@ def certify(given: Given) -> None:
     judged = certify_parameters(
         problem, read_given(given.parameters, problem.robot, value=given.value)
     )
-    files = [] if given.certificate is None else [str(given.certificate)]
+    files = [] if given.certificate is None else [given.certificate]
     if files:
         judged.certificate.to_json(given.certificate)
-    content = {
-        **judged.to_dict(),
-        "findings": [finding.to_dict() for finding in prepared.findings],
-        "files": files,
-    }
+    content = {**judged.to_dict(), "findings": prepared.findings, "files": files}
     parts = (findings_listed(prepared.findings), judged.summary(), listed("files", files))
     given.show(content, *parts)
     if judged.feasible is False:
@@ -265,7 +257,7 @@ def validate(given: Given) -> None:
         from sdpid.plots.figures import save_figure
 
         save_figure(fit.plot(), given.figure)
-        files.append(str(given.figure))
+        files.append(given.figure)
     verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
     parts = [
         f"{model.name}: relative residual in motion {100 * fit.told.relative:.2f} %\n"
@@ -287,10 +279,10 @@ def validate(given: Given) -> None:
             parts += [each.table(), listed("notes", told)]
     content = {
         **fit.to_dict(),
-        "findings": [finding.to_dict() for finding in findings],
+        "findings": findings,
         "verdict": verdict,
-        "notes": list(samples.notes),
+        "notes": samples.notes,
         "files": files,
-        "rollouts": [each.to_dict() for each in moved],
+        "rollouts": moved,
     }
     given.show(content, *parts, listed("files", files))

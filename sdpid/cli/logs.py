@@ -137,18 +137,14 @@ def reading(given: Given) -> dict[str, Any]:
     return {
         "columns": columns or None,
         "units": given.unit or None,
-        "joint_names": given.joint_names,
-        "effort_scale": given.effort_scale,
-        "gains": given.gains,
         "mapping": False if given.mapping == "none" else given.mapping,
-        "topic": given.topic,
-        "missing": given.missing,
+        **given.chosen("joint_names effort_scale gains topic missing"),
     }
 
 
 def periods(given: Given) -> dict[str, Any]:
     """Return the arguments of `read_recording` about the periods of the motion."""
-    return {"period": given.period, "start": given.start, "periods": given.periods}
+    return given.chosen("period start periods")
 
 
 def read(given: Given, log: Path, **more: Any) -> Recording:

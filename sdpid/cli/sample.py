@@ -111,9 +111,9 @@ def sample(given: Given) -> None:
         "seed": given.seed,
         "diagnostics": mixed,
         "ranges": ranges,
-        "findings": [finding.to_dict() for finding in prepared.findings],
+        "findings": prepared.findings,
         "notes": notes,
-        "files": [str(path) for path in files],
+        "files": files,
     }
     given.show(content, findings_listed(prepared.findings), text, listed("notes", notes))
 

@@ -182,7 +182,7 @@ def _of_a_held_base(name: str, out: Path) -> list[str]:
 def _write(given: Given, log: Recording, notes: list[str], others: list[Path | None]) -> None:
     """Write a recording in the format that its file's suffix names, and print what it holds."""
     (log.to_csv if given.out.suffix.lower() == ".csv" else log.to_parquet)(given.out)
-    files = [str(file) for file in (given.out, *others) if file is not None]
+    files = [file for file in (given.out, *others) if file is not None]
     content = {
         "samples": log.n_samples,
         "duration_s": log.duration,

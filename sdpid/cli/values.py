@@ -190,25 +190,12 @@ class ValueKind(NamedTuple):
         return self.type is Path or self.may_be_file
 
 
-_FILE, _NUMBER = ValueKind(Path), ValueKind(float)
-
 # By the word for a value in the help; text that has none of these is taken as it is.
 KINDS = {
-    "FILE": _FILE,
-    "FOLDER": _FILE,
-    "LOG": _FILE,
-    "LOG|FOLDER": _FILE,
-    "FILE|FOLDER": _FILE,
-    "NAME|FILE": ValueKind(may_be_file=True),
-    "FILE|none": ValueKind(may_be_file=True),
+    **dict.fromkeys(("FILE", "FOLDER", "LOG", "LOG|FOLDER", "FILE|FOLDER"), ValueKind(Path)),
+    **dict.fromkeys(("NAME|FILE", "FILE|none"), ValueKind(may_be_file=True)),
     "ROBOT": ValueKind(more={"autocompletion": _complete_robot}, may_be_file=True),
-    "S": _NUMBER,
-    "HZ": _NUMBER,
-    "M": _NUMBER,
-    "RAD": _NUMBER,
-    "KG": _NUMBER,
-    "NATS": _NUMBER,
-    "X": _NUMBER,
+    **dict.fromkeys(("S", "HZ", "M", "RAD", "KG", "NATS", "X"), ValueKind(float)),
     "N": ValueKind(int),
     "COUNT": ValueKind(int, more={"min": 1}),
     "SEED": ValueKind(int, more={"min": 0}),
@@ -219,12 +206,9 @@ KINDS = {
     "XX,XY,XZ,YY,YZ,ZZ": ValueKind(parse=lambda text, option: numbers(text, option, 6)),
     "KG[,TOL]": ValueKind(parse=numbers),
     "SHARE": ValueKind(parse=share),
-    "QUANTITY=NAME": ValueKind(parse=pairs),
-    "QUANTITY=UNIT": ValueKind(parse=pairs),
-    "JOINT=X": ValueKind(parse=numbers_by_name),
-    "DIRECTION=M": ValueKind(parse=numbers_by_name),
+    **dict.fromkeys(("QUANTITY=NAME", "QUANTITY=UNIT"), ValueKind(parse=pairs)),
+    **dict.fromkeys(("JOINT=X", "DIRECTION=M"), ValueKind(parse=numbers_by_name)),
     "TERM": ValueKind(parse=friction_terms, more={"autocompletion": _complete_friction}),
     "KIND": ValueKind(more={"autocompletion": _complete_kind}),
-    "auto|none|A,B,...": ValueKind(),
-    "X|COLUMN": ValueKind(),
+    **dict.fromkeys(("auto|none|A,B,...", "X|COLUMN"), ValueKind()),
 }

@@ -129,30 +129,6 @@ def test_obstacles_may_stand_in_the_file_of_limits(tmp_path: Path) -> None:
     assert Path(mesh.path) == tmp_path / "part.stl"
 
 
-def test_bad_input_is_told_before_the_search(folder: Path, tmp_path: Path) -> None:
-    robot, out = folder / "arm.urdf", ("--out", tmp_path / "plan")
-    wrong = tmp_path / "wrong.toml"
-    for text, words in (
-        ("[a]\nlower = 1.0\nupper = 0.5\n", ("a", "lower")),
-        ("[c]\nvelocity = 1.0\n", ("c",)),
-        ("[a]\nspeed = 1.0\n", ("speed", "velocity")),
-        ("[a]\nvelocity = -1.0\n", ("velocity", "-1")),
-    ):
-        wrong.write_text(text)
-        refused(run("excite", robot, "--limits", wrong, *out), 2, *words)
-    refused(run("excite", robot, "--duration", 0.01, *out), 2, "0.01")
-    refused(run("excite", robot, "--duration", "nan", *out), 2, "nan")
-    refused(run("excite", robot, "--wall", "up=1", *out), 2, "up")
-    refused(run("excite", robot, "--wall", "-x", *out), 2, "--wall")
-    refused(run("excite", robot, "--wall", "-x=near", *out), 2, "--wall -x near")
-    refused(run("excite", robot, "--limits", tmp_path / "none.toml", *out), 2, "none.toml")
-    refused(run("excite", robot, "--noise", "x", *out), 2, "--noise")
-    refused(run("excite", robot, "--previous", tmp_path, *out), 2, "run.toml")
-    refused(run("excite", robot, "--check", tmp_path / "none.csv"), 2, "none.csv")
-    refused(run("excite", robot, "--out", robot), 2, "it is a file")
-    assert not (tmp_path / "plan").exists()
-
-
 INTERRUPTED = """
 import os, signal, time
 import sdpid.excitation.design.design as design
@@ -199,13 +175,6 @@ def test_a_robot_that_stands(tmp_path: Path) -> None:
     log = tmp_path / "run.csv"
     done = ran("simulate", "solo12", "--motion", out / "trajectory.csv", "--out", log)
     assert sdpid.read_recording(log).contacts is not None
-    for wrong, told in (
-        (("--stand", "--periods", "2"), "--periods: is for robots on a fixed base"),
-        (("--grip", "0.4"), "--grip: is for robots that stand; give --stand"),
-    ):
-        done = run("excite", "solo12", *wrong, "--out", out)
-        assert done.exit_code == 2
-        assert told in done.output
 
 
 def test_a_time_limit_is_that_of_the_whole_command(

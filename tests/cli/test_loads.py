@@ -11,7 +11,7 @@ import pytest
 import sdpid
 from sdpid.robot.inertia import theta_from_physical
 from tests.helpers.arm_files import ARM_URDF, arm_log
-from tests.helpers.commands import printed
+from tests.helpers.commands import printed, told
 from tests.helpers.motions import sines
 from tests.helpers.small_robots import LOAD as BODY
 from tests.helpers.small_robots import MASS as WEIGHT
@@ -109,7 +109,7 @@ def test_gains_of_a_known_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert plain["gains"]["common_factor"] == 0.0
     assert plain["file"] == "known.toml"
     logs = ("currents_loaded.csv", "--without", "currents.csv", "--gains", "found.toml")
-    load = json.loads(printed("payload", *logs, "--robot", "arm.urdf", "--json"))
+    load = told("payload", *logs, "--robot", "arm.urdf")
     assert load["intervals"]["mass"][0] < LOAD < load["intervals"]["mass"][1]
     assert load["gains_share"]["mass"] > 0.01
 
@@ -170,13 +170,11 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_with_a_recording_without_load(logs: tuple[Path, Path]) -> None:
     options = ("--robot", "ur5_robot", "--frame", "ee_link")
-    found = json.loads(printed("payload", logs[0], "--without", logs[1], *options, "--json"))
+    found = told("payload", logs[0], "--without", logs[1], *options)
     assert found["intervals"]["mass"][0] < MASS < found["intervals"]["mass"][1]
     assert found["frame"] == "ee_link"
     apart = ("--separate", "offset")
-    other = json.loads(
-        printed("payload", logs[0], "--without", logs[1], *options, *apart, "--json")
-    )
+    other = told("payload", logs[0], "--without", logs[1], *options, *apart)
     assert other["intervals"]["mass"][0] < MASS < other["intervals"]["mass"][1]
     assert other["cost"] > found["cost"]
     assert "ee_link" in printed("payload", logs[0], "--without", logs[1], *options)
@@ -184,7 +182,7 @@ def test_with_a_recording_without_load(logs: tuple[Path, Path]) -> None:
 
 @pytest.mark.parametrize("strength", [(), ("--strength", 1000)])
 def test_against_the_description(logs: tuple[Path, Path], strength: tuple[object, ...]) -> None:
-    found = json.loads(printed("payload", logs[0], "--robot", "ur5_robot", *strength, "--json"))
+    found = told("payload", logs[0], "--robot", "ur5_robot", *strength)
     assert found["mass"] == pytest.approx(MASS, abs=0.1)
 
 
@@ -210,12 +208,6 @@ def test_a_joint_without_effort(logs: tuple[Path, Path], tmp_path: Path) -> None
 GAIN = 5.0
 
 
-def answered(*arguments: object, status: int = 0) -> Any:
-    """Return what a command prints as JSON, or its error."""
-    told = printed(*arguments, "--json", status=status)
-    return json.loads(told) if status == 0 else told
-
-
 @pytest.fixture(scope="module", params=SMALL)
 def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot, three of its logs, and results, named after the robot."""
@@ -226,7 +218,7 @@ def small(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         chosen.log(seed).to_csv(made / f"{name}.csv")
     chosen.log(2, load=BODY).to_csv(made / "loaded.csv")
     options = ("--validation", made / "other.csv", "--out", made / "out", "--no-figures")
-    found = answered("identify", made / "run.csv", *options, *measured(made))
+    found = told("identify", made / "run.csv", *options, *measured(made))
     assert found["certified"]
     # The noise is 0.01 N·m of efforts of 2 to 40.
     assert found["validation"]["relative_residual"] < 0.01
@@ -244,30 +236,30 @@ def measured(small: Path) -> tuple[object, ...]:
 
 
 def test_what_is_identified_is_verified_and_predicts(small: Path) -> None:
-    found = answered("verify", small / "out", "--data", small / "run.csv", *of(small))
+    found = told("verify", small / "out", "--data", small / "run.csv", *of(small))
     assert found["passed"]
     robot = ("--robot", small / "out" / "identified.urdf")
     left_out = measured(small)[2:]
-    found = answered("validate", small / "other.csv", *robot, *left_out)
+    found = told("validate", small / "other.csv", *robot, *left_out)
     assert found["relative_residual"] < 0.02
 
 
 def test_audit(small: Path) -> None:
-    assert answered("audit", small / "robot.urdf")["passed"]
-    table = answered("audit", small / "out" / "base_parameters.csv", *of(small))
+    assert told("audit", small / "robot.urdf")["passed"]
+    table = told("audit", small / "out" / "base_parameters.csv", *of(small))
     assert table["verdict"] == "realisable"
 
 
 def test_excite(small: Path) -> None:
     pytest.importorskip("casadi", reason="needs the extra excite")
     options = ("--duration", 4, "--starts", 1, "--out", small / "plan", "--no-figures")
-    found = answered("excite", small / "robot.urdf", *options)
+    found = told("excite", small / "robot.urdf", *options)
     assert found["limits"]["ok"]
 
 
 def test_simulate(small: Path) -> None:
     motion = ("--period", 6.5, "--periods", 1)
-    made = answered("simulate", small / "robot.urdf", "--out", small / "made.csv", *motion)
+    made = told("simulate", small / "robot.urdf", "--out", small / "made.csv", *motion)
     log = sdpid.read_recording(small / "made.csv")
     assert made["samples"] == log.n_samples
     assert log.effort.shape == (log.n_samples, len(log.names))
@@ -275,7 +267,7 @@ def test_simulate(small: Path) -> None:
 
 def test_payload(small: Path) -> None:
     for known in ((), ("--without", small / "run.csv")):
-        found = answered("payload", small / "loaded.csv", *known, *measured(small))
+        found = told("payload", small / "loaded.csv", *known, *measured(small))
         low, high = found["intervals"]["mass"]
         assert low < WEIGHT < high
 
@@ -291,7 +283,7 @@ def test_gains(small: Path) -> None:
         *("--out", small / "gains.toml"),
     )
     if chosen.without_effort:
-        assert "the current of high is zero in every recording" in answered(*arguments, status=2)
+        assert "the current of high is zero in every recording" in printed(*arguments, status=2)
         return
-    found = answered(*arguments)["gains"]["gains"]
+    found = told(*arguments)["gains"]["gains"]
     assert found == pytest.approx([GAIN] * len(found), rel=0.02)

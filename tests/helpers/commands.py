@@ -1,5 +1,6 @@
 """The command `sdpid`, as it ends well and as it is refused, and the stand-alone verifier."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -35,6 +36,11 @@ def printed(*arguments: Any, status: int = 0) -> str:
     done = run(*arguments)
     assert done.exit_code == status, done.output
     return done.stdout if status == 0 else done.output
+
+
+def told(*arguments: Any) -> Any:
+    """Return what a command that ends well prints as JSON."""
+    return json.loads(printed(*arguments, "--json"))
 
 
 def refused(done: Result, status: int, *words: str) -> None:
