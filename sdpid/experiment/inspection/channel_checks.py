@@ -18,7 +18,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.rest import moving
-from sdpid.experiment.recording.stored import ROWS, extremes, taken
+from sdpid.experiment.recording.stored import ROWS, extremes
 
 _STAYS = " of {joint} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
 _LEAVE = "leave those rows out"
@@ -303,7 +303,7 @@ def _parts(subject: Subject, j: int) -> Iterator[JointChannels]:
             continue
         channels = {
             name: np.concatenate(
-                [taken(getattr(piece, name)[:, j], begin, stop) for _, piece, begin, stop in group]
+                [getattr(piece, name)[begin:stop, j] for _, piece, begin, stop in group]
             )
             for name in ("position", "effort", "velocity")
             if getattr(subject.log, name) is not None

@@ -14,7 +14,7 @@ from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
-from sdpid.experiment.recording.stored import ROWS, taken
+from sdpid.experiment.recording.stored import ROWS
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
 from sdpid.experiment.recording.velocities import velocity_fit
 
@@ -286,7 +286,7 @@ def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, tuple[float
     """Yield joint, and speed, size and row, from 1, of its fastest step in blocks, if too fast."""
     for begin in range(0, piece.n_samples - 1, ROWS):
         stop = begin + ROWS + 1
-        steps = np.diff(taken(piece.position, begin, stop), axis=0)
+        steps = np.diff(np.asarray(piece.position[begin:stop]), axis=0)
         durations = np.diff(piece.time[begin:stop])
         if max(steps.max(), -steps.min()) <= _FASTEST * durations.min():
             continue
@@ -341,7 +341,7 @@ def references(subject: Subject) -> Iterator[Finding]:
     if log.reference is None or not subject.pieces:
         return
     part = _middle(log)
-    tables = [taken(x, part.start, part.stop) for x in (log.position, log.effort, log.reference)]
+    tables = [np.asarray(x[part]) for x in (log.position, log.effort, log.reference)]
     stride = max(1, len(tables[0]) // _INTERVALS)
     count = len(tables[0]) // stride
     if count < _LEAST_INTERVALS:

@@ -156,9 +156,6 @@ def _may_wrap(log: Recording) -> list[int]:
     position, least = log.position, _TURN - _LARGEST_STEP
     if float(position.max()) - float(position.min()) < least:
         return []
-    if log.stored:
-        # Ranges are found in pieces; steps would take memory.
-        return np.flatnonzero(position.max(axis=0) - position.min(axis=0) >= least).tolist()
     for first in range(0, log.n_samples - 1, _BLOCK):
         part = position[first : first + _BLOCK + 1]
         steps = part[1:] - part[:-1]

@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_path
-from sdpid.experiment.recording.stored import ROWS, taken
+from sdpid.experiment.recording.stored import ROWS
 
 # Where the metadata of a recording stand in the file, and their version.
 KEY = b"sdpid"
@@ -50,6 +50,6 @@ def write_columns(
     count = len(next(iter(columns.values())))
     with atomic_path(path) as temporary, pq.ParquetWriter(temporary, schema, **options) as writer:
         for begin in range(0, count, ROWS):
-            parts = (taken(values, begin, begin + ROWS) for values in columns.values())
+            parts = (values[begin : begin + ROWS] for values in columns.values())
             arrays = [pa.array(np.ascontiguousarray(part)) for part in parts]
             writer.write_batch(pa.record_batch(arrays, schema=schema))

@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import blocks, taken
+from sdpid.experiment.recording.stored import blocks
 
 Timing = Literal["auto", "nominal", "resample"]
 
@@ -59,14 +59,14 @@ class Grid:
     def read(self, column: Array, start: int, stop: int) -> Array:
         """Return grid points `start` to `stop` of one channel, given its recorded samples."""
         if self.stamps is None:
-            return np.ascontiguousarray(taken(column, start, stop))
+            return np.ascontiguousarray(column[start:stop])
         from scipy.interpolate import CubicSpline
 
         wanted = self.origin + self.step * np.arange(start, stop)
         begin, end = np.searchsorted(self.stamps, (wanted[0], wanted[-1]))
         knots = slice(max(0, int(begin) - _SPLINE_REACH), int(end) + _SPLINE_REACH)
         # Times are taken relative to the chunk: stamps since 1970 lose digits in the cubes.
-        spline = CubicSpline(self.stamps[knots] - wanted[0], taken(column, knots.start, knots.stop))
+        spline = CubicSpline(self.stamps[knots] - wanted[0], column[knots])
         values: Array = spline(wanted - wanted[0])
         return values
 
