@@ -34,8 +34,7 @@ from .experiment.processing.process import process
 from .experiment.processing.samples import Samples
 from .experiment.processing.settings import Processing
 from .experiment.readers.read import read_recording
-from .experiment.recording.floating.base import BaseMotion, Imu
-from .experiment.recording.floating.contacts import Contacts
+from .experiment.recording.floating import BaseMotion, Contacts, Imu
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.simulation.closed_loop import simulate_closed_loop

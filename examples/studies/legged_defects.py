@@ -33,8 +33,7 @@ from sdpid._common.tables import Table
 from sdpid.experiment.inspection.inspect import REFUSED
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
-from sdpid.experiment.recording.floating.base import BaseMotion, Imu
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 
 Log = sdpid.Recording
 Change = Callable[[Log], Log]

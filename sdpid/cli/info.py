@@ -19,7 +19,7 @@ def info(given: Given) -> None:
     from sdpid._common.tables import Table
     from sdpid.experiment.preparation.overview import overview
     from sdpid.experiment.readers.read import read_described
-    from sdpid.experiment.recording.floating.robots import robot_of
+    from sdpid.experiment.recording.joints import robot_of
 
     log = read_described(given.log, **reading(given), **periods(given))
     model = None if given.robot is None else robot_of(given.robot, [log.recording])

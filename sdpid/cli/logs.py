@@ -232,7 +232,7 @@ def _conditions(given: Given, robot: RobotModel) -> Iterable[Condition]:
 def robot_and_logs(given: Given, logs: Iterable[Path]) -> tuple[RobotModel, list[Recording]]:
     """Return the robot, with a floating base where a log has one, and the recordings."""
     from sdpid.experiment.preparation.prepare import columns_without
-    from sdpid.experiment.recording.floating.robots import robot_of
+    from sdpid.experiment.recording.joints import robot_of
 
     absent = columns_without(given.robot, given.without_effort or [])
     records = [read(given, log, without_effort=absent, **periods(given)) for log in logs]

@@ -27,7 +27,7 @@ from sdpid.experiment.preparation.prepare import (
     ProcessingOf,
     prepare,
 )
-from sdpid.experiment.recording.floating.robots import robot_of
+from sdpid.experiment.recording.joints import robot_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel

@@ -22,11 +22,15 @@ from sdpid.errors import DataError, ExportError
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.degrees import require_plausible_units, suspect_units
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.plausible import (
+    disagreement,
+    require_plausible_units,
+    suspect_units,
+    velocity_fit,
+)
 from sdpid.experiment.recording.recording import Recording, rows_of
-from sdpid.experiment.recording.velocities import disagreement, velocity_fit
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.refusals import refuses
 

@@ -25,7 +25,7 @@ from sdpid.experiment.processing.motion import motion_frequency, noise_limit
 from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating import BaseMotion
 from tests.helpers.crawl import FEET as CRAWLING
 from tests.helpers.crawl import RADIUS, Crawl, crawl
 from tests.helpers.refusals import refuses
@@ -541,7 +541,7 @@ def test_parts_and_joins_keep_contacts() -> None:
         ({"down": np.zeros((12, 3), dtype=bool)}, r"down has shape \(12, 3\)"),
         ({"down": np.zeros((12, 2))}, "type float64"),
         ({"kind": "ball"}, "kind is 'ball'"),
-        ({"offset": np.zeros(2)}, r"offset has shape \(2,\)"),
+        ({"offset": np.zeros(2)}, r"offset: has shape \(2,\)"),
         ({"forces": np.zeros((12, 2, 6))}, "forces and force_covariance together"),
         (
             {"forces": np.zeros((11, 2, 6)), "force_covariance": np.eye(6)},

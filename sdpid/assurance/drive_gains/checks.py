@@ -16,7 +16,7 @@ from sdpid.estimation.information import least_squares
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.floating.robots import require_fixed_base
+from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel

@@ -38,7 +38,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.scaled import require_torques
-from sdpid.experiment.recording.floating.robots import require_fixed_base
+from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import BY_NAME

@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
-from sdpid.experiment.recording.floating.columns import base_columns, base_metadata
+from sdpid.experiment.recording.columns import base_columns, base_metadata
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.digest import kinematics_digest

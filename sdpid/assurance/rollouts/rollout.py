@@ -41,8 +41,7 @@ from sdpid.experiment.processing.motion import noise_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
-from sdpid.experiment.recording.floating.robots import require_fixed_base
-from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.joints import match_joints, require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop

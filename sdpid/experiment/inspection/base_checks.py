@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
-from sdpid.experiment.recording.floating.base import BaseMotion, Imu
+from sdpid.experiment.recording.floating import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import frame_places
 from sdpid.robot.model.model import RobotModel

@@ -17,7 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
-from sdpid.experiment.recording.rest import moving
+from sdpid.experiment.recording.plausible import moving
 from sdpid.experiment.recording.stored import ROWS, extremes
 
 _STAYS = " of {joint} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"

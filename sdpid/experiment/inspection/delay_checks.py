@@ -19,7 +19,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
 from sdpid.experiment.inspection.rows import Rows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
-from sdpid.experiment.recording.rest import moving
+from sdpid.experiment.recording.plausible import moving
 
 KINDS.update(
     velocity_late=warning(

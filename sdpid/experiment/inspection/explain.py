@@ -25,7 +25,7 @@ from sdpid.experiment.inspection.delays.dynamic import free_of_contacts
 from sdpid.experiment.inspection.rows import Rows, smooth_sign
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.rest import moving
+from sdpid.experiment.recording.plausible import moving
 from sdpid.robot.model.model import RobotModel
 
 # A change counts where it lowers the misfit by this much: the unexplained share of a joint falls to

@@ -14,7 +14,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding, found, vector, war
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.processing.on_time import on_time as shifted
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.base import Imu
+from sdpid.experiment.recording.floating import Imu
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.inertia import skew
 

@@ -27,9 +27,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, 
 from sdpid.experiment.inspection.subject import CHECKS, OF_EFFORTS, Subject
 from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.readers.read import is_frame, read_recording
-from sdpid.experiment.recording.floating.robots import robot_of
-from sdpid.experiment.recording.joints import joint_columns
-from sdpid.experiment.recording.loops.passive_joints import lacking
+from sdpid.experiment.recording.joints import joint_columns, lacking, robot_of
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 

@@ -19,7 +19,7 @@ from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating import BaseMotion
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel

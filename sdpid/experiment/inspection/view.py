@@ -16,10 +16,8 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.robots import require_its_base
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.joints import match_joints
-from sdpid.experiment.recording.loops.passive_joints import lacking
+from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 

@@ -25,7 +25,7 @@ from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
-from sdpid.experiment.recording.floating.robots import require_its_base, robot_of
+from sdpid.experiment.recording.joints import require_its_base, robot_of
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 

@@ -22,8 +22,8 @@ from sdpid.experiment.preparation.prepare import (
 from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, efforts_of, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 

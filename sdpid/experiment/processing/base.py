@@ -22,7 +22,7 @@ from sdpid.experiment.processing.motion import white_noise
 from sdpid.experiment.processing.pipeline import Pipeline
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import BaseSource, Processing
-from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating import BaseMotion
 from sdpid.experiment.recording.recording import Recording
 
 # Velocity coordinates of a floating base, as Pinocchio and a loaded robot call them.

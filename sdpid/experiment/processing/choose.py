@@ -13,10 +13,10 @@ from sdpid.experiment.processing.feet import landing_share
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import Contacts
 from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.plausible import disagreement
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.velocities import disagreement
 
 # The cut-off for records without periods: this many times the frequency below which 95 % of the
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.recording.floating import ContactKind as Kind
+from sdpid.experiment.recording.floating import offsets
 
-Kind = Literal["point", "line", "plane"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 # What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
 # axes. The moment that a line leaves free is about an axis that turns: all three are taken.
 TRANSMITS: dict[Kind, int] = {"point": 3, "line": 6, "plane": 6}
@@ -101,16 +101,10 @@ class ContactSamples:
             )
         kinds = _several(self.kind)
         kinds = kinds * c if len(kinds) == 1 else kinds
-        if len(kinds) != c or not set(kinds) <= set(KINDS):
+        if len(kinds) != c or not set(kinds) <= TRANSMITS.keys():
             raise DataError(
-                f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(KINDS)} for all, "
-                f"or for each of {c} frames."
-            )
-        offset = real_array(self.offset, "contacts: offset", ndim=np.ndim(self.offset) or 1)
-        if offset.shape not in ((3,), (c, 3)):
-            raise DataError(
-                f"contacts: offset has shape {offset.shape}, expected (3,) or {(c, 3)}: x, y, z in "
-                "m, for all frames or each."
+                f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(TRANSMITS)} for "
+                f"all, or for each of {c} frames."
             )
         down = np.ascontiguousarray(self.down)
         if down.dtype != np.bool_ or down.ndim != 2 or down.shape[1] != c:
@@ -121,7 +115,7 @@ class ContactSamples:
         object.__setattr__(self, "frames", frames)
         object.__setattr__(self, "against", others)
         object.__setattr__(self, "kind", kinds)
-        object.__setattr__(self, "offset", frozen(np.broadcast_to(offset, (c, 3))))
+        object.__setattr__(self, "offset", offsets(self.offset, c, "contacts: offset"))
         object.__setattr__(self, "down", frozen_view(down))
         self._check_forces(c)
 

@@ -12,7 +12,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.pipeline import Pipeline, near
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import Contacts
 from sdpid.experiment.recording.uniform_grid import Grid
 
 

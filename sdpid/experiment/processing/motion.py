@@ -8,8 +8,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.recording.plausible import AT_REST, moving
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import extremes
 
 # This share of a motion's power lies below its highest frequency.

@@ -9,8 +9,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating.arrays import Sampled
-from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating import BaseMotion, Sampled
 from sdpid.experiment.recording.recording import Recording, rows_of
 
 # Groups of channels that share a clock, as words; joint positions are what all are compared with.

@@ -23,8 +23,8 @@ from sdpid.experiment.processing.filters import (
 )
 from sdpid.experiment.processing.samples import WideVelocity
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.plausible import AT_REST
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.rest import AT_REST
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
 # Without periods the signals beyond the ends are guessed; the guess decays exponentially.

@@ -27,9 +27,8 @@ from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, effort
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.scaled import require_torques
-from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.outliers import require_no_outliers
+from sdpid.experiment.recording.plausible import require_no_outliers, require_plausible_units
 from sdpid.experiment.recording.recording import Recording
 
 # A block must be clearly longer than the memory of the filter, which is run twice: forward and

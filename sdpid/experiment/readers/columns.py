@@ -15,9 +15,8 @@ from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES, SINGLE, UNITS, split_unit
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.recording.memory_budget import check_memory
 from sdpid.experiment.recording.recording import CHANNELS
-from sdpid.experiment.recording.stored import StoredArray
+from sdpid.experiment.recording.stored import StoredArray, check_memory
 
 # How a column of a joint is called, in the order in which it is looked for: numbers win over
 # words, so that q_1 is not mixed with q_target_1, nor tau_J_1 with tau.

@@ -14,8 +14,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.mapping import Arguments
 from sdpid.experiment.readers.names import QUANTITIES
 from sdpid.experiment.readers.selection import Selection
-from sdpid.experiment.recording.floating.base import BaseMotion, Imu
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 
 _FIELDS = {"contact": "down", "contact_force": "forces", "contact_wrench": "wrenches"}
 

@@ -1,18 +1,22 @@
-"""Match the joints of a recording with the joints of a robot, by name."""
+"""A recording and its robot: which base it has, and which column is which joint."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import takewhile
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.text import printable
 from sdpid.errors import DataError
-from sdpid.experiment.recording.loops.passive_joints import lacking, with_passive_joints
 from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
+from sdpid.robot.model.contacts.closure import close_loops
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 
@@ -142,3 +146,123 @@ def _ways(cores: Sequence[str], names: Sequence[str]) -> set[tuple[str, ...]]:
             if there.issuperset(way):
                 ways.add(way)
     return ways
+
+
+def driven_joints(robot: RobotModel) -> tuple[str, ...]:
+    """Return the joints of a robot that have motors, in its order."""
+    return tuple(n for n in robot.joint_names[robot.n_base :] if n not in robot.passive)
+
+
+def lacking(robot: RobotModel, log: Recording) -> tuple[str, ...]:
+    """Return the joints without motors that a recording has no column for."""
+    if log.joint_names is None:
+        alone = log.n == len(driven_joints(robot))
+        return robot.passive if alone else ()
+    # With other prefixes none of them has a name of its own, and all or none are there.
+    if log.n >= robot.n - robot.n_base and not set(robot.passive) & set(log.joint_names):
+        return ()
+    return tuple(name for name in robot.passive if name not in log.joint_names)
+
+
+def with_passive_joints(robot: RobotModel, log: Recording) -> Recording:
+    """Return a recording of all joints, made of one of those with motors and perhaps some others.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With `passive` joints.
+    log : Recording
+        Its joints have the robot's names.
+
+    Returns
+    -------
+    Recording
+        In the robot's order. Efforts of joints without motors are zero, whatever was recorded.
+        Where positions are those that close loops, there is no velocity and no reference.
+
+    Raises
+    ------
+    DataError
+        When efforts are currents or have gains, or the loops do not determine the positions that
+        are not recorded.
+    """
+    if log.currents or log.gains is not None:
+        raise DataError(
+            f"gains: errors of drive gains are not known for robots with joints without motors "
+            f"({', '.join(robot.passive)}); read the recording with torques (effort_scale)."
+        )
+    names = robot.joint_names[robot.n_base :]
+    own = log.names
+    at = [names.index(name) for name in own]
+    tables: dict[str, Any] = {}
+    for quantity, table in channels(log).items():
+        tables[quantity] = np.zeros((log.n_samples, len(names)))
+        tables[quantity][:, at] = table
+    tables["effort"][:, [names.index(name) for name in robot.passive]] = 0.0
+    if missing := [name for name in robot.passive if name not in own]:
+        tables["position"] = close_loops(robot, tables["position"], missing)
+        tables |= dict.fromkeys(("velocity", "reference"))
+    return replace(log, joint_names=names, **tables)
+
+
+def require_fixed_base(log: Recording, what: str) -> None:
+    """Refuse a recording of a robot with a floating base.
+
+    Parameters
+    ----------
+    log : Recording
+        What was measured.
+    what : str
+        What asks for it, as the beginning of the message.
+
+    Raises
+    ------
+    DataError
+        When the recording has a base.
+    """
+    if log.base is not None:
+        raise DataError(
+            f"{what}: this recording has a floating base (log.base), and only robots that are "
+            "fixed to the ground are known here. Where the base stood still, read the log with "
+            "columns={'base_orientation': None}, or drop it with dataclasses.replace(log, "
+            "base=None, contacts=None)."
+        )
+
+
+def robot_of(robot: RobotModel | str | os.PathLike[str], logs: Sequence[object] = ()) -> RobotModel:
+    """Return a robot as it is, or load it: with a floating base where a recording has one.
+
+    Parameters
+    ----------
+    robot : RobotModel, name or path
+        As for `load_robot`.
+    logs : sequence
+        What was measured; what is no recording, such as the path of one, says nothing.
+    """
+    if isinstance(robot, RobotModel):
+        return robot
+    floats = any(isinstance(log, Recording) and log.base is not None for log in logs)
+    return load_robot(robot, root="free_flyer" if floats else None)
+
+
+def require_its_base(robot: RobotModel, log: Recording) -> None:
+    """Refuse a recording with a base for a robot that is fixed, and one without for another.
+
+    Raises
+    ------
+    DataError
+        Saying what to do.
+    """
+    if log.base is not None and not robot.free_flyer:
+        raise DataError(
+            f"robot: '{robot.name}' is fixed to the ground, and the recording has a floating base; "
+            "give the description's name or path itself, or sdpid.load_robot(path, "
+            "root='free_flyer')."
+        )
+    if log.base is None and robot.free_flyer:
+        raise DataError(
+            f"base: the recording has no motion of the base, and '{robot.name}' has a floating "
+            "one; give sdpid.Recording(base=sdpid.BaseMotion(orientation=...)), "
+            "log.with_held_base(link) where it was held, or a robot with a fixed base (load_robot "
+            "without root)."
+        )

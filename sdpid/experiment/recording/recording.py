@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,16 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.files import Source
 from sdpid._common.tables import Table, facts_html
-from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.recording.floating.base import BaseMotion
-from sdpid.experiment.recording.floating.columns import (
+from sdpid.experiment.recording.columns import (
     base_columns,
     base_metadata,
+    write_columns,
     write_mapping,
 )
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import BaseMotion, Contacts, distinct_names
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
@@ -389,8 +387,6 @@ class Recording:
         MissingExtraError
             When pyarrow is not installed (extra ``io``).
         """
-        from sdpid.experiment.recording.parquet import write_columns
-
         names = ("n", "joint_names", "period", "start", "periods", "currents")
         stated = {name: getattr(self, name) for name in names}
         stated |= base_metadata(self.base, self.contacts)
@@ -464,19 +460,11 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
     DataError
         When there is another number of names, or one is empty, repeated or not a string.
     """
-    if isinstance(names, str) or not isinstance(names, (Sequence, np.ndarray)):
-        raise DataError(f"joint_names: is {names!r}, expected a sequence of {n} names.")
-    result = tuple(names)
-    if any(not isinstance(name, str) or not name for name in result):
-        raise DataError(f"joint_names: {result} holds something that is not a name.")
-    result = tuple(printable(str(name)) for name in result)
+    result = distinct_names(names, "joint_names", f"{n} names")
     if len(result) != n:
         raise DataError(
             f"joint_names: {len(result)} names ({', '.join(result)}) for {n} joints (columns)."
         )
-    repeated = sorted({name for name in result if result.count(name) > 1})
-    if repeated:
-        raise DataError(f"joint_names: {', '.join(repeated)} is there more than once.")
     return result
 
 

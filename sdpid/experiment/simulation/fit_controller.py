@@ -13,8 +13,8 @@ from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass, stencil
 from sdpid.experiment.processing.motion import motion_frequency
-from sdpid.experiment.recording.floating.robots import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording, channels
 from sdpid.experiment.recording.uniform_grid import make_grid
 from sdpid.experiment.simulation.controllers import PD, PID, Controller, P

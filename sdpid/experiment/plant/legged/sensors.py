@@ -11,8 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.truth import Motion
-from sdpid.experiment.recording.floating.base import BaseMotion, Imu
-from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.legs.legs import Legs
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.recording.memory_budget import check_claim
+from sdpid.experiment.recording.stored import check_claim
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # MATLAB puts 512 bytes of its own before the HDF5 file.

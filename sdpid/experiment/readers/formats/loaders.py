@@ -21,7 +21,7 @@ from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
 from sdpid.experiment.readers.formats.text_file import load_matrices, load_text
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.recording.memory_budget import check_claim
+from sdpid.experiment.recording.stored import check_claim
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
 _DAMAGE = (

@@ -15,10 +15,9 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.table import Table
-from sdpid.experiment.recording.memory_budget import check_claim
-from sdpid.experiment.recording.parquet import FORMAT, KEY
+from sdpid.experiment.recording.columns import FORMAT, KEY
 from sdpid.experiment.recording.recording import CHANNELS
-from sdpid.experiment.recording.stored import ROWS, store
+from sdpid.experiment.recording.stored import ROWS, check_claim, store
 
 # Logs that would take more bytes than this are kept in temporary files.
 LARGE = 1 << 28

@@ -26,7 +26,7 @@ from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import unit_of
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.recording.memory_budget import check_memory
+from sdpid.experiment.recording.stored import check_memory
 
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20

@@ -1,1 +1,0 @@
-"""Recordings of linkages: joints without motors, positions that loops close."""
