@@ -493,6 +493,22 @@ def test_small_bodies_are_compared_in_their_own_size(written: str, other: str) -
     assert not list(text_differences(written.replace("1e-25", "-2e-25"), written))
 
 
+def test_white_space_and_quotes_of_tags_are_those_of_a_writer() -> None:
+    """Folders of an earlier version are proven: what wrote their robots kept these as they were."""
+    written = '<?xml version="1.0"?><a b="1.5 x" c="y"><d e="2"/></a><!-- "f" -->'
+    same = "<?xml version='1.0'?>\n<a  b = '1.5 x'\n c=\"y\" >\n\t<d e='2' /></a><!-- \"f\" -->"
+    assert not list(text_differences(same, written))
+    for one, other in (
+        ('"1.5 x"', '"1.5  x"'),
+        ("<d ", "\r\n<d "),
+        ('"f"', "'f'"),
+        ("><d", ">g<d"),
+    ):
+        assert list(text_differences(written.replace(one, other), written))
+    (told,) = text_differences(same.replace("'2'", "'3.5'"), same.replace("'2'", "'2.5'"))
+    assert told == "line 4 ('e') has '3.5', written again '2.5'"
+
+
 def test_two_results_must_be_results() -> None:
     refuses(DataError, "3: is no folder", sdpid.compare, 3, 4)
 

@@ -53,6 +53,13 @@ _LEAST = 1e-9
 _NAMED, _OPEN = re.compile(r'name="([^"]*)"'), re.compile(r'([\w:]+)="[^"]*$')
 
 _BODY = re.compile("<inertial [^>]*>")
+
+# Tags; and of these what is quoted, and white space beside it.
+_TAG, _QUOTED, _BLANK = (
+    re.compile("(<[^>]*>)"),
+    re.compile("(\"[^\"]*\"|'[^']*')"),
+    re.compile("[ \t\n]+"),
+)
 _ATTRIBUTE = re.compile(r'([a-z]+)="([^"]*)"')
 
 
@@ -229,44 +236,59 @@ def _value(cell: str) -> str | float:
 def text_differences(found: str, wanted: str) -> Iterator[str]:
     """Yield where a robot's file is not the one that was written again: one place a line.
 
-    Everything between numbers is the same, and so are numbers: those that are fitted to rows to
-    `LIMIT`, others to 1e-12, of the largest in their element; lengths and angles of at least one.
+    Everything between numbers is the same but for white space between and within tags and their
+    quotes, which writers choose; and so are numbers: those that are fitted to rows to `LIMIT`,
+    others to 1e-12, of the largest in their element; lengths and angles of at least one.
     """
     if found == wanted:
         return
     own, again = _pieces(found), _pieces(wanted)
     largest: dict[tuple[int, str], float] = {}
-    for number, _, of in again[1::2]:
-        least = largest.get(of, _LEAST if of[1] else 1.0)
-        largest[of] = max(least, abs(float(number)))
+    for part, _, of, number in again:
+        if number:
+            least = largest.get(of, _LEAST if of[1] else 1.0)
+            largest[of] = max(least, abs(float(part)))
     last = 0
-    for k, ((one, line, _), (two, _, of)) in enumerate(zip(own, again, strict=False)):
+    for k, ((one, line, *_), (two, _, of, number)) in enumerate(zip(own, again, strict=False)):
         room = (LIMIT if of[1] == "fitted" else _DIGITS) * largest.get(of, 1.0)
-        if one == two or (k % 2 and _near(one, two, room)) or line == last:
+        if one == two or (number and own[k][3] and _near(one, two, room)) or line == last:
             continue
-        last, before = line, "".join(each for each, _, _ in again[:k])
+        last, before = line, "".join(each for each, *_ in again[:k])
         named = _NAMED.findall(before)[-1:] + _OPEN.findall(before)
         where = f" ({', '.join(shown(each) for each in named)})" if named else ""
         yield (f"line {last}{where} has {_short(one.strip())}, written again {_short(two.strip())}")
-        if not k % 2:
+        if not number:
             # What follows is shifted.
             return
     if len(own) != len(again):
         yield "it ends elsewhere than the file that was written again"
 
 
-def _pieces(text: str) -> list[tuple[str, int, tuple[int, str]]]:
-    """Return text and numbers in turn, with the line, the element and the kind of each."""
+def _pieces(text: str) -> list[tuple[str, int, tuple[int, str], bool]]:
+    """Return text and numbers with the line and the element and kind of each."""
     line, element, kind, pieces = 1, 0, "", []
-    for k, part in enumerate(_NUMBER.split(_BODY.sub(_as_tensor, text))):
-        if not k % 2:
-            element += part.count("<")
-            if '="' in part:
-                sized = _SIZED.search(part)
-                kind = "" if sized is None else str(sized.lastgroup)
-        pieces.append((part, line, (element, kind)))
-        line += part.count("\n")
+    for token in _TAG.split(_BODY.sub(_as_tensor, text)):
+        for k, part in enumerate(_NUMBER.split(_tidy(token))):
+            if not k % 2:
+                element += part.count("<")
+                if '="' in part:
+                    sized = _SIZED.search(part)
+                    kind = "" if sized is None else str(sized.lastgroup)
+            pieces.append((part, line, (element, kind), bool(k % 2)))
+        line += token.count("\n")
     return pieces
+
+
+def _tidy(token: str) -> str:
+    """Return a tag or a text without the white space and the quotes that writers choose."""
+    if not token.startswith("<"):
+        return token if token.strip(" \t\n") else ""
+    if token.startswith("<!"):
+        return token
+    parts = _QUOTED.split(token)
+    parts[::2] = (re.sub(r" ?(=|/?>) ?", r"\1", _BLANK.sub(" ", part)) for part in parts[::2])
+    parts[1::2] = (part if '"' in part else f'"{part[1:-1]}"' for part in parts[1::2])
+    return "".join(parts)
 
 
 def _as_tensor(match: re.Match[str]) -> str:

@@ -448,7 +448,8 @@ def _other_demands(given: Mapping[str, Any], problem: Problem) -> Iterator[str]:
             found, wanted = {key: found}, {key: wanted}
         wrong = list(differences(found, wanted, within=within, where=where))
         more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        yield from (f"{each}{more}" for each in wrong[:1])
+        for each in wrong[:1]:
+            yield each.replace(", made again it is", ", stated is") + more
 
 
 def _demanded(sealed: Sealed, stated: StatedProblem, problem: Problem) -> str:

@@ -129,7 +129,8 @@ class Files:
         """Return whether each file is as written again."""
         robot = (
             "written again from the description and the parameters, it is the same: numbers "
-            f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter"
+            f"to 1e-12, friction that is fitted to {LIMIT:g}, all else to the letter but for white "
+            "space and quotes that writers choose"
         )
         near, method = f"{LIMIT:g} of the numbers of a row", "none"
         if self._of_width:
