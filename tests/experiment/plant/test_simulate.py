@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -48,12 +47,6 @@ STIFF = """<robot name="stiff"><link name="base"/>
 <joint name="k" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
   <origin xyz="0 0 0.3"/><dynamics damping="10" friction="0.1"/></joint>
 </robot>"""
-
-
-def test_friction_does_not_hold_a_joint_that_is_told_to_move() -> None:
-    log = simulate(load_robot(STIFF), default_motion(load_robot(STIFF), 0, period=6.25, periods=1))
-    assert np.ptp(log.position, axis=0).min() > 0.5
-    assert log.notes == ("simulated without a controller: the robot follows its motion exactly",)
 
 
 def random_links(rng: np.random.Generator, links: int) -> Array:
@@ -144,17 +137,6 @@ def test_record_layout_and_sensors(robot: RobotModel, theta: Array, short: Traje
     assert np.abs(np.diff(exact.position, axis=0)).max() < 4.0 / short.rate_hz
 
 
-def test_seeds_decide(robot: RobotModel, theta: Array) -> None:
-    trajectory = paper_excitation(NAME, 1, period=10.0, periods=1)
-    first, again, other = (
-        simulate(robot, trajectory, theta=theta, seed=seed) for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first.position, again.position)
-    np.testing.assert_array_equal(first.effort, again.effort)
-    np.testing.assert_array_equal(first.position, other.position)
-    assert np.abs(first.effort - other.effort).max() > 0.01
-
-
 def test_settled_periods_repeat(robot: RobotModel, theta: Array, monkeypatch: pytest.MonkeyPatch):
     """Repeating a settled period gives what computing every one gives."""
     trajectory = paper_excitation(NAME, 2, period=20.0, periods=4)
@@ -188,37 +170,39 @@ def test_unmodeled_effects_show_in_the_current_only(
     np.testing.assert_allclose(backwards[0], effects.coulomb_asymmetry - effects.stribeck_torque)
 
 
-def test_unstable_gains_are_refused(robot: RobotModel, theta: Array, short: Trajectory) -> None:
-    gains = load_drives(NAME)
+def test_what_an_arm_cannot_do_is_refused(robot: RobotModel, theta: Array, short: Trajectory):
+    gains, tree = load_drives(NAME), load_robot(TREE)
     fast = replace(gains, velocity_gain=np.full(6, 3000.0), unmodeled=None)
-    refuses(DataError, "fastest pole", simulate, robot, short, theta=theta, drives=fast)
-    with pytest.raises(DataError, match="no unmodeled effects"):
-        simulate(robot, short, theta=theta, drives=fast, unmodeled=True)
-
-
-def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> None:
-    refuses(DataError, "72", simulate, robot, short, theta=theta[:60])
-    unreal = theta.copy()
-    unreal[59] = 0.0
-    massless = theta.copy()
-    massless[50] = 0.0
-    for wrong in (unreal, massless):
-        refuses(ModelError, "link_6", simulate, robot, short, theta=wrong)
-    negative = theta.copy()
-    negative[60] = -1.0
-    refuses(ModelError, "friction", simulate, robot, short, theta=negative)
-
-
-def test_robots_and_trajectories_must_match(theta: Array, short: Trajectory) -> None:
-    tree = load_robot(TREE)
+    unreal, massless, negative = (theta.copy() for _ in range(3))
+    unreal[59], massless[50], negative[60] = 0.0, 0.0, -1.0
+    for error, words, given in (
+        (DataError, "fastest pole", {"drives": fast}),
+        (DataError, "no unmodeled effects", {"drives": fast, "unmodeled": True}),
+        (DataError, "exactly", {"exact": True, "unmodeled": True}),
+        (DataError, "72", {"theta": theta[:60]}),
+        (ModelError, "link_6", {"theta": unreal}),
+        (ModelError, "link_6", {"theta": massless}),
+        (ModelError, "friction", {"theta": negative}),
+    ):
+        refuses(error, words, simulate, robot, short, **({"theta": theta} | given))
     refuses(DataError, "lift", simulate, tree, short, theta=theta)
-    with pytest.raises(DataError, match="3 drives, robot 'tree' has 6 joints"):
-        simulate(tree, default_motion(tree, period=8.0), theta=np.ones(72), drives=drives_of(3))
-
-
-def test_drives_are_checked() -> None:
-    refuses(DataError, "lengths differ", replace, drives_of(2), gear_ratio=np.ones(3))
+    moved = default_motion(tree, period=8.0)
+    few, ones = drives_of(3), np.ones(72)
+    words = "3 drives, robot 'tree' has 6 joints"
+    refuses(DataError, words, simulate, tree, moved, theta=ones, drives=few)
+    refuses(DataError, "lengths differ", replace, few, gear_ratio=np.ones(2))
     refuses(DataError, "not understood", Drives.from_mapping, {"torque_constant": [1.0]})
+
+
+@pytest.mark.parametrize("name", [STIFF, "z1"])
+def test_a_robot_of_large_damping_follows_its_motion_exactly(name: str) -> None:
+    """Friction does not hold a joint that is told to move."""
+    robot = load_robot(name)
+    trajectory = default_motion(robot, 1, period=6.25, periods=1)
+    log = simulate(robot, trajectory, noise=False, progress=False)
+    lead = trajectory.lead_samples
+    np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
+    assert "without a controller" in log.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -239,16 +223,6 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     truth = problem.base.matrix @ theta
     scale = np.linalg.norm(problem.A @ truth)
     assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
-
-
-def test_a_robot_of_large_damping_follows_its_motion_exactly() -> None:
-    robot = load_robot("z1")
-    trajectory = default_motion(robot, 1, period=10.0, periods=1)
-    log = simulate(robot, trajectory, noise=False, progress=False)
-    lead = trajectory.lead_samples
-    np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
-    assert "without a controller" in log.notes[0]
-    refuses(DataError, "exactly", simulate, robot, trajectory, unmodeled=True)
 
 
 def test_any_robot_follows_its_motion_exactly_where_asked(
@@ -282,17 +256,6 @@ def test_defaults_of_a_simulation() -> None:
     assert (noise > 1e-4 * rms).all()
     refuses(DataError, r"at least 6\.25 s", default_motion, robot, period=5.0)
     refuses(ModelError, "floating base", default_motion, load_robot(TREE, root="free_flyer"))
-
-
-def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> None:
-    file = tmp_path / "motion.toml"
-    short.to_toml(file)
-    again = Trajectory.from_toml(file)
-    for name in ("joint_names", "periods", "notes"):
-        assert getattr(again, name) == getattr(short, name)
-    np.testing.assert_array_equal(again.sample(0, 20_000), short.sample(0, 20_000))
-    file.write_text(file.read_text().replace("phases", "fases"))
-    refuses(DataError, r"motion.toml: .*phases", Trajectory.from_toml, file)
 
 
 # Quadrupeds obey the equation of motion that identification assumes, and sensors say so.
