@@ -225,13 +225,11 @@ def default_drives(robot: RobotModel, theta: Array, trajectory: Trajectory) -> D
     is at 400/s. Encoders have 2^19 counts a turn, efforts noise of 1 % of their rms.
     """
     bodies = theta[: 10 * robot.n_links].reshape(-1, 10)
+    positions = _states(trajectory)[0]
     felt = np.full(robot.n, np.inf)
-    inverses = [np.linalg.inv(robot.mass_matrix(bodies, q)) for q in _states(trajectory)[0]]
-    for inverse in inverses:
-        felt = np.minimum(felt, 1.0 / np.diagonal(inverse))
-    # M⁻¹·D has the eigenvalues of D^½·M⁻¹·D^½.
-    root = np.sqrt(felt)
-    fastest = max(np.linalg.eigvalsh(root[:, None] * inverse * root)[-1] for inverse in inverses)
+    for q in positions:
+        felt = np.minimum(felt, 1.0 / np.diagonal(np.linalg.inv(robot.mass_matrix(bodies, q))))
+    fastest = _fastest(robot, bodies, positions, felt)
     ones = np.ones(robot.n)
     effort, _ = _usual(robot, bodies, trajectory)
     return Drives(
@@ -279,17 +277,19 @@ def fastest_pole(
     robot: RobotModel, trajectory: Trajectory, theta: Array, drives: Drives
 ) -> tuple[float, float]:
     """Return the velocity loop's fastest pole along a trajectory, and the limit of it, in 1/s."""
-    speed = drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
+    damping = drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
     period = trajectory.position_period
-    fastest = 0.0
-    for q in period[:: max(1, len(period) // 20)]:
-        M = robot.mass_matrix(theta, q)
-        # M⁻¹·D is similar to a symmetric matrix, so its eigenvalues are real.
-        root = np.sqrt(speed)
-        poles = np.linalg.eigvalsh(root[:, None] * np.linalg.inv(M) * root)
-        fastest = max(fastest, float(poles[-1]))
+    fastest = _fastest(robot, theta, period[:: max(1, len(period) // 20)], damping)
     steps = np.ceil(1.0 / (trajectory.rate_hz * LONGEST_STEP) - 1e-9)
     return fastest, float(_RESOLVED * trajectory.rate_hz * steps)
+
+
+def _fastest(robot: RobotModel, bodies: Array, positions: Array, damping: Array) -> float:
+    """Return the fastest pole of M·a = −D·v at some positions, 1/s."""
+    # M⁻¹·D has the eigenvalues of D^½·M⁻¹·D^½.
+    root = np.sqrt(damping)
+    inverses = np.linalg.inv([robot.mass_matrix(bodies, q) for q in positions])
+    return float(np.linalg.eigvalsh(root[:, None] * inverses * root).max())
 
 
 def check_bodies(robot: RobotModel, bodies: Array) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import Controller, JointLaw
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
-from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS
+from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS, NEAR
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -280,7 +280,7 @@ def simulate_closed_loop(
     if not every:
         told = 0.5 * (told[:-1] + told[1:])
     out = np.zeros((5, len(times), n))
-    run = _Run(told, noise, times, steps, every, dt, differenced)
+    run = told, noise, times, steps, every, dt, differenced
     move = _compiled if isinstance(controller, JointLaw) else _python
     count = move(arm, controller, run, states, out)
     q, v, held, measured, integral = (x[:count] for x in out)
@@ -299,16 +299,10 @@ def simulate_closed_loop(
     )
 
 
-class _Run(NamedTuple):
-    """What a loop takes beside the robot and the controller, in the order of the compiled one."""
-
-    desired: Array
-    noise: Array
-    times: Array
-    steps: int
-    every: int
-    dt: float
-    differenced: bool
+# What a loop takes beside the robot and the controller, in the order of the compiled one: desired
+# motion, noise, sample times, number of steps, steps of a held effort, step, whether the controller
+# takes velocities from differences.
+_Run: TypeAlias = tuple[Array, Array, Array, int, int, float, bool]
 
 
 def _compiled(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
@@ -329,39 +323,33 @@ def _compiled(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: 
 
 def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
     """Run a controller of the user's, whose effort is held from step to step."""
-    every = max(run.every, 1)
+    desired, noise, times, steps, every, dt, differenced = run
+    every = max(every, 1)
     q, v = start[0][None].copy(), start[1][None].copy()
-    integral, effort, before = np.zeros_like(q), np.zeros_like(q), q
-    seen, error = np.zeros_like(q), np.zeros_like(q)
+    integral, before = np.zeros_like(q), q
     sample = 0
-    for step in range(run.steps):
+    for step in range(steps):
         if step % every == 0:
             row = step // every
-            told = run.desired[row][None]
-            seen = run.noise[row % len(run.noise)][None]
+            told, seen = desired[row][None], noise[row % len(noise)][None]
             measured = q + seen
-            speed = v
-            if run.differenced and row:
-                speed = (measured - before) / (every * run.dt)
-            before = measured
-            effort = controller.effort(
-                measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
-            )
-            error = told[:, 0] - measured
-        moved = arm.run(q, v, effort[:, None], run.dt)
+            speed = (measured - before) / (every * dt) if differenced and row else v
+            before, error = measured, told[:, 0] - measured
+            states = (measured, speed, *told.swapaxes(0, 1), integral)
+            effort = controller.effort(*states)
+        moved = arm.run(q, v, effort[:, None], dt)
         q1, v1 = moved[0][:, 1], moved[1][:, 1]
         if not np.isfinite(v1).all():
             return sample
-        while sample < len(run.times) and run.times[sample] < (step + 1 - 1e-6) * run.dt:
-            x = run.times[sample] / run.dt - step
+        while sample < len(times) and times[sample] < (step + 1 - NEAR) * dt:
+            x = times[sample] / dt - step
             rise = q1 - q
-            curve = 3.0 * rise - run.dt * (2.0 * v + v1)
-            cubic = run.dt * (v + v1) - 2.0 * rise
-            now = q + x * (run.dt * v + x * curve + x * x * cubic)
-            states = (now, v + x * (v1 - v), effort, now + seen, integral + x * run.dt * error)
-            out[:, sample] = np.concatenate(states)
+            curve, cubic = 3.0 * rise - dt * (2.0 * v + v1), dt * (v + v1) - 2.0 * rise
+            now = q + x * (dt * v + x * curve + x * x * cubic)
+            found = (now, v + x * (v1 - v), effort, now + seen, integral + x * dt * error)
+            out[:, sample] = np.concatenate(found)
             sample += 1
-        q, v, integral = q1, v1, integral + run.dt * error
+        q, v, integral = q1, v1, integral + dt * error
     return sample
 
 

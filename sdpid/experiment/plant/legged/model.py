@@ -100,7 +100,7 @@ def build_legged(
     spec.option.impratio = _IMPEDANCE_RATIO
     nodes = add_bodies(mujoco, spec, robot, bodies)
     # Where the free joint starts, and where a held base stays.
-    nodes[1].pos, nodes[1].quat = start[:3], np.roll(Rotation.from_rotvec(start[3:]).as_quat(), 1)
+    nodes[1].pos, nodes[1].quat = start[:3], _quaternion(Rotation.from_rotvec(start[3:]))
     names = robot.joint_names[6:]
     if held:
         spec.add_equality(
@@ -127,8 +127,6 @@ def build_legged(
 
 def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> None:
     """Add a plane, and a ball or a sole at every foot; nothing else touches."""
-    from scipy.spatial.transform import Rotation
-
     shared = {
         "condim": 3,
         "friction": [_GRIP, 0.0, 0.0],
@@ -158,7 +156,7 @@ def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> No
         node.add_geom(
             name=f"foot:{name}",
             pos=place.translation + place.rotation @ center,
-            quat=np.roll(Rotation.from_matrix(place.rotation).as_quat(), 1),
+            quat=_quaternion(place.rotation),
             contype=0,
             conaffinity=1,
             **shape,
@@ -191,7 +189,7 @@ def add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> dict
         body = nodes[model.parents[i]].add_body(
             name=f"{i}:{robot.link_names[i - 1]}",
             pos=placement.translation,
-            quat=_quaternion(mujoco, placement.rotation),
+            quat=_quaternion(placement.rotation),
         )
         # Principal moments by our own decomposition: that of older MuJoCo stops at 1e-7.
         moments, axes = np.linalg.eigh(inertias[i - 1])
@@ -199,7 +197,7 @@ def add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> dict
         body.mass = float(masses[i - 1])
         body.ipos = centers[i - 1]
         body.inertia = moments
-        body.iquat = _quaternion(mujoco, axes)
+        body.iquat = _quaternion(axes)
         body.explicitinertial = True
         nodes[i] = body
         if i == 1 and robot.free_flyer:
@@ -211,8 +209,9 @@ def add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> dict
     return nodes
 
 
-def _quaternion(mujoco: Any, rotation: Array) -> Array:
-    """Return a rotation matrix as MuJoCo's quaternion, scalar first."""
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
-    return quaternion
+def _quaternion(rotation: Any) -> Array:
+    """Return a rotation, or its matrix, as MuJoCo's quaternion, scalar first."""
+    from scipy.spatial.transform import Rotation
+
+    turn = rotation if isinstance(rotation, Rotation) else Rotation.from_matrix(rotation)
+    return np.roll(turn.as_quat(), 1)
