@@ -19,7 +19,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.curve import Curve
-from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
+from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
 from sdpid.experiment.trajectory.sampled import SampledCurve
@@ -360,16 +360,6 @@ def test_series_refuses_what_is_no_series() -> None:
     ):
         refuses(DataError, message, FourierSeries, **good | change)
     refuses(DataError, "too few", FourierSeries(**good).one_period, 4)
-
-
-def test_quintic_meets_both_ends() -> None:
-    rng = np.random.default_rng(0)
-    end = rng.normal(size=(3, 4))
-    for duration in (5.0, -2.0):
-        motion = quintic(np.array([0.0, 1.0]), duration, *end)
-        for values, target in zip(motion, end, strict=True):
-            np.testing.assert_allclose(values[0], 0.0, atol=1e-13)
-            np.testing.assert_allclose(values[1], target, atol=1e-12)
 
 
 # Motions are read from files of any tool, and what is wrong with one is named.

@@ -154,15 +154,15 @@ def _align(file: Path, found: Selection, quantities: Sequence[str]) -> None:
         if first is None or label is None or label == first:
             continue
         if set(label) != set(first):
+            of = "feet" if quantity in FLOATING else "joints"
             raise DataError(
-                f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
-                f"{quantities[0]} of joints {', '.join(first)}; give columns=."
+                f"{file}: the columns of {quantity} are of {of} {', '.join(label)}, those of "
+                f"{quantities[0]} of {of} {', '.join(first)}; give columns=."
             )
         table, order = found.tables[quantity], [label.index(name) for name in first]
         # Of contacts there are several columns each.
         each = np.arange(table.shape[1]).reshape(len(first), -1)
         found.tables[quantity] = table[:, each[order].ravel()]
-        found.labels[quantity] = first
 
 
 def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None) -> None:

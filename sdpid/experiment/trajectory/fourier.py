@@ -1,4 +1,4 @@
-"""Periodic joint motion as a Fourier series, and the polynomial that leads into it."""
+"""Periodic joint motion as a Fourier series."""
 
 from __future__ import annotations
 
@@ -198,39 +198,3 @@ class FourierSeries:
         """Return the series that starts `shift_j` seconds (n,) into joint j's period."""
         turn = 2.0 * np.pi * self.harmonics * np.asarray(shift)[:, None] / self.period
         return replace(self, phases=np.mod(self.phases + turn, 2.0 * np.pi))
-
-
-# Rows: coefficients of s^3, s^4, s^5 of the quintic that starts at rest at zero and ends, at
-# s = 1, with unit position, velocity and acceleration respectively.
-_QUINTIC = np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
-
-
-def quintic(
-    s: Array, duration: float, offset: Array, velocity: Array, acceleration: Array
-) -> tuple[Array, Array, Array]:
-    """Return the motion from rest at zero to a moving end, as a polynomial of fifth degree.
-
-    Parameters
-    ----------
-    s : ndarray, shape (K,)
-        Fraction of the duration, 0 at rest and 1 at the moving end.
-    duration : float
-        Duration in s; negative runs the time backwards (a moving start that comes to rest).
-    offset, velocity, acceleration : ndarray, shape (..., n)
-        State at the moving end.
-
-    Returns
-    -------
-    position, velocity, acceleration : ndarray, shape (..., K, n)
-    """
-    ends = np.stack([offset, velocity * duration, acceleration * duration**2], axis=-1)
-    coefficients = ends @ _QUINTIC
-    powers = np.array([3.0, 4.0, 5.0])
-    column = np.asarray(s)[:, None]
-    shapes = (
-        column**powers,
-        powers * column ** (powers - 1.0) / duration,
-        powers * (powers - 1.0) * column ** (powers - 2.0) / duration**2,
-    )
-    position, rate, change = (np.einsum("kc,...nc->...kn", shape, coefficients) for shape in shapes)
-    return position, rate, change

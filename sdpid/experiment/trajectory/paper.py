@@ -14,8 +14,8 @@ from sdpid._common.arrays import Array
 from sdpid._common.files import load_toml
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
-from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.experiment.trajectory.fourier import FourierSeries
+from sdpid.experiment.trajectory.trajectory import Trajectory, connection_points
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots
 
 # The limit frequencies are printed with four decimals; a harmonic on the limit is not above it.
@@ -159,19 +159,22 @@ def quiet_start(
     connection: float,
 ) -> tuple[Array, list[str]]:
     """Return when each joint's period should start, (n,) in s, and notes where none is good."""
+    from scipy.interpolate import BPoly
+
     samples = round(series.period * rate)
     stride = max(1, samples // _STARTS)
     states = [series.one_period(samples, derivative=order)[::stride] for order in range(3)]
     states[0] = states[0] - series.center
-    s = np.linspace(0.0, 1.0, _CHECKS)
+    basis = BPoly(np.eye(6)[:, None], [0.0, 1.0])
+    time = np.linspace(0.0, 1.0, _CHECKS)
     margins = []
     for seconds in (connection, -connection):
-        position, velocity, _ = quintic(s, seconds, *states)
-        position += series.center
-        inside = np.minimum(ranges[:, 1] - position, position - ranges[:, 0]).min(axis=1)
+        points = connection_points(series.center, seconds, *states)
+        position, velocity = (np.tensordot(basis(time, order), points, 1) for order in range(2))
+        inside = np.minimum(ranges[:, 1] - position, position - ranges[:, 0]).min(axis=0)
         # In units of the half range and of the limit, so that the worse of the two counts.
         inside /= 0.5 * (ranges[:, 1] - ranges[:, 0])
-        slow = 1.0 - (np.abs(velocity) / velocity_limit).max(axis=1)
+        slow = 1.0 - (np.abs(velocity / connection) / velocity_limit).max(axis=0)
         margins.append(np.minimum(inside, slow))
     margin = np.minimum(*margins)
     shift = np.empty(series.n)

@@ -400,8 +400,8 @@ class Trajectory:
         parts: list[tuple[float, Curve]] = [(start, self.series)]
         if self.connection:
             (before, after), c = self._poses, self.connection
-            enter = _connection(before, c, *self._ends[0])
-            leave = _connection(after, -c, *self._ends[1])[::-1]
+            enter = connection_points(before, c, *self._ends[0])
+            leave = connection_points(after, -c, *self._ends[1])[::-1]
             parts.insert(0, (self.rest, Spline(duration=c, control_points=enter)))
             end = start + self.periods * self.period
             parts.append((end, Spline(duration=c, control_points=leave)))
@@ -420,14 +420,23 @@ class Trajectory:
         return tuple(states[0]), tuple(states[1])
 
 
-def _connection(pose: Array, seconds: float, *state: Array) -> Array:
-    """Return the control points (6, n) of the polynomial from rest to a moving end."""
+def connection_points(pose: Array, seconds: float, *state: Array) -> Array:
+    """Return the control points (6, ..., n) of the quintic from rest in a pose to a moving end.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (n,)
+        Where the joints rest.
+    seconds : float
+        Duration in s; negative runs the time backwards (a moving start that comes to rest).
+    *state : three ndarrays, shape (..., n)
+        Offset from the pose, velocity and acceleration at the moving end.
+    """
     offset, velocity, acceleration = state
     end = pose + offset
     near = end - velocity * seconds / 5.0
-    return np.stack(
-        [pose, pose, pose, 2.0 * near - end + acceleration * seconds**2 / 20.0, near, end]
-    )
+    before = 2.0 * near - end + acceleration * seconds**2 / 20.0
+    return np.stack(np.broadcast_arrays(pose, pose, pose, before, near, end))
 
 
 @dataclass(frozen=True)
