@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -67,6 +68,41 @@ class DhJoint:
     velocity: float | None = None
     effort: float | None = None
 
+    @classmethod
+    def of(cls, row: Any, what: str) -> DhJoint:
+        """Return a row of a table from itself or a mapping.
+
+        Raises
+        ------
+        ModelError
+            When it is neither; `what` names its table.
+        """
+        if isinstance(row, DhJoint):
+            return row
+        if not isinstance(row, Mapping):
+            raise ModelError(
+                f"{what}: a row is {row!r}; give a mapping with alpha, theta, d and r or a."
+            )
+        try:
+            return cls(**row)
+        except TypeError as cause:
+            raise ModelError(f"{what}: a row is not understood ({cause}).") from None
+
+    def faults(self) -> Iterator[str]:
+        """Yield what is wrong with the row by itself, in words."""
+        if self.kind not in ("revolute", "prismatic"):
+            yield f"joint kind {self.kind!r} is not supported; use 'revolute' or 'prismatic'"
+        for key in ("alpha", "d", "theta", "r", *_OPTIONAL):
+            value = getattr(self, key)
+            if value is None and key in _OPTIONAL:
+                continue
+            if not isinstance(value, (int, float)) or not math.isfinite(value):
+                yield f"{key} is {value!r}; give a finite number"
+        if (self.lower is None) != (self.upper is None):
+            yield "give both limits or neither"
+        elif self.lower is not None and self.upper is not None and self.lower > self.upper:
+            yield f"lower limit {self.lower} is above the upper limit {self.upper}"
+
 
 def _translation(axis: int, length: float) -> Array:
     transform = np.eye(4)
@@ -122,56 +158,36 @@ class DhTable(Settings):
             raise ModelError(
                 f"kinematic table: convention {self.convention!r}; use 'modified' or 'standard'."
             )
-        for i, joint in enumerate(self.joints):
-            if joint.kind not in ("revolute", "prismatic"):
-                raise ModelError(
-                    f"kinematic table, row {i + 1}: joint kind {joint.kind!r} is not supported; "
-                    "use 'revolute' or 'prismatic'."
-                )
-            for key in ("alpha", "d", "theta", "r", *_OPTIONAL):
-                value = getattr(joint, key)
-                if value is None and key in _OPTIONAL:
-                    continue
-                if not isinstance(value, (int, float)) or not math.isfinite(value):
-                    raise ModelError(
-                        f"kinematic table, row {i + 1}: {key} is {value!r}; give a finite number."
-                    )
-            if (joint.lower is None) != (joint.upper is None):
-                raise ModelError(f"kinematic table, row {i + 1}: give both limits or neither.")
-            if joint.lower is not None and joint.upper is not None and joint.lower > joint.upper:
-                raise ModelError(
-                    f"kinematic table, row {i + 1}: lower limit {joint.lower} is above the upper "
-                    f"limit {joint.upper}."
-                )
-        self._require_letters()
+        for i, joint in enumerate(self.joints, 1):
+            for words in itertools.chain(joint.faults(), self._doubtful_letters(joint)):
+                raise ModelError(f"kinematic table, row {i}: {words}.")
         for key in ("base_translation", "base_rpy", "gravity"):
             what = f"kinematic table: {key}"
             vector = real_array(getattr(self, key), what, ndim=1, error=ModelError)
             if vector.shape != (3,):
                 raise ModelError(f"{what} has {vector.size} numbers, give 3.")
             object.__setattr__(self, key, tuple(vector.tolist()))
-        for value in (self.name, *self.joint_names):
+        names = self.joint_names
+        for value in (self.name, *names):
             if not isinstance(value, str):
                 raise ModelError(f"kinematic table: the name {value!r} is not text.")
-        names = self.joint_names
         if len(set(names)) != len(names):
             raise ModelError(f"kinematic table: joint names repeat: {', '.join(names)}.")
 
-    def _require_letters(self) -> None:
-        """Refuse lengths whose letters do not tell whether they are along x or z."""
-        known = self._has_a or any(joint.r for joint in self.joints)
-        for i, joint in enumerate(self.joints):
-            if self._has_a and joint.r:
-                raise ModelError(
-                    f"kinematic table, row {i + 1}: r is {joint.r!r} in a table with lengths a; "
-                    "lengths along x and z are called a and d, or d and r."
-                )
-            if self.convention == "standard" and joint.d and not known:
-                raise ModelError(
-                    f"kinematic table, row {i + 1}: d is {joint.d!r}, and no row has a or r, so "
-                    "that it is not known whether d is along z or x; give a beside it where d is "
-                    "along z (a = 0 where there is none), or a in place of it."
-                )
+    def _doubtful_letters(self, joint: DhJoint) -> Iterator[str]:
+        """Yield whether letters of lengths do not tell if they are along x or z."""
+        if self._has_a and joint.r:
+            yield (
+                f"r is {joint.r!r} in a table with lengths a; lengths along x and z are called a "
+                "and d, or d and r"
+            )
+        known = self._has_a or any(each.r for each in self.joints)
+        if self.convention == "standard" and joint.d and not known:
+            yield (
+                f"d is {joint.d!r}, and no row has a or r, so that it is not known whether d is "
+                "along z or x; give a beside it where d is along z (a = 0 where there is none), or "
+                "a in place of it"
+            )
 
     @property
     def _has_a(self) -> bool:
@@ -214,7 +230,7 @@ class DhTable(Settings):
         elif not isinstance(table, DhTable):
             if not isinstance(table, Iterable):
                 raise ModelError(f"kinematic table: got {type(table).__name__}; give rows.")
-            table = cls(joints=tuple(_row(row) for row in table))
+            table = cls(joints=tuple(DhJoint.of(row, "kinematic table") for row in table))
         return replace(table, **{key: value for key, value in changes.items() if value is not None})
 
     @classmethod
@@ -229,15 +245,11 @@ class DhTable(Settings):
         rows = data.get("joint")
         if not isinstance(rows, Sequence) or isinstance(rows, (str, bytes)):
             raise ModelError(f"{what}: no [[joint]] rows.")
-        try:
-            joints = tuple(DhJoint(**row) for row in rows)
-        except TypeError as cause:
-            raise ModelError(f"{what}: a [[joint]] row is not understood ({cause}).") from None
         base = data.get("base", {})
         if not isinstance(base, Mapping):
             raise ModelError(f"{what}: base is {base!r}; give translation and rpy.")
         return cls(
-            joints=joints,
+            joints=tuple(DhJoint.of(row, what) for row in rows),
             name=data.get("name", "robot"),
             convention=data.get("convention", "modified"),
             base_translation=base.get("translation", (0.0, 0.0, 0.0)),
@@ -324,49 +336,33 @@ class DhTable(Settings):
                     "parameters for each joint's link."
                 )
         placements, tip = self.joint_placements()
-        links = [f"link_{i + 1}" for i in range(len(self.joints))]
-        for i, link_name in enumerate(links):
-            link = etree.SubElement(robot, "link", name=link_name)
+        links = ["base_link", *(f"link_{i + 1}" for i in range(len(self.joints)))]
+        for i, name in enumerate(links[1:]):
+            link = etree.SubElement(robot, "link", name=name)
             if bodies is not None:
                 link.append(inertial_element(bodies[i]))
         for i, (joint, name) in enumerate(zip(self.joints, self.joint_names, strict=True)):
             limited = joint.lower is not None or joint.kind == "prismatic"
             kind = joint.kind if limited else "continuous"
-            element = etree.SubElement(robot, "joint", name=name, type=kind)
-            _origin(element, placements[i])
-            etree.SubElement(element, "parent", link="base_link" if i == 0 else links[i - 1])
-            etree.SubElement(element, "child", link=links[i])
+            element = _joint(robot, name, kind, placements[i], links[i], links[i + 1])
             etree.SubElement(element, "axis", xyz="0 0 1")
             etree.SubElement(element, "limit", _limits(joint))
         if self.convention == "standard":
             etree.SubElement(robot, "link", name="tip")
-            element = etree.SubElement(robot, "joint", name="tip_joint", type="fixed")
-            _origin(element, tip)
-            etree.SubElement(element, "parent", link=links[-1])
-            etree.SubElement(element, "child", link="tip")
+            _joint(robot, "tip_joint", "fixed", tip, links[-1], "tip")
         etree.indent(robot)
         return str(etree.tostring(robot, xml_declaration=True, encoding="UTF-8"), "utf-8") + "\n"
 
 
-def _row(row: Any) -> DhJoint:
-    """Return a row of a table from itself or a mapping."""
-    if isinstance(row, DhJoint):
-        return row
-    if not isinstance(row, Mapping):
-        raise ModelError(
-            f"kinematic table: a row is {row!r}; give a mapping with alpha, theta, d and r or a."
-        )
-    try:
-        return DhJoint(**row)
-    except TypeError as cause:
-        raise ModelError(f"kinematic table: a row is not understood ({cause}).") from None
-
-
-def _origin(element: Any, transform: Array) -> None:
+def _joint(robot: Any, name: str, kind: str, placement: Array, parent: str, child: str) -> Any:
+    """Add a joint to a ``<robot>`` and return it."""
     from lxml import etree
 
-    rpy = matrix_rpy(transform[:3, :3])
-    etree.SubElement(element, "origin", xyz=numbers(transform[:3, 3]), rpy=numbers(rpy))
+    element, rpy = etree.SubElement(robot, "joint", name=name, type=kind), placement[:3, :3]
+    etree.SubElement(element, "origin", xyz=numbers(placement[:3, 3]), rpy=numbers(matrix_rpy(rpy)))
+    etree.SubElement(element, "parent", link=parent)
+    etree.SubElement(element, "child", link=child)
+    return element
 
 
 def _limits(joint: DhJoint) -> dict[str, str]:
