@@ -21,7 +21,6 @@ from sdpid.robot.friction.term import (
     FrictionTerm,
     TermParameter,
     check_speeds,
-    joint_speeds,
     smooth_sign,
 )
 
@@ -219,8 +218,8 @@ class LoadFriction(PosedTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the shares of the load, and where their signs jump."""
         n = len(values)
-        widths, none = joint_speeds(self, "width", n).tolist(), (0.0,) * n
-        speeds = joint_speeds(self, "velocity", n).tolist() if self.share else none
+        widths, none = self.speed("width", n).tolist(), (0.0,) * n
+        speeds = self.speed("velocity", n).tolist() if self.share else none
         for j, numbers in enumerate(zip(self.share or none, speeds, widths, strict=True)):
             yield EffortCurve("load", (j, -1), float(values[j]), numbers)
             if widths[j] == 0.0 and numbers[0] < 1.0:
@@ -229,11 +228,11 @@ class LoadFriction(PosedTerm):
     def sign(self, velocity: Array, acceleration: Array) -> Array:
         """Return what the size of the load is multiplied by, (K, n)."""
         n = velocity.shape[1]
-        sign = smooth_sign(velocity, joint_speeds(self, "width", n), 0.0)
+        sign = smooth_sign(velocity, self.speed("width", n), 0.0)
         if not self.share:
             return sign
         share = np.asarray(self.share)
-        slow = np.tanh(velocity / joint_speeds(self, "velocity", n))
+        slow = np.tanh(velocity / self.speed("velocity", n))
         return np.asarray((1.0 - share) * sign + share * slow)
 
 

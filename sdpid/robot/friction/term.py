@@ -192,6 +192,11 @@ class FrictionTerm(ABC):
         motion are the filtered columns.
     posed : bool
         Whether the columns depend on the position, so that only `columns_in` can give them.
+    speed_fields : tuple of str
+        Fields that are speeds: one number for all joints, a tuple with one a joint, or None for
+        numbers that the data choose, one a joint.
+    slowest : float or None
+        Slowest speed that is searched for open fields, rad/s; None leaves it to the data.
     curve : bool
         Whether dry friction and damping stand in for it in files that have room for these alone.
     efforts : mapping of str to str
@@ -210,6 +215,8 @@ class FrictionTerm(ABC):
 
     linear: ClassVar[bool] = False
     posed: ClassVar[bool] = False
+    speed_fields: ClassVar[tuple[str, ...]] = ()
+    slowest: ClassVar[float | None] = None
     curve: ClassVar[bool] = False
     efforts: ClassVar[Mapping[str, str]] = {}
 
@@ -282,10 +289,33 @@ class FrictionTerm(ABC):
         names = tuple(joint_names)
         return motion.filtered(lambda v, a: self.columns(v, a, names), (self, names))
 
+    def speed(self, field: str, n: int) -> Array:
+        """Return the values (n,) of a speed field.
+
+        Raises
+        ------
+        ModelError
+            When it is still open, or has not one value a joint.
+        """
+        value = getattr(self, field)
+        if value is None:
+            raise ModelError(
+                f"{type(self).__name__}: {field} is open; give it a value, or let build_problem "
+                "choose it by the data."
+            )
+        if isinstance(value, tuple) and len(value) != n:
+            raise ModelError(
+                f"{type(self).__name__}: {field} has {len(value)} values, the robot {n} joints; "
+                "give one a joint, or one for all."
+            )
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (n,))
+
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
-        """Return the parameters to be fitted before the regressor exists. None by default.
+        """Return the parameters to be fitted before the regressor exists.
+
+        By default one a joint for each speed field that is None.
 
         Parameters
         ----------
@@ -294,25 +324,49 @@ class FrictionTerm(ABC):
         joint_names : sequence of str
             The n joints.
         """
-        return ()
+        return tuple(
+            OpenParameter(f"{field}{j + 1}", *speed_limits(measured, self.slowest), "rad/s")
+            for field in self.speed_fields
+            if getattr(self, field) is None
+            for j, measured in enumerate(speeds)
+        )
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
-        """Return a copy with values for the open parameters, in their order."""
-        if len(values):
-            raise ModelError(f"{type(self).__name__}: has no open parameters.")
-        return self
+        """Return a copy with values for the open parameters, in their order.
+
+        Raises
+        ------
+        ModelError
+            When there are none, or the values are not one a joint for each.
+        """
+        missing = [field for field in self.speed_fields if getattr(self, field) is None]
+        if not missing:
+            if len(values):
+                raise ModelError(f"{type(self).__name__}: has no open parameters.")
+            return self
+        each, rest = divmod(len(values), len(missing))
+        if rest or not each:
+            raise ModelError(
+                f"{type(self).__name__}: {len(values)} values for {', '.join(missing)}; give one a "
+                "joint for each."
+            )
+        chosen = [tuple(float(x) for x in values[k * each :][:each]) for k in range(len(missing))]
+        changes = dict(zip(missing, chosen, strict=True))
+        return replace(self, **changes)  # type: ignore[type-var]
 
     def alike(self, joint_names: Sequence[str]) -> tuple[tuple[int, int], ...]:
         """Return pairs of parameters, by index, that are believed to be alike. None by default."""
         return ()
 
     def characteristic_speeds(self, n: int) -> Array:
-        """Return speeds (k, n) at which columns bend, such as widths. None by default.
+        """Return speeds (k, n) at which columns bend: those of the speed fields.
 
         The scan for base parameters looks at states with such speeds too; a term that is all but
         zero or constant at other speeds would else be taken for dependent.
         """
-        return np.zeros((0, n))
+        rows = [self.speed(field, n) for field in self.speed_fields]
+        kept = [row for row in rows if np.any(row > 0.0)]
+        return np.reshape(kept, (len(kept), n))
 
 
 @dataclass(frozen=True)
@@ -327,11 +381,6 @@ class JointwiseTerm(FrictionTerm):
         Their unit.
     nonnegative : bool
         Whether physics forbids negative values.
-    speed_fields : tuple of str
-        Fields that are speeds: one number for all joints, a tuple with one a joint, or None for
-        numbers that the data choose, one a joint.
-    slowest : float or None
-        Slowest speed that is searched for open fields, rad/s; None leaves it to the data.
 
     Examples
     --------
@@ -347,8 +396,6 @@ class JointwiseTerm(FrictionTerm):
     symbol: ClassVar[str]
     unit: ClassVar[str]
     nonnegative: ClassVar[bool]
-    speed_fields: ClassVar[tuple[str, ...]] = ()
-    slowest: ClassVar[float | None] = None
 
     @abstractmethod
     def shape(self, velocity: Array, acceleration: Array) -> Array:
@@ -406,32 +453,6 @@ class JointwiseTerm(FrictionTerm):
             return self.shape(motion.velocity, motion.acceleration)
         return motion.filtered(self.shape, self)
 
-    def speed(self, field: str, n: int) -> Array:
-        """Return the values (n,) of a speed field.
-
-        Raises
-        ------
-        ModelError
-            When it is still open, or has not one value a joint.
-        """
-        return joint_speeds(self, field, n)
-
-    def open_parameters(
-        self, speeds: Sequence[Array], joint_names: Sequence[str]
-    ) -> tuple[OpenParameter, ...]:
-        """Return one open parameter per joint for each speed field that is None."""
-        return open_speeds(self, self.speed_fields, speeds, self.slowest)
-
-    def with_values(self, values: Sequence[float]) -> FrictionTerm:
-        """Return a copy with values for the open speeds: field by field over the joints."""
-        return close_speeds(self, self.speed_fields, values)
-
-    def characteristic_speeds(self, n: int) -> Array:
-        """Return the values of the speed fields."""
-        rows = [joint_speeds(self, field, n) for field in self.speed_fields]
-        kept = [row for row in rows if np.any(row > 0.0)]
-        return np.reshape(kept, (len(kept), n))
-
 
 def simulated_curves(
     term: FrictionTerm, values: Array, joint_names: Sequence[str]
@@ -468,37 +489,6 @@ def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = 
             )
 
 
-def joint_speeds(term: FrictionTerm, field: str, n: int) -> Array:
-    """Return a field's values for n joints; see `JointwiseTerm.speed`."""
-    value = getattr(term, field)
-    if value is None:
-        raise ModelError(
-            f"{type(term).__name__}: {field} is open; give it a value, or let build_problem "
-            "choose it by the data."
-        )
-    if isinstance(value, tuple) and len(value) != n:
-        raise ModelError(
-            f"{type(term).__name__}: {field} has {len(value)} values, the robot {n} joints; give "
-            "one a joint, or one for all."
-        )
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (n,))
-
-
-def open_speeds(
-    term: FrictionTerm,
-    fields: Sequence[str],
-    speeds: Sequence[Array],
-    slowest: float | None = None,
-) -> tuple[OpenParameter, ...]:
-    """Return one open parameter per joint for each field that is None, with its search limits."""
-    return tuple(
-        OpenParameter(f"{field}{j + 1}", *speed_limits(measured, slowest), "rad/s")
-        for field in fields
-        if getattr(term, field) is None
-        for j, measured in enumerate(speeds)
-    )
-
-
 def speed_limits(measured: Array, slowest: float | None = None) -> tuple[float, float]:
     """Return the lower and upper search limits of an open speed, from measured speeds (K,).
 
@@ -512,21 +502,3 @@ def speed_limits(measured: Array, slowest: float | None = None) -> tuple[float, 
         slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
     least, most = _LEAST_OF_TOP
     return float(np.clip(slow, least * top, most * top)), _MOST_OF_TOP * top
-
-
-def close_speeds(
-    term: FrictionTerm, fields: Sequence[str], values: Sequence[float]
-) -> FrictionTerm:
-    """Return a copy whose fields that are None hold the values, in equal parts."""
-    missing = [field for field in fields if getattr(term, field) is None]
-    if not missing:
-        return FrictionTerm.with_values(term, values)
-    each, rest = divmod(len(values), len(missing))
-    if rest or not each:
-        raise ModelError(
-            f"{type(term).__name__}: {len(values)} values for {', '.join(missing)}; give one a "
-            "joint for each."
-        )
-    chosen = [tuple(float(x) for x in values[k * each :][:each]) for k in range(len(missing))]
-    changes = dict(zip(missing, chosen, strict=True))
-    return replace(term, **changes)  # type: ignore[type-var]

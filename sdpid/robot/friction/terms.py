@@ -20,10 +20,7 @@ from sdpid.robot.friction.term import (
     OpenParameter,
     TermParameter,
     check_speeds,
-    close_speeds,
     diagonal,
-    joint_speeds,
-    open_speeds,
     sign_curves,
     smooth_sign,
 )
@@ -340,27 +337,6 @@ class SigmoidFriction(JointwiseTerm):
 
 
 @dataclass(frozen=True)
-class _OneSidedCoulomb(_SignTerm):
-    direction: ClassVar[float]
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        sign = self._sign(velocity)
-        return np.where(sign * self.direction > 0.0, sign, 0.0)
-
-
-@dataclass(frozen=True)
-class _PositiveCoulomb(_OneSidedCoulomb):
-    symbol: ClassVar[str] = "Fsp"
-    direction: ClassVar[float] = 1.0
-
-
-@dataclass(frozen=True)
-class _NegativeCoulomb(_OneSidedCoulomb):
-    symbol: ClassVar[str] = "Fsn"
-    direction: ClassVar[float] = -1.0
-
-
-@dataclass(frozen=True)
 class AsymmetricCoulomb(FrictionTerm):
     """Coulomb friction ``Fsp`` for positive and ``Fsn`` for negative velocity, both ≥ 0.
 
@@ -384,34 +360,39 @@ class AsymmetricCoulomb(FrictionTerm):
     dead_zone: float = 0.0
     efforts: ClassVar[Mapping[str, str]] = {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}
     curve: ClassVar[bool] = True
+    speed_fields: ClassVar[tuple[str, ...]] = ("width",)
 
     def __post_init__(self) -> None:
         check_speeds(self, ("width", "dead_zone"))
 
-    def _sides(self) -> tuple[_OneSidedCoulomb, _OneSidedCoulomb]:
-        return (
-            _PositiveCoulomb(self.width, self.dead_zone),
-            _NegativeCoulomb(self.width, self.dead_zone),
-        )
-
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return the positive side of every joint, then the negative side."""
-        return tuple(p for side in self._sides() for p in side.parameters(joint_names))
+        return tuple(
+            TermParameter(f"{symbol}{j + 1}", "N.m", True, j)
+            for symbol in self.efforts
+            for j in range(len(joint_names))
+        )
+
+    def _sides(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the sign of the velocity where it is positive, then where not, (K, 2, n)."""
+        widths = self.speed("width", velocity.shape[-1])
+        sign = smooth_sign(velocity, widths, self.dead_zone)
+        return np.stack([np.where(sign > 0.0, sign, 0.0), np.where(sign < 0.0, sign, 0.0)], axis=1)
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns of the two sides."""
-        sides = [side.columns(velocity, acceleration, joint_names) for side in self._sides()]
-        return np.concatenate(sides, axis=2)
+        sides = self._sides(velocity, acceleration)
+        return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
 
     def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
         """Return the columns of the two sides as they stand in filtered efforts."""
-        sides = [side.columns_in(motion, joint_names) for side in self._sides()]
-        return np.concatenate(sides, axis=2)
+        sides = motion.filtered(self._sides, self)
+        return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the signs of both sides."""
         n = len(joint_names)
-        for j, width in enumerate(joint_speeds(self, "width", n).tolist()):
+        for j, width in enumerate(self.speed("width", n).tolist()):
             for value, side in ((values[j], 1), (values[n + j], -1)):
                 yield from sign_curves((j, -1), float(value), width, self.dead_zone, side)
 
@@ -419,20 +400,6 @@ class AsymmetricCoulomb(FrictionTerm):
         """Return both sides of every joint: a side that never moved is like the other."""
         n = len(joint_names)
         return tuple((j, n + j) for j in range(n))
-
-    def open_parameters(
-        self, speeds: Sequence[Array], joint_names: Sequence[str]
-    ) -> tuple[OpenParameter, ...]:
-        """Return one open width per joint, for both sides, when the width is None."""
-        return open_speeds(self, ("width",), speeds)
-
-    def with_values(self, values: Sequence[float]) -> FrictionTerm:
-        """Return a copy with these widths, one per joint."""
-        return close_speeds(self, ("width",), values)
-
-    def characteristic_speeds(self, n: int) -> Array:
-        """Return the widths."""
-        return self._sides()[0].characteristic_speeds(n)
 
 
 @dataclass(frozen=True)
@@ -461,21 +428,13 @@ class Coupling(FrictionTerm):
     first: str
     second: str
     width: float | None = 0.0
+    speed_fields: ClassVar[tuple[str, ...]] = ("width",)
     efforts: ClassVar[Mapping[str, str]] = {"Ia": "{a}", "Fv": "{v}", "Fs": "{sign}"}
 
     def __post_init__(self) -> None:
         if isinstance(self.width, tuple):
             raise ModelError(f"Coupling: width is {self.width}; give one number for the motor.")
         check_speeds(self, ("width",))
-
-    @property
-    def _width(self) -> float:
-        if self.width is None:
-            raise ModelError(
-                "Coupling: width is open; give it a value, or let build_problem choose it by the "
-                "data."
-            )
-        return self.width
 
     def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
         for name in (self.first, self.second):
@@ -503,7 +462,7 @@ class Coupling(FrictionTerm):
         """Return the three columns as they stand in filtered efforts; two of them are linear."""
         columns = self.columns(motion.velocity, motion.acceleration, joint_names)
         i, j = self._joints(joint_names)
-        width = self._width
+        width = float(self.speed("width", 1)[0])
         sign = motion.filtered(
             lambda v, _: smooth_sign(v[:, i] + v[:, j], width, 0.0), (self, i, j)
         )
@@ -512,7 +471,7 @@ class Coupling(FrictionTerm):
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the three columns, which act on both joints."""
-        width = self._width
+        width = float(self.speed("width", 1)[0])
         i, j = self._joints(joint_names)
         columns = np.zeros((*velocity.shape, 3))
         for own, other in ((i, j), (j, i)):
@@ -536,18 +495,15 @@ class Coupling(FrictionTerm):
         if self.width is not None:
             return ()
         i, j = self._joints(joint_names)
-        (found,) = open_speeds(self, ("width",), [np.concatenate([speeds[i], speeds[j]])])
+        both = [np.concatenate([speeds[i], speeds[j]])]
+        (found,) = FrictionTerm.open_parameters(self, both, joint_names)
         return (OpenParameter(f"width{i + 1}_{j + 1}", found.lower, found.upper, found.unit),)
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
         """Return a copy with this width."""
-        if self.width is not None or len(values) != 1:
-            return FrictionTerm.with_values(self, values)
-        return Coupling(self.first, self.second, float(values[0]))
-
-    def characteristic_speeds(self, n: int) -> Array:
-        """Return the width."""
-        return np.full((1, n), self.width) if self.width else np.zeros((0, n))
+        if self.width is None and len(values) == 1:
+            return replace(self, width=float(values[0]))
+        return FrictionTerm.with_values(self, values)
 
 
 # All terms that need nothing but a name.
