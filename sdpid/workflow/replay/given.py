@@ -190,11 +190,7 @@ def find_robot(
     if isinstance(given, RobotModel):
         return given, _judged(sealed, given, "the given robot"), False
     if given is None and (ours := _of_folder(sealed)) is not None:
-        text = (
-            f"the kinematics of {URDF} in the folder are, number for number, those that the "
-            f"manifest names (SHA-256 {recipe.kinematics}){_taken(recipe)}"
-        )
-        return ours, Link("robot", "made again", text), True
+        return ours, _judged(sealed, ours, f"{URDF} in the folder"), True
     if given is None and recipe.catalog and recipe.source and _installed(recipe.source):
         given = recipe.source
     if given is not None:
