@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from sdpid._common.progress import hidden_progress
-from sdpid.cli.options import Given, OptionRow, panel
+from sdpid.cli.options import Given, OptionRow, Table, panel, rows_of
 from sdpid.errors import DataError
 
 # Options of every command, by the name of its function.
@@ -144,19 +144,17 @@ _PRINTING = panel(
 Command = Callable[[Given], None]
 
 
-def command(
-    *panels: tuple[OptionRow, ...], **callbacks: Callable[..., Any]
-) -> Callable[[Command], Any]:
+def command(*tables: Table, **callbacks: Callable[..., Any]) -> Callable[[Command], Any]:
     """Return a decorator that makes a function of what was given ready for typer.
 
     Parameters
     ----------
-    panels : tuple of OptionRow
-        The tables of its options.
+    tables : tuple of OptionRow, or dict
+        Its options.
     callbacks : callable
         By names of options: called with their values before others are looked at.
     """
-    rows = tuple(row for each in (*panels, _PRINTING) for row in each)
+    rows = rows_of(*tables, _PRINTING)
     callbacks.setdefault("config", read_config)
 
     def decorate(function: Command) -> Any:

@@ -52,17 +52,14 @@ SURROUNDINGS = panel(
 
 
 @command(
-    panel(
-        None,
-        {
-            "robot ROBOT": "URDF or MJCF file, or name of a bundled or example robot.",
-            "--out FOLDER = sdpid-plan": "Folder for the plan.",
-            "--check FILE": "Design nothing; check the limits of this trajectory, from any tool: "
-            "CSV, Parquet, NPZ with time, position_<joint>, ..., or trajectory.toml.",
-            "--figures/--no-figures": "Draw plots of a robot that stands. Default: where "
-            "matplotlib is installed.",
-        },
-    ),
+    {
+        "robot ROBOT": "URDF or MJCF file, or name of a bundled or example robot.",
+        "--out FOLDER = sdpid-plan": "Folder for the plan.",
+        "--check FILE": "Design nothing; check the limits of this trajectory, from any tool: "
+        "CSV, Parquet, NPZ with time, position_<joint>, ..., or trajectory.toml.",
+        "--figures/--no-figures": "Draw plots of a robot that stands. Default: where "
+        "matplotlib is installed.",
+    },
     SURROUNDINGS,
     panel(
         "Robots on legs",

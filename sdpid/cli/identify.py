@@ -15,7 +15,7 @@ from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.cli.commands import command, config_text
 from sdpid.cli.endings import NO_ANSWER, OURS, command_line, complain
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given
 from sdpid.cli.printing import errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
@@ -24,26 +24,22 @@ if TYPE_CHECKING:
 
 
 @command(
-    panel(None, {"log LOG ...": "One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."}),
+    {"log LOG ...": "One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."},
     logs.PROBLEM,
-    panel(
-        None,
-        {
-            "--out FOLDER = sdpid-results": "Folder for the results.",
-            "--validation LOG ...": "Another recording, which is predicted only. May be repeated.",
-            "--folds N": "Cross-validate: hold out N blocks of the logs in turn.",
-            "--rollout": "Simulate the first --validation recording in open loop too; takes "
-            "seconds, a minute without Numba.",
-            "--intervals/--no-intervals = on": "Compute confidence intervals of the parameters.",
-            "--interval-method gauss_markov|profile|bootstrap = gauss_markov": "Method for the "
-            "intervals; profile respects the constraints and takes some seconds.",
-            "--figures/--no-figures = off": "Write training.png and validation.png too; needs "
-            "matplotlib.",
-            "--offsets/--no-offsets = off": "Write offsets into identified.xml, as constant "
-            "actuators.",
-            "--verbose -v": "Print notes, tables and the whole verdict too.",
-        },
-    ),
+    {
+        "--out FOLDER = sdpid-results": "Folder for the results.",
+        "--validation LOG ...": "Another recording, which is predicted only. May be repeated.",
+        "--folds N": "Cross-validate: hold out N blocks of the logs in turn.",
+        "--rollout": "Simulate the first --validation recording in open loop too; takes "
+        "seconds, a minute without Numba.",
+        "--intervals/--no-intervals = on": "Compute confidence intervals of the parameters.",
+        "--interval-method gauss_markov|profile|bootstrap = gauss_markov": "Method for the "
+        "intervals; profile respects the constraints and takes some seconds.",
+        "--figures/--no-figures = off": "Write training.png and validation.png too; needs "
+        "matplotlib.",
+        "--offsets/--no-offsets = off": "Write offsets into identified.xml, as constant actuators.",
+        "--verbose -v": "Print notes, tables and the whole verdict too.",
+    },
 )
 def identify(given: Given) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
@@ -132,17 +128,14 @@ def _details(result: Identification, notes: list[str], files: Sequence[Path]) ->
 @command(
     logs.LOG,
     logs.PROBLEM,
-    panel(
-        None,
-        {
-            "--starts 0,1,2,... = 20": "Number of random starts of each local solver.",
-            "--seed SEED = 0": "Random seed of the starts.",
-            "--max-iterations COUNT": "Largest number of iterations of the local solvers; each has "
-            "its own.",
-            "--out FILE": "CSV file for the rows.",
-            "--jobs N": "Number of processes. Default: one a core.",
-        },
-    ),
+    {
+        "--starts 0,1,2,... = 20": "Number of random starts of each local solver.",
+        "--seed SEED = 0": "Random seed of the starts.",
+        "--max-iterations COUNT": "Largest number of iterations of the local solvers; each has "
+        "its own.",
+        "--out FILE": "CSV file for the rows.",
+        "--jobs N": "Number of processes. Default: one a core.",
+    },
 )
 def compare(given: Given) -> None:
     """Run every solver on one problem and measure them against the proven lower bound."""
@@ -173,22 +166,16 @@ def compare(given: Given) -> None:
 
 
 @command(
-    panel(
-        None,
-        {
-            "parameters FILE": "Standard or base parameters: parameters.json or .yaml of a run, a "
-            "table (.csv), or a URDF or MJCF."
-        },
-    ),
+    {
+        "parameters FILE": "Standard or base parameters: parameters.json or .yaml of a run, a "
+        "table (.csv), or a URDF or MJCF."
+    },
     logs.LOGS_OF_A_RUN,
     logs.PROBLEM,
-    panel(
-        None,
-        {
-            "--value COLUMN = value": "Column of the values in a table.",
-            "--certificate FILE": "JSON file for the proof, which `sdpid verify` checks.",
-        },
-    ),
+    {
+        "--value COLUMN = value": "Column of the values in a table.",
+        "--certificate FILE": "JSON file for the proof, which `sdpid verify` checks.",
+    },
 )
 def certify(given: Given) -> None:
     """Say how far parameters that were found elsewhere are from the best feasible ones.
@@ -221,13 +208,10 @@ def certify(given: Given) -> None:
     logs.PROCESSING,
     logs.ACCEPTANCE,
     logs.WITHOUT_EFFORT,
-    panel(
-        None,
-        {
-            "--figure FILE": "Image file for the plot.",
-            "--rollout": "Simulate the robot under the log's efforts too, and compare positions.",
-        },
-    ),
+    {
+        "--figure FILE": "Image file for the plot.",
+        "--rollout": "Simulate the robot under the log's efforts too, and compare positions.",
+    },
 )
 def validate(given: Given) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.

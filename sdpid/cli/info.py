@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sdpid.cli.commands import command
 from sdpid.cli.logs import LOG, PERIODS, READING, periods, reading
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given
 from sdpid.cli.printing import listed
 
 
@@ -12,7 +12,7 @@ from sdpid.cli.printing import listed
     LOG,
     READING,
     PERIODS,
-    panel(None, {"--robot ROBOT": "Robot to compare with: URDF or MJCF file, or name."}),
+    {"--robot ROBOT": "Robot to compare with: URDF or MJCF file, or name."},
 )
 def info(given: Given) -> None:
     """Show what was understood of a log, and what is wrong with it."""
@@ -54,7 +54,7 @@ def _text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-@command(panel(None, {"word WORD = none": "Only names that hold this word."}))
+@command({"word WORD = none": "Only names that hold this word."})
 def robots(given: Given) -> None:
     """List the names that may be given in place of a URDF or MJCF file."""
     from sdpid.robot.description.catalog import (

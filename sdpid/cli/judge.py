@@ -22,10 +22,7 @@ _FEW = 3  # things not checked that are listed without --verbose
 
 
 @command(
-    panel(
-        None,
-        {"source FILE": "Table of base parameters (.csv), URDF, MJCF, or name of a robot."},
-    ),
+    {"source FILE": "Table of base parameters (.csv), URDF, MJCF, or name of a robot."},
     panel(
         "Table of base parameters (.csv)",
         {
@@ -138,19 +135,15 @@ def _audit_description(given: Given) -> bool:
 
 
 @command(
-    panel(
-        None,
-        {
-            "path FILE|FOLDER": "Folder that `sdpid identify` wrote, with all its files; or one "
-            "proof.",
-            "--data LOG ...": "Log that the folder's result was made of: the recipe is run again, "
-            "and all that is in the folder compared. Repeat for several, in the order of the run.",
-            "--robot ROBOT": "URDF or MJCF file, or name. Beside --data the run's robot; default: "
-            "identified.urdf, where it has the run's kinematics. Of a proof about a table: the "
-            "robot whose coefficients it must have.",
-            "--verbose -v": "List all that was not checked.",
-        },
-    )
+    {
+        "path FILE|FOLDER": "Folder that `sdpid identify` wrote, with all its files; or one proof.",
+        "--data LOG ...": "Log that the folder's result was made of: the recipe is run again, "
+        "and all that is in the folder compared. Repeat for several, in the order of the run.",
+        "--robot ROBOT": "URDF or MJCF file, or name. Beside --data the run's robot; default: "
+        "identified.urdf, where it has the run's kinematics. Of a proof about a table: the "
+        "robot whose coefficients it must have.",
+        "--verbose -v": "List all that was not checked.",
+    }
 )
 def verify(given: Given) -> None:
     """Check a folder of results, or one proof, in exact arithmetic, from its own numbers.
@@ -188,14 +181,11 @@ def _shortened(verification: Verification, *, needs_log: bool) -> tuple[str, ...
 
 
 @command(
-    panel(
-        None,
-        {
-            "first FOLDER": "Folder that `sdpid identify` wrote.",
-            "other FOLDER": "Another, of the same robot.",
-            "--verbose -v": "Print what is the same and all parameters too.",
-        },
-    )
+    {
+        "first FOLDER": "Folder that `sdpid identify` wrote.",
+        "other FOLDER": "Another, of the same robot.",
+        "--verbose -v": "Print what is the same and all parameters too.",
+    }
 )
 def compare_runs(given: Given) -> None:
     """Compare two results folders from their files: inputs, options, errors, parameters, proofs.

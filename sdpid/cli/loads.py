@@ -9,7 +9,7 @@ import typer
 import sdpid.cli.logs as logs
 from sdpid.cli.commands import command
 from sdpid.cli.endings import OURS, complain
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given
 
 if TYPE_CHECKING:
     from sdpid.assurance.drive_gains.load import Load
@@ -17,28 +17,23 @@ if TYPE_CHECKING:
 
 @command(
     logs.ROBOT,
-    panel(
-        None,
-        {
-            "--without LOG ... = required": "Currents without the load, A. May be repeated.",
-            "--with LOG ...": "Currents with the load, A. May be repeated.",
-            "--load KG ...": "Mass of the load; repeat it for one of each recording with load.",
-            "--load-error KG": "Standard error of that mass. Default: 0.",
-            "--load-com X,Y,Z": "Center of mass of the load in the frame, m. Default: it is "
-            "estimated.",
-            "--load-inertia XX,XY,XZ,YY,YZ,ZZ": "Inertia of the load about its center of mass, "
-            "kg.m2, beside --load-com. Default: it is estimated.",
-            "--link LINK": "Link that carries the load. Default: the last one.",
-            "--frame FRAME": "Frame of --load-com, fixed to the link, such as tool0.",
-            "--known JOINT=X ...": "A gain that is known, N.m/A. May be repeated.",
-            "--description-error X": "Believe the URDF's inertias, each to this relative standard "
-            "deviation, such as 0.1. Default: nothing is taken from them.",
-            "--effects auto|none|A,B,... = auto": "Effects beside friction, as for 'sdpid "
-            "identify'.",
-            "--level X = 0.95": "Probability of the intervals.",
-            "--out FILE = gains.toml": "File for the gains.",
-        },
-    ),
+    {
+        "--without LOG ... = required": "Currents without the load, A. May be repeated.",
+        "--with LOG ...": "Currents with the load, A. May be repeated.",
+        "--load KG ...": "Mass of the load; repeat it for one of each recording with load.",
+        "--load-error KG": "Standard error of that mass. Default: 0.",
+        "--load-com X,Y,Z": "Center of mass of the load in the frame, m. Default: it is estimated.",
+        "--load-inertia XX,XY,XZ,YY,YZ,ZZ": "Inertia of the load about its center of mass, "
+        "kg.m2, beside --load-com. Default: it is estimated.",
+        "--link LINK": "Link that carries the load. Default: the last one.",
+        "--frame FRAME": "Frame of --load-com, fixed to the link, such as tool0.",
+        "--known JOINT=X ...": "A gain that is known, N.m/A. May be repeated.",
+        "--description-error X": "Believe the URDF's inertias, each to this relative standard "
+        "deviation, such as 0.1. Default: nothing is taken from them.",
+        "--effects auto|none|A,B,... = auto": "Effects beside friction, as for 'sdpid identify'.",
+        "--level X = 0.95": "Probability of the intervals.",
+        "--out FILE = gains.toml": "File for the gains.",
+    },
     logs.READING,
     logs.PROCESSING,
     logs.ACCEPTANCE,
@@ -98,20 +93,17 @@ def _loads(given: Given) -> list[Load]:
 @command(
     logs.LOG,
     logs.ROBOT,
-    panel(
-        None,
-        {
-            "--without LOG": "Recording without the payload. Default: rely on the URDF's inertias, "
-            "whose errors end up in the payload.",
-            "--frame FRAME": "Frame of the result, fixed to the link, such as tool0.",
-            "--link LINK": "Link that carries the payload. Default: the last one.",
-            "--strength NATS": "Strength of the regularization towards the URDF's inertias. "
-            "Default: they are taken as they are where there is no recording without the payload.",
-            "--separate TERM ...": "Friction term that may differ between the recordings, such as "
-            "coulomb; repeat for several. Default: all but friction of the load.",
-            "--level X = 0.95": "Probability of the intervals.",
-        },
-    ),
+    {
+        "--without LOG": "Recording without the payload. Default: rely on the URDF's inertias, "
+        "whose errors end up in the payload.",
+        "--frame FRAME": "Frame of the result, fixed to the link, such as tool0.",
+        "--link LINK": "Link that carries the payload. Default: the last one.",
+        "--strength NATS": "Strength of the regularization towards the URDF's inertias. "
+        "Default: they are taken as they are where there is no recording without the payload.",
+        "--separate TERM ...": "Friction term that may differ between the recordings, such as "
+        "coulomb; repeat for several. Default: all but friction of the load.",
+        "--level X = 0.95": "Probability of the intervals.",
+    },
     logs.READING,
     logs.ACCEPTANCE,
     logs.WITHOUT_EFFORT,

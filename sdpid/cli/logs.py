@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given, panel, rows_of
 from sdpid.errors import DataError
 
 if TYPE_CHECKING:
@@ -17,16 +17,11 @@ if TYPE_CHECKING:
     from sdpid.experiment.recording.recording import Recording
     from sdpid.robot.model.model import RobotModel
 
-LOG = panel(None, {"log LOG": "CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."})
+LOG = {"log LOG": "CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."}
 
-LOGS_OF_A_RUN = panel(
-    None, {"--log LOG ... = required": "Log as for `sdpid identify`. May be repeated."}
-)
+LOGS_OF_A_RUN = {"--log LOG ... = required": "Log as for `sdpid identify`. May be repeated."}
 
-ROBOT = panel(
-    None,
-    {"--robot ROBOT = required": "URDF or MJCF file, or name of a bundled or example robot."},
-)
+ROBOT = {"--robot ROBOT = required": "URDF or MJCF file, or name of a bundled or example robot."}
 
 READING = panel(
     "Reading the log",
@@ -124,7 +119,7 @@ ESTIMATION = (
 )
 
 # Of commands that solve what `sdpid identify` solves.
-PROBLEM = (*ROBOT, *READING, *PERIODS, *PROCESSING, *ESTIMATION, *ACCEPTANCE)
+PROBLEM = rows_of(ROBOT, READING, PERIODS, PROCESSING, ESTIMATION, ACCEPTANCE)
 
 
 def reading(given: Given) -> dict[str, Any]:

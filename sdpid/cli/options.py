@@ -81,9 +81,19 @@ class OptionRow(NamedTuple):
         )
 
 
-def panel(title: str | None, rows: Mapping[str, str]) -> tuple[OptionRow, ...]:
+# Rows under titles, or usages and help texts under the usual one.
+Table = tuple[OptionRow, ...] | dict[str, str]
+
+
+def panel(title: str | None, texts: Mapping[str, str]) -> tuple[OptionRow, ...]:
     """Return the rows of a table of usages and help texts, under a title in the help."""
-    return tuple(_row(title, *row) for row in rows.items())
+    return tuple(_row(title, *row) for row in texts.items())
+
+
+def rows_of(*tables: Table) -> tuple[OptionRow, ...]:
+    """Return the rows of several tables."""
+    every = (panel(None, each) if isinstance(each, dict) else each for each in tables)
+    return tuple(row for rows in every for row in rows)
 
 
 def _row(title: str | None, usage: str, text: str) -> OptionRow:

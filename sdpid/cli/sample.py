@@ -10,7 +10,7 @@ import typer
 
 from sdpid.cli.commands import command, read_config
 from sdpid.cli.logs import LOGS_OF_A_RUN, PROBLEM, formulated
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given
 from sdpid.cli.printing import findings_listed, listed
 from sdpid.errors import DataError
 
@@ -35,30 +35,23 @@ def _read_run(ctx: typer.Context, value: Path | None) -> Path | None:
 
 
 @command(
-    panel(
-        None,
-        {
-            "results FOLDER = none": "Folder that `sdpid identify` wrote; its run is made again, "
-            "and must give its parameters. Without it: the options of `sdpid identify`, or its "
-            "file by --config."
-        },
-    ),
+    {
+        "results FOLDER = none": "Folder that `sdpid identify` wrote; its run is made again, "
+        "and must give its parameters. Without it: the options of `sdpid identify`, or its "
+        "file by --config."
+    },
     LOGS_OF_A_RUN,
     PROBLEM,
-    panel(
-        None,
-        {
-            "--number -n COUNT = 100": "Robots to draw.",
-            "--seed SEED = 0": "The same seed gives the same robots.",
-            "--out --robots FOLDER = robots": "Folder for the robots.",
-            "--urdf/--no-urdf": "Write URDFs. Default: unless --mjcf is given, or the robot has "
-            "none.",
-            "--mjcf/--no-mjcf": "Write MJCFs (extra sim). Default: where no URDF is written.",
-            "--source FILE": "URDF or MJCF to change, such as one with meshes. Default: the "
-            "robot's URDF.",
-            "--probability X = 0.95": "Share of the robots within each range.",
-        },
-    ),
+    {
+        "--number -n COUNT = 100": "Robots to draw.",
+        "--seed SEED = 0": "The same seed gives the same robots.",
+        "--out --robots FOLDER = robots": "Folder for the robots.",
+        "--urdf/--no-urdf": "Write URDFs. Default: unless --mjcf is given, or the robot has none.",
+        "--mjcf/--no-mjcf": "Write MJCFs (extra sim). Default: where no URDF is written.",
+        "--source FILE": "URDF or MJCF to change, such as one with meshes. Default: the "
+        "robot's URDF.",
+        "--probability X = 0.95": "Share of the robots within each range.",
+    },
     results=_read_run,
 )
 def sample(given: Given) -> None:

@@ -8,42 +8,36 @@ from typing import TYPE_CHECKING
 
 from sdpid._common.extras import require
 from sdpid.cli.commands import command
-from sdpid.cli.options import Given, panel
+from sdpid.cli.options import Given
 from sdpid.cli.printing import listed
 from sdpid.errors import DataError, ExportError, SdpidError
 
 if TYPE_CHECKING:
     from sdpid.experiment.recording.recording import Recording
 
-# How far links of robots on legs are off their description.
-_CHANGE = 0.15
-
 
 @command(
-    panel(
-        None,
-        {
-            "robot ROBOT": "URDF file, name of a robot, or a folder like that of a bundled one.",
-            "--out FILE = required": "CSV or Parquet file for the recording.",
-            "--trajectory FILE": "Motion: a TOML file as --write-trajectory makes, or samples of "
-            "any tool (CSV, Parquet, NPZ with time, and position, velocity, acceleration of each "
-            "joint as position_<joint>, ...). By default the paper's excitation for a bundled "
-            "robot, else a motion within the robot's limits.",
-            "--write-trajectory FILE": "TOML file for the motion that was made.",
-            "--seed SEED = 0": "Random seed of motion and noise.",
-            "--periods COUNT": "Number of periods.",
-            "--period S": "Length of a period, s.",
-            "--unmodeled": "Add effects that no linear model has.",
-            "--noise/--no-noise = on": "Add sensor noise and quantization.",
-            "--exact": "Follow the motion exactly, without a controller.",
-            "--motion NAME|FILE": "Motion of a robot on legs: stand, trot, step, walk or hang, or "
-            "trajectory.csv of sdpid excite --stand. Its base floats; contacts and an IMU are "
-            "recorded.",
-            "--duration S": "Length of --motion, s; 10 by default, or that of the file.",
-            "--change X": "With --motion: share by which the simulated links differ from the "
-            "description; 0.15 by default.",
-        },
-    )
+    {
+        "robot ROBOT": "URDF file, name of a robot, or a folder like that of a bundled one.",
+        "--out FILE = required": "CSV or Parquet file for the recording.",
+        "--trajectory FILE": "Motion: a TOML file as --write-trajectory makes, or samples of "
+        "any tool (CSV, Parquet, NPZ with time, and position, velocity, acceleration of each "
+        "joint as position_<joint>, ...). By default the paper's excitation for a bundled "
+        "robot, else a motion within the robot's limits.",
+        "--write-trajectory FILE": "TOML file for the motion that was made.",
+        "--seed SEED = 0": "Random seed of motion and noise.",
+        "--periods COUNT": "Number of periods.",
+        "--period S": "Length of a period, s.",
+        "--unmodeled": "Add effects that no linear model has.",
+        "--noise/--no-noise = on": "Add sensor noise and quantization.",
+        "--exact": "Follow the motion exactly, without a controller.",
+        "--motion NAME|FILE": "Motion of a robot on legs: stand, trot, step, walk or hang, or "
+        "trajectory.csv of sdpid excite --stand. Its base floats; contacts and an IMU are "
+        "recorded.",
+        "--duration S": "Length of --motion, s; 10 by default, or that of the file.",
+        "--change X = 0.15": "With --motion: share by which the simulated links differ from the "
+        "description.",
+    }
 )
 def simulate(given: Given) -> None:
     """Record a motion of a simulated robot."""
@@ -110,13 +104,7 @@ def _arm(given: Given) -> None:
         noise=given.noise,
         exact=given.exact,
     )
-    sliding = [
-        name
-        for name in model.joint_names[model.n_base :]
-        if model.pin_model.joints[model.pin_model.getJointId(name)]
-        .shortname()
-        .startswith("JointModelP")
-    ]
+    sliding = [name for name, slides in zip(model.joint_names, model.slides, strict=True) if slides]
     notes = [*plan.velocity_report(sliding), *plan.notes, *log.notes]
     notes += [] if bundled else _of_a_held_base(robot, out)
     if out.suffix.lower() == ".csv" and log.period is not None and log.periods != 1:
@@ -136,14 +124,13 @@ def _legged(given: Given) -> None:
     from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
     from sdpid.robot.model.load import load_robot
 
-    change = _CHANGE if given.change is None else given.change
-    if not 0.0 <= change < 1.0:
-        raise DataError(f"--change: is {change:g}, expected a share from 0 to less than 1.")
+    if not 0.0 <= given.change < 1.0:
+        raise DataError(f"--change: is {given.change:g}, expected a share from 0 to less than 1.")
     beside = mapping_beside(given.out)
     given.require_file("out", beside)
     robot = load_robot(given.robot, root="free_flyer")
     # The same robot whatever the seed, so that several motions are of one.
-    theta = changed_parameters(robot, change=change)
+    theta = changed_parameters(robot, change=given.change)
     planned = given.motion.lower().endswith(".csv")
     run = simulate_legged(
         robot,

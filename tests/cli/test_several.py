@@ -51,8 +51,10 @@ def test_several_logs(folder: Path) -> None:
 def test_in_words_and_without_intervals(folder: Path) -> None:
     done = ran(
         *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "b"),
-        *("--no-figures", "--no-intervals", "--folds", 2, "-v"),
+        *("--no-figures", "--no-intervals", "--folds", 2, "-v", "--consistency", "none"),
     )
+    assert not (folder / "b" / "identified.urdf").exists()
+    assert (folder / "b" / "certificate.json").exists()
     assert "2 blocks of time held out in turn" in done.stdout
     assert "block 2 of 2" in done.stdout
     assert "intervals" not in done.stdout

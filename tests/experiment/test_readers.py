@@ -219,7 +219,7 @@ def test_a_mapping_beside_a_compressed_log(tmp_path: Path, name: str):
     np.testing.assert_allclose(reading.recording.effort, TAU, atol=1e-12)
     assert reading.mapping == str(beside)
     # Commands know it as a file that they read.
-    assert beside in given((*LOG, *READING), log=file).inputs()
+    assert beside in given(LOG, READING, log=file).inputs()
 
 
 def test_the_mapping_of_the_documentation(tmp_path: Path):

@@ -9,7 +9,7 @@ from typing import Any
 from typer.testing import CliRunner, Result
 
 from sdpid import cli, verifier
-from sdpid.cli.options import Given, OptionRow
+from sdpid.cli.options import Given, Table, rows_of
 
 VERIFIER = Path(verifier.__file__).parent
 
@@ -19,9 +19,9 @@ def run(*arguments: Any) -> Result:
     return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
 
 
-def given(rows: tuple[OptionRow, ...], **values: Any) -> Given:
-    """Return what a command gets where only these options are given."""
-    return Given(rows, values)
+def given(*tables: Table, **values: Any) -> Given:
+    """Return what a command with some options gets where only these are given."""
+    return Given(rows_of(*tables), values)
 
 
 def ran(*arguments: Any) -> Result:
