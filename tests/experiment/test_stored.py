@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -25,7 +25,6 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.formats import parquet_file
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording import stored
-from sdpid.experiment.recording import timestamps as stamps
 from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording, rows_of
@@ -237,24 +236,18 @@ def test_it_can_be_written_matched_and_sent(tmp_path: Path):
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    steps=st.lists(st.sampled_from([0.5, 1.0, 2.0, 3.0]), min_size=1, max_size=30),
-    block=st.integers(1, 9),
-)
-@example(steps=[1.0] * 9, block=3)
-def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
+@given(steps=st.lists(st.sampled_from([0.5, 1.0, 2.0, 3.0]), min_size=1, max_size=30))
+def test_stamps_are_counted(steps: list[float]):
     time = np.cumsum([10.0, *steps])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stamps, "_BLOCK", block)
-        found = Stamps.of(time)
-        assert (found.first, found.last, found.count) == (10.0, time[-1], time.size)
-        assert (found.least, found.most) == (min(steps), max(steps))
-        assert found.row == 1 + steps.index(max(steps))
-        for row in range(1, time.size):
-            wrong = time.copy()
-            wrong[row:] -= steps[row - 1]
-            words = rf"time repeats at row {row + 1}: .*\(1 such rows\)"
-            refuses(DataError, words, Stamps.of, wrong)
+    found = Stamps.of(time)
+    assert (found.first, found.last, found.count) == (10.0, time[-1], time.size)
+    assert (found.least, found.most) == (min(steps), max(steps))
+    assert found.row == 1 + steps.index(max(steps))
+    for row in range(1, time.size):
+        wrong = time.copy()
+        wrong[row:] -= steps[row - 1]
+        words = rf"time repeats at row {row + 1}: .*\(1 such rows\)"
+        refuses(DataError, words, Stamps.of, wrong)
 
 
 def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPatch):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.stored import extremes
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS, longest_gap
 
 _TURN = 2.0 * math.pi
@@ -22,8 +23,6 @@ _LARGEST_STEP = 1.0
 _CAUGHT_UP = 0.5
 # Stamps on either side that tell the two apart.
 _NEIGHBORS = 50
-# Samples looked at together: what stays in the cache.
-_BLOCK = 1 << 14
 # So many steps before a gap tell the rate there.
 _BEFORE = 400
 
@@ -119,7 +118,8 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
     """
     jumps = np.zeros(log.n, dtype=np.intp)
     position: Array | None = None
-    for j in _may_wrap(log):
+    low, high = extremes(log.position)
+    for j in np.flatnonzero(high - low >= _TURN - _LARGEST_STEP).tolist():
         steps = np.diff(log.position[:, j])
         turns = np.rint(steps / _TURN)
         if not turns.any() or np.abs(steps - _TURN * turns).max() > _LARGEST_STEP:
@@ -149,19 +149,6 @@ def _near_positions(log: Recording) -> Recording:
             reference = np.array(log.reference) if reference is None else reference
             reference[:, j] = moved
     return log if reference is None else replace(log, reference=reference)
-
-
-def _may_wrap(log: Recording) -> list[int]:
-    """Return the joints whose angles may wrap, by a quick test of ranges and steps."""
-    position, least = log.position, _TURN - _LARGEST_STEP
-    if float(position.max()) - float(position.min()) < least:
-        return []
-    for first in range(0, log.n_samples - 1, _BLOCK):
-        part = position[first : first + _BLOCK + 1]
-        steps = part[1:] - part[:-1]
-        if steps.max() >= least or steps.min() <= -least:
-            return list(range(log.n))
-    return []
 
 
 def in_time(log: Recording) -> tuple[Recording, list[str]]:

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import blocks, extremes
+from sdpid.experiment.recording.stored import extremes
 
 _TURN = 2.0 * math.pi
 # A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
@@ -180,20 +180,13 @@ def require_no_outliers(log: Recording) -> None:
     """
     low, high = extremes(log.position)
     for j in np.flatnonzero(high - low > _LARGEST_STEP).tolist():
-        count, first, last = 0, None, None
-        for begin, values in blocks(log.position[:, j]):
-            steps = np.diff(values) if last is None else np.diff(values, prepend=last)
-            row = begin + (1 if last is None else 0)
-            last = values[-1]
-            turns = np.rint(steps / _TURN)
-            wraps = np.abs(steps - _TURN * turns) <= _OFF_WHOLE_TURNS
-            wraps &= np.abs(turns) <= _MOST_TURNS
-            wrong = np.flatnonzero((np.abs(steps) > _LARGEST_STEP) & ~wraps)
-            count += wrong.size
-            if first is None and wrong.size:
-                first = row + int(wrong[0]), float(steps[wrong[0]])
-        if first is not None and count <= max(_FEW * log.n_samples, 2.0):
-            row, jump = first
+        steps = np.diff(log.position[:, j])
+        turns = np.rint(steps / _TURN)
+        wraps = np.abs(steps - _TURN * turns) <= _OFF_WHOLE_TURNS
+        wraps &= np.abs(turns) <= _MOST_TURNS
+        wrong = np.flatnonzero((np.abs(steps) > _LARGEST_STEP) & ~wraps)
+        if wrong.size and wrong.size <= max(_FEW * log.n_samples, 2.0):
+            row, jump, count = int(wrong[0]) + 1, float(steps[wrong[0]]), wrong.size
             raise DataError(
                 f"position: that of joint {log.names[j]} jumps by {jump:.4g} rad at sample "
                 f"{row + 1} of {log.n_samples} ({count} such {'jump' if count == 1 else 'jumps'}), "

@@ -356,14 +356,8 @@ class Recording:
         if self.base is not None:
             raise DataError("with_held_base: the recording has the motion of a base already.")
         count = self.n_samples
-        quaternion = real_array(orientation, "with_held_base: orientation", ndim=1)
-        if quaternion.shape != (4,):
-            raise DataError(
-                f"with_held_base: orientation has shape {quaternion.shape}, expected (4,): x, y, "
-                "z, w."
-            )
         base = BaseMotion(
-            orientation=np.tile(quaternion, (count, 1)), position=np.zeros((count, 3))
+            orientation=np.tile(orientation, (count, 1)), position=np.zeros((count, 3))
         )
         down = np.ones((count, 1), dtype=bool)
         return replace(
@@ -474,26 +468,6 @@ def _kept(record: Recording, name: str, ndim: int) -> Array:
     if isinstance(given, StoredArray) and given.mapped and given.ndim == ndim:
         # Its columns stay one after the other. Its values were checked when it was read.
         return given
-    array = np.ascontiguousarray(given) if _sound(given, ndim) else _checked(given, name, ndim)
-    view: Array = frozen_view(array)
-    object.__setattr__(record, name, view)
-    return view
-
-
-def _sound(given: Any, ndim: int) -> bool:
-    """Tell in two passes, and without another array, that all is well."""
-    return (
-        isinstance(given, np.ndarray)
-        and given.dtype == np.float64
-        and given.ndim == ndim
-        and given.size > 0
-        # What is not a number is not below the limit either.
-        and bool(given.min() >= -LARGEST and given.max() <= LARGEST)
-    )
-
-
-def _checked(given: Any, name: str, ndim: int) -> Array:
-    """Convert what is no such array, or say what is wrong with it."""
     array = np.ascontiguousarray(real_array(given, name, ndim=ndim))
     if array.size and max(array.max(), -array.min()) > LARGEST:
         first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
@@ -501,7 +475,9 @@ def _checked(given: Any, name: str, ndim: int) -> Array:
             f"{name}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
             "robot has; repair that sample, or say its unit."
         )
-    return array
+    view: Array = frozen_view(array)
+    object.__setattr__(record, name, view)
+    return view
 
 
 def _number(value: Any, name: str) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.recording.stored import blocks
 
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
@@ -23,8 +22,6 @@ _LARGEST_STEPS = {"ms": 5e1, "us": 5e4}
 # Seconds since 1970 in the years 2001 to 2096: first stamps in that range tell their unit.
 _EPOCH = (1e9, 4e9)
 _EPOCH_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-# Stamps looked at together: what stays in the cache.
-_BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +52,7 @@ class Stamps:
 
     @staticmethod
     def of(time: Any) -> Stamps:
-        """Check all stamps, block by block.
+        """Check all stamps.
 
         Where steps differ by half or more, lost samples are looked for.
 
@@ -69,32 +66,18 @@ class Stamps:
         DataError
             When they do not increase, naming the first row that does not.
         """
-        least, most, row, wrong = np.inf, -np.inf, 0, 0
-        message = ""
-        first = last = np.nan
-        for begin, values in blocks(time, _BLOCK):
-            # With the stamp before, so that no step between blocks is missed.
-            steps = np.diff(values, prepend=last) if begin else np.diff(values)
-            if steps.size:
-                low, high = float(steps.min()), float(steps.max())
-                least = min(least, low)
-                if high > most:
-                    most = high
-                    row = begin + values.size - steps.size + int(np.argmax(steps))
-                if not low > 0.0:
-                    if not wrong:
-                        k = int(np.argmax(steps <= 0.0))
-                        at = k + values.size - steps.size
-                        before = float(values[at - 1]) if at else last
-                        message = _wrong(begin + at, float(values[at]), before)
-                    wrong += int(np.count_nonzero(steps <= 0.0))
-            first = first if begin else float(values[0])
-            last = float(values[-1])
-        if wrong:
+        steps = np.diff(time)
+        wrong = np.flatnonzero(steps <= 0.0)
+        if wrong.size:
+            row = int(wrong[0]) + 1
+            how = "repeats" if time[row] == time[row - 1] else "runs backwards"
             raise DataError(
-                f"{message} ({wrong} such rows); sort the rows or remove the duplicates."
+                f"time {how} at row {row + 1}: {time[row]:.9g} s after {time[row - 1]:.9g} s "
+                f"({wrong.size} such rows); sort the rows or remove the duplicates."
             )
-        if last - first < _SHORTEST * (len(time) - 1):
+        first, last, row = float(time[0]), float(time[-1]), int(np.argmax(steps)) + 1
+        least, most = float(steps.min()), float(steps[row - 1])
+        if last - first < _SHORTEST * steps.size:
             raise DataError(
                 f"time: {len(time)} samples within {last - first:.3g} s; say their unit."
             )
@@ -131,12 +114,6 @@ def guess_time_unit(time: Any) -> str:
     if step < 1.0 or np.any(values != np.rint(values)):
         return "s"
     return next((unit for unit, most in _LARGEST_STEPS.items() if step <= most), "ns")
-
-
-def _wrong(row: int, stamp: float, before: float) -> str:
-    """Return a message about a stamp that does not come after the one before it."""
-    how = "repeats" if stamp == before else "runs backwards"
-    return f"time {how} at row {row + 1}: {stamp:.9g} s after {before:.9g} s"
 
 
 def _lost_samples(time: Array) -> int:

@@ -10,7 +10,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import blocks
 
 Timing = Literal["auto", "nominal", "resample"]
 
@@ -145,13 +144,8 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
 
 def _wander(recording: Recording) -> float:
     """Return by how much the stamps stray to either side of a regular clock, in s."""
-    low, high = np.inf, -np.inf
-    for begin, values in blocks(recording.time):
-        deviation = np.arange(begin, begin + values.size, dtype=np.float64)
-        deviation *= -recording.step
-        deviation += values
-        low, high = min(low, float(deviation.min())), max(high, float(deviation.max()))
-    return (high - low) / 2.0
+    deviation = np.arange(recording.n_samples) * -recording.step + recording.time
+    return float(np.ptp(deviation)) / 2.0
 
 
 def _stamps_against_index(recording: Recording) -> float:
