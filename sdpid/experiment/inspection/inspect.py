@@ -212,11 +212,11 @@ def _looked_at(
         findings += each(subject)
     if not any(KINDS[f.kind].spoils for f in findings if f.severity != "note"):
         for each in OF_EFFORTS:
-            told = [*each(subject)]
-            findings, subject = findings + told, _less(subject, told)
-    findings = [f for f in _told(findings) if not _excused(f, subject, without)]
+            more = [*each(subject)]
+            findings, subject = findings + more, _less(subject, more)
     ranks = ("refuse", "warning", "note")
-    return subject, tuple(sorted(findings, key=lambda finding: ranks.index(finding.severity)))
+    told = sorted(_told(findings, subject, without), key=lambda each: ranks.index(each.severity))
+    return subject, tuple(told)
 
 
 def _less(subject: Subject, findings: list[Finding]) -> Subject:
@@ -225,27 +225,18 @@ def _less(subject: Subject, findings: list[Finding]) -> Subject:
     return replace(subject, without=subject.without | joints) if joints else subject
 
 
-def _excused(finding: Finding, subject: Subject, without: frozenset[str]) -> bool:
-    """Return whether a finding is about an effort that is not used, or of which all is told."""
-    if finding.joint is None or not finding.kind.startswith("effort"):
-        return False
-    known = without if KINDS[finding.kind].excuses else subject.without
-    return finding.joint in known
-
-
-def _told(findings: list[Finding]) -> Iterator[Finding]:
-    """Yield findings that no other one explains."""
-    kinds = {finding.kind for finding in findings}
-    once = set()
-    for finding in findings:
+def _told(findings: list[Finding], subject: Subject, without: frozenset[str]) -> Iterator[Finding]:
+    """Yield findings that no other one explains, of efforts only where they are used."""
+    kinds = [finding.kind for finding in findings]
+    for place, finding in enumerate(findings):
         kind = finding.kind
-        if "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES:
-            continue
+        beside = "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES
         # What stands still and efforts both tell it.
-        if kind == "feet_exchanged" and kind in once:
-            continue
-        once.add(kind)
-        if not explained(finding, findings):
+        again = kind == "feet_exchanged" and kind in kinds[:place]
+        # Of an effort that is left out by a finding that finding is told.
+        unused = without if KINDS[kind].excuses else subject.without
+        of_unused = kind.startswith("effort") and finding.joint in unused
+        if not (beside or again or of_unused or explained(finding, findings)):
             yield finding
 
 
