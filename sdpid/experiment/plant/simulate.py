@@ -295,17 +295,6 @@ def plant_parts(
     bundled = robot.name in bundled_robots()
     if theta is None:
         theta = true_parameters(robot.name) if bundled else default_parameters(robot)
-    parameters = _checked_theta(robot, theta)
-    if drives is None:
-        drives = (
-            load_drives(robot.name) if bundled else default_drives(robot, parameters, trajectory)
-        )
-    if drives.n != robot.n:
-        raise DataError(f"simulate: {drives.n} drives, robot '{robot.name}' has {robot.n} joints.")
-    return parameters, drives
-
-
-def _checked_theta(robot: RobotModel, theta: ArrayLike) -> Array:
     values = real_array(theta, "theta", ndim=1, error=ModelError)
     expected = 10 * robot.n_links + 2 * robot.n
     if values.shape != (expected,):
@@ -317,4 +306,8 @@ def _checked_theta(robot: RobotModel, theta: ArrayLike) -> Array:
     friction = values[10 * robot.n_links :]
     if friction.min() < 0.0:
         raise ModelError(f"theta: friction of {friction.min():.3g}; it cannot be negative.")
-    return values
+    if drives is None:
+        drives = load_drives(robot.name) if bundled else default_drives(robot, values, trajectory)
+    if drives.n != robot.n:
+        raise DataError(f"simulate: {drives.n} drives, robot '{robot.name}' has {robot.n} joints.")
+    return values, drives

@@ -85,18 +85,22 @@ def sensitivities(
     out = np.empty((len(wanted), n, base.count))
     state = np.zeros((4 * n, base.count))
     jumps = _jumps(model)
-    first = _Instants.of(arm, base, loop, slice(0, 1), jumps)
+    M, _, _, Y, v, a = _linearized(arm, base, loop, slice(0, 1), jumps)
     # At rest the arm changes first in its accelerations.
-    state[2 * n : 3 * n] = first.accelerated()
+    held = (v[0] == 0.0) & (a[0] == 0.0)
+    M[0, held], Y[0, held] = 0.0, 0.0
+    M[0, held, held] = 1.0
+    state[2 * n : 3 * n] = -np.linalg.solve(M[0], Y[0])
     row = 0
     if len(wanted) and wanted[0] == 0:
         out[0] = 0.0
         row = 1
     for start in range(0, count - 1, _CHUNK):
-        stop = min(start + _CHUNK, count - 1)
-        instants = _Instants.of(arm, base, loop, slice(start, stop + 1), jumps)
-        transition, forced = instants.transitions()
-        for k in range(stop - start):
+        part = slice(start, min(start + _CHUNK, count - 1) + 1)
+        linear = _linearized(arm, base, loop, part, jumps)
+        steps = np.diff(loop.time[part])
+        transition, forced = _transitions(linear, steps, loop.integral, jumps)
+        for k in range(len(steps)):
             state = transition[k] @ state + forced[k]
             if row < len(wanted) and wanted[row] == start + k + 1:
                 out[row] = state[:n]
@@ -104,111 +108,74 @@ def sensitivities(
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Instants:
-    """The linearized loop at some instants: M·S'' + C·S' + K·S + ki·∫S = −Y."""
+def _linearized(
+    arm: SimulatedArm, base: BaseParameters, loop: ControlledMotion, part: slice, jumps: Array
+) -> tuple[Array, ...]:
+    """Return M, C, K, Y of M·S'' + C·S' + K·S + ki·∫S = −Y at instants, velocity, acceleration."""
+    q, v, effort = loop.position[part], loop.velocity[part], loop.effort[part]
+    model = arm.model
+    # A joint that sticks keeps a velocity of rounding.
+    v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
+    a = arm.acceleration(q, v, effort)
+    M, _ = arm.mass_and_bias(q, v)
+    by_position, by_velocity = inverse_dynamics_slopes(model, q, v, a)
+    C = by_velocity + _friction_slopes(model, v) - loop.damping[part]
+    return M, C, by_position - loop.stiffness[part], base_regressor(model, base, q, v, a), v, a
 
-    step: Array
-    M: Array
-    C: Array
-    K: Array
-    Y: Array
-    integral: Array
-    velocity: Array
-    acceleration: Array
-    jumps: Array
 
-    @classmethod
-    def of(
-        cls,
-        arm: SimulatedArm,
-        base: BaseParameters,
-        loop: ControlledMotion,
-        part: slice,
-        jumps: Array,
-    ) -> _Instants:
-        q, v, effort = loop.position[part], loop.velocity[part], loop.effort[part]
-        model = arm.model
-        # A joint that sticks keeps a velocity of rounding.
-        v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
-        a = arm.acceleration(q, v, effort)
-        M, _ = arm.mass_and_bias(q, v)
-        by_position, by_velocity = inverse_dynamics_slopes(model, q, v, a)
-        stiffness, damping = loop.stiffness[part], loop.damping[part]
-        return cls(
-            np.diff(loop.time[part]),
-            M,
-            by_velocity + _friction_slopes(model, v) - damping,
-            by_position - stiffness,
-            base_regressor(model, base, q, v, a),
-            loop.integral,
-            v,
-            a,
-            jumps,
-        )
+def _transitions(
+    linear: tuple[Array, ...], steps: Array, integral: Array, jumps: Array
+) -> tuple[Array, Array]:
+    """Return T (k, 4n, 4n) and G (k, 4n, b): the next (S, S', S'', ∫S) is ``T @ now + G``."""
+    masses, v, a = linear[0], linear[4], linear[5]
+    count, n = len(steps), v.shape[1]
+    rests = v == 0.0
+    turns = (v[:-1] * v[1:] < 0.0) & (jumps > 0.0)
+    held = rests[1:] & (jumps > 0.0)
+    enters, leaves = held & ~rests[:-1], rests[:-1] & ~held & (jumps > 0.0)
+    # Accelerations of before count for nothing where friction has jumped.
+    new = (turns | enters | leaves).any(axis=1)
+    P = _saltations(masses, v, a, jumps, turns, enters)
+    h = steps[:, None, None]
+    gamma = np.where(new, 1.0, 0.5)[:, None, None]
+    beta = np.where(new, 0.5, 0.25)[:, None, None]
+    M, C, K, Y = (each[1:].copy() for each in linear[:4])
+    ki = np.tile(np.diag(integral), (count, 1, 1))
+    for matrix in (M, C, K, Y, ki):
+        matrix[held] = 0.0
+    M[held, np.nonzero(held)[1]] = 1.0
+    K = K + 0.5 * h * ki
+    inverse = np.linalg.inv(M + gamma * h * C + beta * h**2 * K)
+    E, none = np.broadcast_to(np.eye(n), (count, n, n)), np.zeros((count, n, n))
+    # What S and S' come to without the new acceleration, by blocks of the state.
+    S = np.concatenate([E, h * P, (0.5 - beta) * h**2 * E, none], axis=2)
+    V = np.concatenate([none, P, (1.0 - gamma) * h * E, none], axis=2)
+    sums = np.concatenate([0.5 * h * E, none, none, E], axis=2)
+    A, GA = -inverse @ (C @ V + K @ S + ki @ sums), -inverse @ Y
+    S, GS = S + beta * h**2 * A, beta * h**2 * GA
+    T = np.concatenate([S, V + gamma * h * A, A, sums + 0.5 * h * S], axis=1)
+    return T, np.concatenate([GS, gamma * h * GA, GA, 0.5 * h * GS], axis=1)
 
-    def accelerated(self) -> Array:
-        """Return S'' at the first instant where S and S' are zero."""
-        held = (self.velocity[0] == 0.0) & (self.acceleration[0] == 0.0)
-        M, Y = self.M[0].copy(), self.Y[0].copy()
-        M[held], Y[held] = 0.0, 0.0
-        M[held, held] = 1.0
-        return -np.linalg.solve(M, Y)
 
-    def transitions(self) -> tuple[Array, Array]:
-        """Return T (k, 4n, 4n) and G (k, 4n, b): the next (S, S', S'', ∫S) is ``T @ now + G``."""
-        v, n = self.velocity, self.velocity.shape[1]
-        count = len(self.step)
-        rests = v == 0.0
-        turns = (v[:-1] * v[1:] < 0.0) & (self.jumps > 0.0)
-        held = rests[1:] & (self.jumps > 0.0)
-        enters, leaves = held & ~rests[:-1], rests[:-1] & ~held & (self.jumps > 0.0)
-        # Accelerations of before count for nothing where friction has jumped.
-        new = (turns | enters | leaves).any(axis=1)
-        P = self._saltations(turns, enters)
-        h = self.step[:, None, None]
-        gamma = np.where(new, 1.0, 0.5)[:, None, None]
-        beta = np.where(new, 0.5, 0.25)[:, None, None]
-        M, C, K, Y = self.M[1:].copy(), self.C[1:].copy(), self.K[1:].copy(), -self.Y[1:]
-        ki = np.zeros((count, n, n))
-        ki[:, np.arange(n), np.arange(n)] = self.integral
-        for matrix in (M, C, K, Y, ki):
-            matrix[held] = 0.0
-        M[held, np.nonzero(held)[1]] = 1.0
-        K = K + 0.5 * h * ki
-        inverse = np.linalg.inv(M + gamma * h * C + beta * h**2 * K)
-        E, none = np.broadcast_to(np.eye(n), (count, n, n)), np.zeros((count, n, n))
-        # What S and S' come to without the new acceleration, by blocks of the state.
-        S = np.concatenate([E, h * P, (0.5 - beta) * h**2 * E, none], axis=2)
-        V = np.concatenate([none, P, (1.0 - gamma) * h * E, none], axis=2)
-        sums = np.concatenate([0.5 * h * E, none, none, E], axis=2)
-        A = -inverse @ (C @ V + K @ S + ki @ sums)
-        GA = inverse @ Y
-        S, V = S + beta * h**2 * A, V + gamma * h * A
-        GS = beta * h**2 * GA
-        T = np.concatenate([S, V, A, sums + 0.5 * h * S], axis=1)
-        G = np.concatenate([GS, gamma * h * GA, GA, 0.5 * h * GS], axis=1)
-        return T, G
-
-    def _saltations(self, turns: Mask, enters: Mask) -> Array:
-        """Return what the rates S' are multiplied by before each step, (k, n, n)."""
-        count, n = turns.shape
-        P = np.tile(np.eye(n), (count, 1, 1))
-        for k, j in zip(*np.nonzero(turns | enters), strict=True):
-            before = self.acceleration[k, j]
-            if before == 0.0:
-                continue
-            mobility = np.linalg.inv(self.M[k])[:, j]
-            # Friction opposes the new direction with as much as it opposed the old one.
-            change = np.sign(self.velocity[k, j]) * self.jumps[j] * mobility
-            if enters[k, j] or before * (before + change[j]) <= 0.0:
-                change = -before / mobility[j] * mobility
-            salted = np.eye(n)
-            salted[:, j] += change / before
-            P[k] = salted @ P[k]
-            if enters[k, j]:
-                P[k, j] = 0.0
-        return P
+def _saltations(M: Array, v: Array, a: Array, jumps: Array, turns: Mask, enters: Mask) -> Array:
+    """Return what the rates S' are multiplied by before each step, (k, n, n)."""
+    count, n = turns.shape
+    P = np.tile(np.eye(n), (count, 1, 1))
+    for k, j in zip(*np.nonzero(turns | enters), strict=True):
+        before = a[k, j]
+        if before == 0.0:
+            continue
+        mobility = np.linalg.inv(M[k])[:, j]
+        # Friction opposes the new direction with as much as it opposed the old one.
+        change = np.sign(v[k, j]) * jumps[j] * mobility
+        if enters[k, j] or before * (before + change[j]) <= 0.0:
+            change = -before / mobility[j] * mobility
+        salted = np.eye(n)
+        salted[:, j] += change / before
+        P[k] = salted @ P[k]
+        if enters[k, j]:
+            P[k, j] = 0.0
+    return P
 
 
 def base_regressor(
@@ -233,19 +200,15 @@ def base_regressor(
 
 def _friction_slopes(model: RobotDynamics, v: Array) -> Array:
     """Return the derivative (N, n, n) of friction by velocity, without its jumps at zero."""
-    n = v.shape[1]
-    slopes, here = np.empty((len(v), n, n)), model.friction(v)
-    for j in range(n):
+    slopes = np.empty((*v.shape, v.shape[1]))
+    for j in range(v.shape[1]):
         # Away from zero, where friction may jump.
         nudge = np.where(v[:, j] < 0.0, -_NUDGE, _NUDGE)
-        start, moved = v.copy(), v.copy()
+        start = v.copy()
+        start[:, j] = np.where(v[:, j] == 0.0, nudge, v[:, j])
+        moved = start.copy()
         moved[:, j] += nudge
-        before = here
-        if np.any(v[:, j] == 0.0):
-            start[:, j] = np.where(v[:, j] == 0.0, nudge, v[:, j])
-            moved[:, j] = start[:, j] + nudge
-            before = model.friction(start)
-        slopes[:, :, j] = (model.friction(moved) - before) / nudge[:, None]
+        slopes[:, :, j] = (model.friction(moved) - model.friction(start)) / nudge[:, None]
     return slopes
 
 
