@@ -8,7 +8,7 @@ throughout: forces that flags deny look like delays, and rows without them need 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.inspection.block_fit import orthonormal
 from sdpid.experiment.inspection.delays.kinematic import Delay, delay_step, lag, on_legs
+from sdpid.experiment.processing.base import into_body
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
@@ -24,7 +25,7 @@ from sdpid.experiment.processing.on_time import on_time
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
@@ -145,8 +146,8 @@ def without_delays(log: Recording, names: Collection[str], delays: Collection[fl
     return on_time(log, replace(Processing(), **shifts))
 
 
-def _columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    """Return columns of links, and of friction, rotors and offsets of every joint, (K, n, p)."""
+def _friction_columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
+    """Return columns of friction, rotors and offsets of every joint at some samples, (K, n, p)."""
     first = robot.n_base
 
     def smooth_sign(width: float) -> Array:
@@ -155,14 +156,38 @@ def _columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
 
     speed, rate = samples.velocity[rows], samples.acceleration[rows]
     signals = [speed, rate, np.ones_like(speed), *(smooth_sign(width) for width in _WIDTHS)]
-    friction = [signal[:, :, None] * np.eye(robot.n)[:, first:] for signal in signals]
-    return np.concatenate([_links(robot, samples, rows), *friction], axis=2)
+    return np.concatenate([s[:, :, None] * np.eye(robot.n)[:, first:] for s in signals], axis=2)
 
 
-def _links(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    """Return the columns of the links at some samples, (K, n, 10·links)."""
-    q, v, a = samples.position, samples.velocity, samples.acceleration
-    return robot.regressor(q[rows], v[rows], a[rows])
+class _Shifted:
+    """Efforts and links' columns of samples, with efforts and the IMU read at other times.
+
+    Filters do not depend on time: a channel that is shifted before one is the filtered one,
+    shifted.
+    """
+
+    def __init__(self, robot: RobotModel, samples: Samples) -> None:
+        from scipy.interpolate import CubicSpline
+
+        self.robot, self.samples = robot, samples
+        assert samples.time is not None
+        self.time = samples.time - samples.time[0]
+        self._gravity = into_body(samples.position[:, 3:7], robot.gravity)
+        turn, force = samples.acceleration[:, 3:6], samples.acceleration[:, :3] - self._gravity
+        sensed = np.hstack([samples.velocity[:, 3:6], force, turn])
+        self._effort = CubicSpline(self.time, samples.effort)
+        self._sensed = CubicSpline(self.time, sensed)
+
+    def __call__(self, rows: Indices, delays: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return columns of links (K, n, 10·links) and efforts (K, n) at some samples."""
+        at, samples = self.time[rows], self.samples
+        velocity, acceleration = samples.velocity[rows], samples.acceleration[rows]
+        if "imu" in delays:
+            sensed = self._sensed(at + delays["imu"])
+            velocity[:, 3:6], acceleration[:, 3:6] = sensed[:, :3], sensed[:, 6:]
+            acceleration[:, :3] = sensed[:, 3:6] + self._gravity[rows]
+        links = self.robot.regressor(samples.position[rows], velocity, acceleration)
+        return links, np.asarray(self._effort(at + delays["effort"]))
 
 
 def dynamic_delays(
@@ -188,31 +213,30 @@ def dynamic_delays(
     sensed = base is not None and base.imu is not None and base.imu.accelerometer is not None
     names = ("effort", "imu") if sensed and not held else ("effort",)
     cutoff = _CUTOFF_HZ if sensed or held else _POSE_CUTOFF_HZ
-    processing = _processing(log, cutoff, contact_margin_s=_MARGIN)
-    log = _all_closed(robot, log)
-    half = max(_HALF, 0.5 * log.step)
-    delays, errors, scale = np.zeros(len(names)), np.zeros(len(names)), np.zeros(0)
+    processing = _processing(log, cutoff, contact_margin_s=_MARGIN, decimation=1)
+    samples = process(_all_closed(robot, log), processing, gravity=robot.gravity.tolist())
+    shifted, half = _Shifted(robot, samples), max(_HALF, 0.5 * log.step)
+    delays, errors = np.zeros(len(names)), np.zeros(len(names))
+    scale = first_scale(robot, samples.effort, unused)
     for _ in range(_STEPS):
-        # All have the same rows, whatever shifting loses at their ends.
-        margin = np.abs(delays).max() + half + 1.5 * log.step
+        # Whatever is read at another time is inside.
+        margin = np.abs(delays).max() + half
+        inside = (shifted.time >= margin) & (shifted.time <= shifted.time[-1] - margin)
+        rows = np.flatnonzero(inside)
+        if not rows.size:
+            return {}
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, _ROWS).astype(np.intp))]
 
-        def at(values: Array, margin: float = margin) -> Samples:
-            shifted = without_delays(log, names, values)
-            inside = (shifted.time > log.time[0] + margin) & (shifted.time < log.time[-1] - margin)
-            piece = rows_of(shifted, np.asarray(inside))
-            return process(piece, processing, gravity=robot.gravity.tolist())
+        def at(values: Array, rows: Indices = rows) -> tuple[Array, Array]:
+            return shifted(rows, dict(zip(names, values.tolist(), strict=True)))
 
-        samples = at(delays)
-        rows = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
-        columns, effort = _columns(robot, samples, rows), samples.effort[rows]
+        links, effort = at(delays)
+        columns = np.concatenate([links, _friction_columns(robot, samples, rows)], axis=2)
         slopes = []
         for step in half * np.eye(len(names)):
-            late, early = at(delays + step), at(delays - step)
-            links = _links(robot, late, rows) - _links(robot, early, rows)
-            slopes.append((late.effort[rows] - early.effort[rows], links))
+            (late, late_effort), (early, early_effort) = at(delays + step), at(delays - step)
+            slopes.append((late_effort - early_effort, late - early))
         contacts = None if samples.contacts is None else samples.contacts.picked(rows)
-        if not scale.size:
-            scale = first_scale(robot, samples.effort, unused)
         for _ in range(_WEIGHTINGS):
             free = free_of_contacts(robot, samples.position[rows], contacts, scale)
             weighted = (free / scale) @ columns
