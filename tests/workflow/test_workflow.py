@@ -1,6 +1,7 @@
 """The whole way: a recording in, certified parameters and a URDF out, also of real robots."""
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -20,7 +21,9 @@ from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import CertificateError, DataError, ExportError, ModelError
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.preparation.prepare import samples_of
+from sdpid.experiment.processing import process
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.recording.floating import robots
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.grades import graded, grades
 from sdpid.output.report.recording import values
@@ -258,6 +261,31 @@ def test_a_log_with_a_base_gives_a_floating_robot_with_its_mass() -> None:
     theta = result.estimate.theta
     mass = theta[: 10 * robot.n_links : 10].sum()
     assert mass == pytest.approx(robot.prior[:, 0].sum(), rel=2e-3)
+
+
+def test_a_log_is_processed_at_most_four_times_and_its_robot_loaded_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By inspection, for delays, and with noise once more."""
+    pytest.importorskip("mujoco")
+    calls: Counter[str] = Counter()
+
+    def count(module: Any, name: str) -> None:
+        function = getattr(module, name)
+
+        def counted(*given: Any, **named: Any) -> Any:
+            calls[name] += 1
+            return function(*given, **named)
+
+        monkeypatch.setattr(module, name, counted)
+
+    # Every call of `process` asks for the pieces of its log.
+    count(process, "continuous")
+    count(robots, "load_robot")
+    log = sdpid.simulate_legged("solo12", "trot", duration=2.0, seed=3).recording
+    sdpid.identify("solo12", log)
+    assert 1 <= calls["continuous"] <= 4
+    assert calls["load_robot"] == 1
 
 
 def test_a_base_that_is_held_all_the_time_is_proven() -> None:
