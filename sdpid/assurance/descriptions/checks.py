@@ -11,7 +11,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.estimation.constraints.hull import Hull
-from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
+from sdpid.robot.description.bodies import DescribedBody
+from sdpid.robot.description.inertials import second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia, transform
 from sdpid.verifier.exact import positive_semidefinite
 
@@ -112,7 +113,7 @@ def consistent(body: DescribedBody) -> bool | None:
     if body.mass is None or body.entries is None or body.com is None:
         return None
     if body.mass > 0.0:
-        return positive_semidefinite(exact_second_moment(body.entries))
+        return positive_semidefinite(second_moment(body.entries))
     return body.mass == 0.0 and not any(body.entries)
 
 

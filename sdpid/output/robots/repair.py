@@ -24,12 +24,11 @@ from sdpid.errors import ExportError
 from sdpid.output.robots.written_bodies import write_inertial
 from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import (
-    TENSOR_NAMES,
     DescribedBody,
     exact_decimal,
-    exact_second_moment,
     read_urdf_bodies,
 )
+from sdpid.robot.description.inertials import TENSOR_NAMES, second_moment
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description, xml_text
 from sdpid.robot.inertia import (
@@ -246,9 +245,7 @@ class _Repair:
         proof = None
         if floor:
             exact = body.entries or (Fraction(0),) * len(TENSOR_NAMES)
-            proof = prove_nearest(
-                exact_second_moment(exact), exact_second_moment(tuple(entries)), Fraction(floor)
-            )
+            proof = prove_nearest(second_moment(exact), second_moment(entries), Fraction(floor))
         links = self.root.findall("link")
         link = next(each for each in links if each.get("name", "") == body.name)
         write_inertial(link, {tag: each for tag, each in values.items() if each})

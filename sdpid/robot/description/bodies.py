@@ -19,12 +19,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import ModelError
+from sdpid.robot.description.inertials import TENSOR_NAMES
+from sdpid.robot.description.inertials import tensor as rows_of
 from sdpid.robot.description.origin import LARGEST, read_origin
 from sdpid.robot.description.urdf import parse_urdf
-from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
-
-# In the order of `TENSOR_INDEX`.
-TENSOR_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+from sdpid.robot.inertia import theta_from_physical
 
 # URDF defines the upper triangle only; some files write the lower one too.
 _TRANSPOSED = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
@@ -52,7 +51,7 @@ class DescribedBody:
     rotation : ndarray, shape (3, 3)
         Axes of the tensor in the link's frame.
     entries : tuple of Fraction, or None
-        The tensor about the center of mass in the order of `TENSOR_INDEX`, exactly as written,
+        The tensor about the center of mass in the order of `TENSOR_NAMES`, exactly as written,
         kg·m².
     half_digit : float
         Half a unit in the last digit of the entry that is written most coarsely, kg·m²: by so
@@ -87,12 +86,7 @@ class DescribedBody:
     @property
     def tensor(self) -> Array | None:
         """The inertia about the center of mass along its own axes, shape (3, 3), kg·m²."""
-        if self.entries is None:
-            return None
-        tensor = np.empty((3, 3))
-        for value, (i, j) in zip(self.entries, TENSOR_INDEX, strict=True):
-            tensor[i, j] = tensor[j, i] = float(value)
-        return tensor
+        return None if self.entries is None else np.array(rows_of(self.entries), dtype=np.float64)
 
     @property
     def theta(self) -> Array | None:
@@ -118,21 +112,6 @@ def exact_decimal(text: str) -> Fraction:
     if value == 0.0:
         return Fraction(0)
     return Fraction(text.strip().replace("_", "x"))
-
-
-def exact_inertia(entries: tuple[Fraction, ...]) -> list[list[Fraction]]:
-    """Return the rows of the tensor with those entries (order of `TENSOR_INDEX`)."""
-    rows = [[Fraction(0)] * 3 for _ in range(3)]
-    for value, (i, j) in zip(entries, TENSOR_INDEX, strict=True):
-        rows[i][j] = rows[j][i] = value
-    return rows
-
-
-def exact_second_moment(entries: tuple[Fraction, ...]) -> list[list[Fraction]]:
-    """Return the rows of ``½·tr(I)·E − I`` exactly."""
-    rows = exact_inertia(entries)
-    half = (rows[0][0] + rows[1][1] + rows[2][2]) / 2
-    return [[half * (i == j) - rows[i][j] for j in range(3)] for i in range(3)]
 
 
 def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[DescribedBody, ...]]:

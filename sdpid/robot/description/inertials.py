@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple, TypeVar
 
+from sdpid.robot.inertia import TENSOR_INDEX
 from sdpid.verifier.bodies import has_margin
 from sdpid.verifier.exact import positive_semidefinite
 
@@ -23,8 +24,8 @@ _INSIDE, _SHARE = Fraction(1e-13), Fraction(1e-14)
 # Parameters may be outside by a solver's rounding, which so many doublings outgrow.
 _DOUBLINGS = 20
 
-# Names of the six moments, and their places in the tensor.
-MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "iyy": (1, 1), "ixz": (0, 2), "iyz": (1, 2), "izz": (2, 2)}
+# Names of the six moments, in the order of their places `TENSOR_INDEX`.
+TENSOR_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 
 Body = Sequence[Fraction]
 Number = TypeVar("Number", float, Fraction)
@@ -39,7 +40,7 @@ class Inertial(NamedTuple):
 
     def named(self) -> dict[str, float]:
         """Return every number by name."""
-        names = ("mass", "x", "y", "z", *MOMENTS)
+        names = ("mass", "x", "y", "z", *TENSOR_NAMES)
         return dict(zip(names, (self.mass, *self.com, *self.moments), strict=True))
 
 
@@ -52,6 +53,13 @@ def tensor(moments: Sequence[Number]) -> list[list[Number]]:
     return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
 
 
+def second_moment(moments: Sequence[Fraction]) -> list[list[Fraction]]:
+    """Return the rows of ``½·tr(I)·E − I`` exactly."""
+    rows = tensor(moments)
+    half = (rows[0][0] + rows[1][1] + rows[2][2]) / 2
+    return [[half * (i == j) - rows[i][j] for j in range(3)] for i in range(3)]
+
+
 def central(body: Sequence[float | Fraction]) -> tuple[Fraction, list[Fraction], list[Fraction]]:
     """Return mass, center of mass and moments about it, exactly; the mass must not be zero."""
     mass, *others = (Fraction(x) for x in body)
@@ -59,7 +67,7 @@ def central(body: Sequence[float | Fraction]) -> tuple[Fraction, list[Fraction],
     square = sum(c * c for c in com)
     moments = [
         value - mass * ((square if i == j else 0) - com[i] * com[j])
-        for value, (i, j) in zip(others[3:], MOMENTS.values(), strict=True)
+        for value, (i, j) in zip(others[3:], TENSOR_INDEX, strict=True)
     ]
     return mass, com, moments
 
@@ -87,8 +95,6 @@ def rounded(body: Body) -> Inertial:
 
 def exists(mass: float, moments: Sequence[float], consistency: str) -> bool:
     """Return whether a mass with moments about its center is consistent, exactly."""
-    rows = tensor([Fraction(x) for x in moments])
-    if consistency == "pseudo_inertia":
-        half = (rows[0][0] + rows[1][1] + rows[2][2]) / 2
-        rows = [[(half if i == j else 0) - rows[i][j] for j in range(3)] for i in range(3)]
+    exact = [Fraction(x) for x in moments]
+    rows = second_moment(exact) if consistency == "pseudo_inertia" else tensor(exact)
     return mass > 0 and positive_semidefinite(rows)

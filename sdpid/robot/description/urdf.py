@@ -18,12 +18,15 @@ from sdpid.robot.description.xml import parse_xml, undeclared
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000
 
+# Entries of the tensor, in the order in which a URDF lists them.
+_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
 # The numbers of a URDF that are checked: owner, path of the element, attributes, count of numbers
 # in each, and whether the attribute may be missing.
 _PLACES = (
     ("link", "inertial/origin", ("xyz", "rpy"), 3, True),
     ("link", "inertial/mass", ("value",), 1, False),
-    ("link", "inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, False),
+    ("link", "inertial/inertia", _TENSOR, 1, False),
     ("joint", "origin", ("xyz", "rpy"), 3, True),
     ("joint", "axis", ("xyz",), 3, True),
     ("joint", "dynamics", ("damping", "friction"), 1, True),
@@ -31,15 +34,6 @@ _PLACES = (
 # The numbers that Pinocchio's parser accepts; Python accepts more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
-# Entries of the tensor, in the order in which a URDF lists them.
-TENSOR_PLACES = {
-    "ixx": (0, 0),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyy": (1, 1),
-    "iyz": (1, 2),
-    "izz": (2, 2),
-}
 
 _ONE_VARIABLE = ("revolute", "continuous", "prismatic")
 
@@ -198,7 +192,7 @@ def written_values(inertial: Inertial) -> dict[str, dict[str, str]]:
     return {
         "origin": {"xyz": numbers(inertial.com), "rpy": "0 0 0"},
         "mass": {"value": numbers(inertial.mass)},
-        "inertia": {key: numbers(named[key]) for key in TENSOR_PLACES},
+        "inertia": {key: numbers(named[key]) for key in _TENSOR},
     }
 
 
