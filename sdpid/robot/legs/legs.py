@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
 from sdpid.robot.model.contacts.jacobians import frame_axes, frame_places
-from sdpid.robot.model.geometry import link_placements, neutral
+from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
 
 # Inverse kinematics ends at this distance in m; Newton's method is there after a few steps.
@@ -66,7 +66,7 @@ class Legs:
         model, mass = self.robot.pin_model, self.robot.prior[:, 0]
         masses = np.full(self.n_joints, mass.sum() / len(self.frames))
         levers = np.full(self.n_joints, self.height)
-        placed = link_placements(self.robot, self._configurations(self.standing[None])[0])
+        placed = link_placements(self.robot, self.robot.at_rest(self.standing[None])[0])
         centers = [
             place[:3, :3] @ body.lever + place[:3, 3]
             for place, body in zip(placed, list(model.inertias)[1:], strict=True)
@@ -95,7 +95,7 @@ class Legs:
         data = self.robot.pin_model.createData()
         found = (
             pin.centerOfMass(self.robot.pin_model, data, q).copy()
-            for q in self._configurations(joints)
+            for q in self.robot.at_rest(joints)
         )
         return np.stack([*found])
 
@@ -106,7 +106,7 @@ class Legs:
 
     def axes(self) -> Array:
         """Return the axes of the feet's frames as columns when the robot stands, (c, 3, 3)."""
-        q = self._configurations(self.standing[None])
+        q = self.robot.at_rest(self.standing[None])
         return np.asarray(frame_axes(self.robot, q, self.frames)[0])
 
     @property
@@ -116,12 +116,7 @@ class Legs:
 
     def feet(self, joints: Array) -> Array:
         """Return the feet's centers in the base frame, shape (K, c, 3), for (K, joints)."""
-        return frame_places(self.robot, self._configurations(joints), self.frames)
-
-    def _configurations(self, joints: Array) -> Array:
-        """Return Pinocchio's configurations (K, nq) of joints (K, joints) under a base at rest."""
-        base = np.tile(neutral(self.robot)[:7], (len(joints), 1))
-        return np.hstack([base, joints])
+        return frame_places(self.robot, self.robot.at_rest(joints), self.frames)
 
     def reach(self, targets: Array, turned: Array | None = None) -> Array:
         """Return the joints that put the feet where they are wanted.
@@ -146,7 +141,7 @@ class Legs:
 
         model = self.robot.pin_model
         data = model.createData()
-        q = self._configurations(self.standing[None])[0]
+        q = self.robot.at_rest(self.standing[None])[0]
         out = np.empty((len(targets), self.n_joints))
         for k, wanted in enumerate(targets):
             for _ in range(_STEPS):

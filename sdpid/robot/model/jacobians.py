@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
-from sdpid.errors import DataError
+from sdpid._common.arrays import Array
 from sdpid.robot.model.model import RobotModel
 
 # From Pinocchio's (linear, angular) to (angular, linear).
@@ -35,7 +34,7 @@ def link_jacobians(robot: RobotModel, q: ArrayLike) -> Array:
     """
     import pinocchio as pin
 
-    configurations = _configurations(robot, q)
+    configurations = robot.at_rest(q)
     model = robot.pin_model
     data = model.createData()
     out = np.empty((len(configurations), robot.n_links, 6, model.nv))
@@ -81,18 +80,3 @@ def local_jacobian(model: Any, data: Any, joint: int) -> Array:
     # With a single joint the binding drops the axis of length one.
     found = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
     return np.asarray(found).reshape(6, -1)
-
-
-def _configurations(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return Pinocchio's configurations, a floating base at rest in the origin."""
-    if not robot.free_flyer:
-        return robot.configuration(q)
-    positions = real_array(q, "q", ndim=2)
-    n = robot.n - robot.n_base
-    if positions.shape[1] != n:
-        raise DataError(
-            f"q: {positions.shape[1]} columns, the robot '{robot.name}' has {n} joints beside its "
-            "floating base."
-        )
-    full = np.hstack([np.zeros((len(positions), robot.n_base)), positions])
-    return robot.configuration_of(full @ robot.expansion.T + robot.offset)

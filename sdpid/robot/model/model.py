@@ -376,6 +376,31 @@ class RobotModel:
                 q[:, joint.idx_q] = angles[:, joint.idx_v]
         return q
 
+    def at_rest(self, joints: ArrayLike) -> Array:
+        """Return Pinocchio's configurations (K, nq) of joints, a floating base in the origin.
+
+        Parameters
+        ----------
+        joints : array_like, shape (K, n), or (K, n − 6) with a floating base
+            Their positions.
+
+        Raises
+        ------
+        DataError
+            When the shape does not fit.
+        """
+        if not self.free_flyer:
+            return self.configuration(joints)
+        positions = real_array(joints, "q", ndim=2)
+        n = self.n - self.n_base
+        if positions.shape[1] != n:
+            raise DataError(
+                f"q: {positions.shape[1]} columns, the robot '{self.name}' has {n} joints beside "
+                "its floating base."
+            )
+        full = np.hstack([np.zeros((len(positions), self.n_base)), positions])
+        return self.configuration_of(self._expand(full) + self.offset)
+
     @functools.cached_property
     def _mimics(self) -> bool:
         rows, columns = self.expansion.shape

@@ -179,10 +179,7 @@ def _gaps(robot: RobotModel, position: Array, free: Indices) -> tuple[Array, Arr
 
     Angles are cross products of axes that are to be parallel.
     """
-    q = position
-    if robot.free_flyer:
-        base = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(q), 1))
-        q = np.hstack([base, position])
+    q = robot.at_rest(position) if robot.free_flyer else position
     own = [loop.frame for loop in robot.loops]
     other = [loop.against for loop in robot.loops]
     J = relative_jacobians(robot, q, own, other)[..., robot.n_base + free]
