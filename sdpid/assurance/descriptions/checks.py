@@ -12,9 +12,8 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import DescribedBody
-from sdpid.robot.description.inertials import second_moment
+from sdpid.robot.description.inertials import exists
 from sdpid.robot.inertia import complement, second_moment_from_inertia, transform
-from sdpid.verifier.exact import positive_semidefinite
 
 # Loaders refuse what rounding cannot tell from impossible: principal moments below 1e-14 kg·m²
 # (MuJoCo), or triangle inequalities missed by a rounding. Bodies with less than this, in kg·m² or
@@ -113,7 +112,7 @@ def consistent(body: DescribedBody) -> bool | None:
     if body.mass is None or body.entries is None or body.com is None:
         return None
     if body.mass > 0.0:
-        return positive_semidefinite(second_moment(body.entries))
+        return exists(body.mass, body.entries, "pseudo_inertia")
     return body.mass == 0.0 and not any(body.entries)
 
 

@@ -93,7 +93,7 @@ def rounded(body: Body) -> Inertial:
     return Inertial(float(mass), tuple(map(float, com)), tuple(map(float, moments)))
 
 
-def exists(mass: float, moments: Sequence[float], consistency: str) -> bool:
+def exists(mass: float, moments: Sequence[float | Fraction], consistency: str) -> bool:
     """Return whether a mass with moments about its center is consistent, exactly."""
     exact = [Fraction(x) for x in moments]
     rows = second_moment(exact) if consistency == "pseudo_inertia" else tensor(exact)
