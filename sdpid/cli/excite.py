@@ -140,16 +140,10 @@ def excite(given: Given) -> None:
     given.previous = _logs(given.previous)
     plan = design_excitation(
         model,
-        duration=given.duration,
-        **_around(given),
-        collisions=given.collisions,
-        torque_spread=given.torque_spread,
         purpose=given.for_,
-        motion=given.motion,
-        closed=given.closed,
-        periods=given.periods,
-        seed=given.seed,
+        **_around(given),
         **_search(given),
+        **given.chosen("collisions torque_spread motion closed periods"),
         **given.chosen("start objective predict previous harmonics"),
     )
     notes: list[str] = []
@@ -184,7 +178,7 @@ def _left(time_limit: float, used: float) -> float:
 
 def _search(given: Given) -> dict[str, Any]:
     """Return the arguments that designs of motions of arms and of robots that stand share."""
-    found = given.chosen("friction noise starts time_limit")
+    found = given.chosen("duration friction noise starts time_limit seed")
     if len(found.get("noise", ())) == 1:  # for all joints
         (found["noise"],) = found["noise"]
     return found
@@ -292,9 +286,7 @@ def _stand(given: Given) -> None:
     robot = load_robot(given.robot, root="free_flyer")
     plan = design_standing(
         robot,
-        duration=given.duration,
         limits=_limits(given),
-        seed=given.seed,
         **_search(given),
         **given.chosen("sway tilt grip load steps"),
     )

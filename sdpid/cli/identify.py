@@ -62,9 +62,7 @@ def identify(given: Given) -> None:
         or None,
         processing=logs.processing(given),
         intervals=given.interval_method if given.intervals else False,
-        folds=given.folds,
-        rollout=given.rollout,
-        accept=given.accept,
+        **given.chosen("folds rollout accept"),
         **logs.formulation(given, model),
     )
     findings = {str(finding) for finding in result.findings}
@@ -143,13 +141,8 @@ def compare(given: Given) -> None:
     from sdpid.workflow.comparison import compare as run
 
     problem, prepared = logs.formulated(given, [given.log])
-    comparison = run(
-        problem,
-        starts=given.starts,
-        seed=given.seed,
-        max_iterations=given.max_iterations,
-        n_jobs=given.jobs,
-    )
+    options = given.chosen("starts seed max_iterations")
+    comparison = run(problem, n_jobs=given.jobs, **options)
     files = [] if given.out is None else [given.out]
     if files:
         comparison.to_csv(given.out)

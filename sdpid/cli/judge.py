@@ -80,11 +80,9 @@ def _audit_table(given: Given) -> bool:
         model,
         published.values,
         published.halfwidths,
-        consistency=given.consistency,
-        margin=given.margin,
-        mass_max=given.mass_max,
         friction=given.friction or named_terms(model, published.mentioned),
         table=published.file,
+        **given.chosen("consistency margin mass_max"),
     )
     if given.proof is not None:
         write_proof(given.proof, result)

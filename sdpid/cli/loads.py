@@ -52,13 +52,9 @@ def gains(given: Given) -> None:
         [logs.read(given, log, currents=True) for log in given.without],
         [logs.read(given, log, currents=True) for log in given.with_] or None,
         load=loads or None,
-        link=given.link,
-        frame=given.frame,
         known=given.known or None,
-        description_error=given.description_error,
-        effects=given.effects,
         processing=logs.processing(given),
-        accept=given.accept,
+        **given.chosen("link frame description_error effects accept"),
     )
     if result.status != "optimal":
         complain(f"{given.out} is not written: {result.status}")
@@ -122,12 +118,9 @@ def payload(given: Given) -> None:
         model,
         logs.read(given, given.log, without_effort=absent),
         None if bare is None else logs.read(given, bare, without_effort=absent),
-        frame=given.frame,
-        link=given.link,
         prior=None if given.strength is None else Prior(strength=given.strength),
         separate=given.separate or SEPARATE,
-        level=given.level,
         without_effort=joints,
-        accept=given.accept,
+        **given.chosen("frame link level accept"),
     )
     given.show(result.to_dict(), result.describe())

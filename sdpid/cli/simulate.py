@@ -98,11 +98,8 @@ def _arm(given: Given) -> None:
         model,
         plan,
         theta=true_parameters(robot) if bundled else None,
-        seed=seed,
         drives=load_drives(robot) if bundled else None,
-        unmodeled=given.unmodeled,
-        noise=given.noise,
-        exact=given.exact,
+        **given.chosen("seed unmodeled noise exact"),
     )
     sliding = [name for name, slides in zip(model.joint_names, model.slides, strict=True) if slides]
     notes = [*plan.velocity_report(sliding), *plan.notes, *log.notes]
