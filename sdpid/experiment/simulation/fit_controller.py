@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
-from sdpid.experiment.processing.filters import low_pass, stencil
+from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import require_fixed_base
@@ -417,28 +417,17 @@ def _filtered(log: Recording, cutoff_hz: float) -> dict[str, Array] | None:
         for name, table in channels(log).items()
         if name != "velocity"
     }
-    scheme = stencil("central4")
     smooth = {name: low.apply(table) for name, table in tables.items()}
-
-    def rows(signal: Array) -> Array:
-        """Return every so many rows, without the ends."""
-        margin = edge - (grid.count - len(signal)) // 2
-        return np.ascontiguousarray(signal[margin : len(signal) - margin : stride])
-
-    def each(function: Callable[[Array, float], Array], signal: Array) -> Array:
-        return rows(np.column_stack([function(column, grid.step) for column in signal.T]))
-
-    def rate_of(signal: Array) -> Array:
-        return each(scheme.velocity, signal)
-
     off = smooth["reference"] - smooth["position"]
     sums = np.cumsum(off, axis=0) * grid.step - off * (grid.step / 2.0)
-    return {
-        "position": rows(smooth["position"]),
-        "velocity": rate_of(smooth["position"]),
-        "reference": rows(smooth["reference"]),
-        "reference_velocity": rate_of(smooth["reference"]),
-        "integral": rows(sums),
-        "effort": rows(smooth["effort"]),
-        "effort_rate": rate_of(smooth["effort"]),
+    rates = {name: np.gradient(smooth[name], grid.step, axis=0) for name in smooth}
+    signals = {
+        **smooth,
+        "velocity": rates["position"],
+        "reference_velocity": rates["reference"],
+        "effort_rate": rates["effort"],
+        "integral": sums,
     }
+    # Every so many rows, without the ends.
+    own = slice(edge, grid.count - edge, stride)
+    return {name: np.ascontiguousarray(signal[own]) for name, signal in signals.items()}
