@@ -43,8 +43,7 @@ COLUMNS = (
 )
 CHECKS: tuple[Check, ...] = (
     base_checks.orientation,
-    base_checks.gyroscope,
-    base_checks.accelerometer,
+    base_checks.imu_channels,
     imu_checks.imu,
     feet_checks.feet,
 )

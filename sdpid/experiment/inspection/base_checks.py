@@ -220,11 +220,15 @@ def orientation(subject: Subject) -> Iterator[Finding]:
 
 
 @check
-def unchanging_sensors(subject: Subject) -> Iterator[Finding]:
-    """Find sensors of an IMU that show the same in every row."""
-    imu = None if subject.based is None else subject.based[1].imu
-    for sensor, values in ({} if imu is None else imu.channels).items():
+def imu_channels(subject: Subject) -> Iterator[Finding]:
+    """Find sensors with other axes or units, that measure something else, or never change."""
+    based = subject.based
+    if based is None or (imu := based[1].imu) is None:
+        return
+    compared = {"gyroscope": _gyroscope, "accelerometer": _accelerometer}
+    for sensor, values in imu.channels.items():
         if np.any(np.ptp(values, axis=0)):
+            yield from compared[sensor](based[0], _turns(based[1]), imu, np.asarray(values))
             continue
         shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
         yield found(
@@ -235,23 +239,8 @@ def unchanging_sensors(subject: Subject) -> Iterator[Finding]:
         )
 
 
-def _changing(subject: Subject, sensor: str) -> tuple[Recording, Rotation, Imu, Array] | None:
-    """Return the longest piece, its orientation, its IMU, and a sensor's values, if they change."""
-    based = subject.based
-    if based is None or (imu := based[1].imu) is None:
-        return None
-    values: Array | None = imu.channels.get(sensor)
-    if values is None or not np.any(np.ptp(values, axis=0)):
-        return None
-    return based[0], _turns(based[1]), imu, np.asarray(values)
-
-
-@check
-def gyroscope(subject: Subject) -> Iterator[Finding]:
+def _gyroscope(log: Recording, turns: Rotation, imu: Imu, values: Array) -> Iterator[Finding]:
     """Find a gyroscope with other axes, another unit, or that measures something else."""
-    if (changing := _changing(subject, "gyroscope")) is None:
-        return
-    log, turns, imu, values = changing
     wanted, sensed = _turn_rates(turns, log.step), _window_means(values, log.step)
     own = _unexplained(wanted, sensed @ imu.rotation.T)
     if min(rms(wanted), rms(sensed)) < LEAST_RATE or own <= _MIRROR_SHARE:
@@ -285,12 +274,8 @@ def gyroscope(subject: Subject) -> Iterator[Finding]:
     )
 
 
-@check
-def accelerometer(subject: Subject) -> Iterator[Finding]:
+def _accelerometer(_: Recording, turns: Rotation, imu: Imu, values: Array) -> Iterator[Finding]:
     """Find an accelerometer in g, with other axes, or without gravity."""
-    if (changing := _changing(subject, "accelerometer")) is None:
-        return
-    _, turns, imu, values = changing
     # Means of what each axis of the sensor would be along each of the base's, in the world's axes.
     means = np.einsum("kij,kl->ijl", turns.as_matrix(), values) / len(values)
     mean = np.einsum("ijl,jl->i", means, imu.rotation)

@@ -21,7 +21,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.block_fit import BlockFit, block_fit
-from sdpid.experiment.inspection.delays.dynamic import free_of_contacts
+from sdpid.experiment.inspection.delays.find import free_of_contacts
 from sdpid.experiment.inspection.rows import Rows, smooth_sign
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples

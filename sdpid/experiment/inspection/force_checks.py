@@ -19,7 +19,6 @@ from sdpid.experiment.inspection.block_fit import SURE, block_fit, pooled
 from sdpid.experiment.inspection.explain import ExplainedLog
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
-from sdpid.experiment.recording.floating import Contacts
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
@@ -139,23 +138,18 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
     yield found("total_mass", means=means, share=share, error=error, **weight, **limits)
 
 
-def _felt_up(contacts: Contacts | None, robot: RobotModel | None) -> float | None:
-    """Return the share of all measured force that acts on feet that are said to be up."""
-    measured = None if contacts is None else contacts.measured
-    if contacts is None or contacts.down is None or measured is None:
-        return None
-    size = np.linalg.norm(measured, axis=-1)
-    weight = 0.0 if robot is None else _weight(robot)
-    least = _NOISE * max(float(size.max(initial=0.0)), weight)
-    felt = size * (size > max(3.0 * float(np.percentile(size, 1.0)), least))
-    return float(felt[~contacts.down].sum() / max(float(felt.sum()), 1e-300))
-
-
 @check
 def flags_and_forces(subject: Subject) -> Iterator[Finding]:
     """Find flags that say a foot is up while its force is measured."""
-    up = _felt_up(subject.log.contacts, subject.floating)
-    if up is not None and up >= _UP_SHARE:
+    contacts, robot = subject.log.contacts, subject.floating
+    measured = None if contacts is None else contacts.measured
+    if contacts is None or contacts.down is None or measured is None:
+        return
+    size = np.linalg.norm(measured, axis=-1)
+    largest = max(float(size.max(initial=0.0)), 0.0 if robot is None else _weight(robot))
+    felt = size * (size > max(3.0 * float(np.percentile(size, 1.0)), _NOISE * largest))
+    up = float(felt[~contacts.down].sum() / max(float(felt.sum()), 1e-300))
+    if up >= _UP_SHARE:
         yield found("flags_unlike_forces", share=up, limit=_UP_SHARE)
 
 

@@ -18,8 +18,7 @@ from sdpid.experiment.inspection import (
     force_checks,
     imu_checks,
 )
-from sdpid.experiment.inspection.delays.dynamic import first_scale, free_of_contacts
-from sdpid.experiment.inspection.delays.find import channel_delays
+from sdpid.experiment.inspection.delays.find import channel_delays, first_scale, free_of_contacts
 from sdpid.experiment.inspection.delays.kinematic import lag
 from sdpid.experiment.inspection.explain import ExplainedLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
