@@ -249,21 +249,6 @@ def test_polynomials_are_differentiated_exactly(
         assert abs(found[0] - expected) <= 1e-14 * 8 / step**order + 1e-9 * abs(expected)
 
 
-@settings(max_examples=30, deadline=None)
-@given(
-    name=st.sampled_from(sorted(DEGREES)),
-    factors=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
-    seed=st.integers(0, 99),
-)
-def test_derivatives_are_linear(name: Any, factors: tuple[float, float], seed: int) -> None:
-    how = stencil(name)
-    one, other = np.random.default_rng(seed).standard_normal((2, 60))
-    for act in (how.velocity, how.acceleration):
-        together = act(factors[0] * one + factors[1] * other, 0.1)
-        apart = factors[0] * act(one, 0.1) + factors[1] * act(other, 0.1)
-        np.testing.assert_allclose(together, apart, rtol=0, atol=1e-9)
-
-
 K, JOINTS = 5, 2
 
 

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
 
 import sdpid
 from sdpid.errors import DataError
@@ -256,52 +255,6 @@ def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPat
         assert in_threads(lambda i: i * i, 7) == [i * i for i in range(7)]
         with pytest.raises(ZeroDivisionError):
             in_threads(lambda i: 1 // (i - 3), 7)
-
-
-def test_averaging_first_changes_nothing_but_rounding(tmp_path: Path):
-    """Against every period filtered by SciPy on its own, differentiated, and then averaged."""
-    rate, length, periods, lead = 1000.0, 3000, 5, 1000
-    rng = np.random.default_rng(0)
-    time = np.arange(2 * lead + periods * length) / rate
-    angle = 2 * np.pi * time[:, None] / 3.0 + [0.0, 1.0]
-    log = Recording(
-        time=time,
-        position=np.sin(angle) + 1e-4 * rng.standard_normal(angle.shape),
-        effort=30.0 * np.cos(angle) + rng.standard_normal(angle.shape),
-        period=length / rate,
-        start=lead / rate,
-        periods=periods,
-    )
-    file = tmp_path / "log.parquet"
-    log.to_parquet(file)
-    sections = signal.butter(2, 15.0, fs=rate, output="sos")
-    whole = slice(lead, -lead)
-
-    def folded(values: np.ndarray) -> np.ndarray:
-        return values[whole].reshape(periods, length, JOINTS)[:, ::10]
-
-    smooth = [signal.sosfiltfilt(sections, each, axis=0) for each in (log.position, log.effort)]
-    velocity, acceleration = np.zeros_like(smooth[0]), np.zeros_like(smooth[0])
-    velocity[1:-1] = (smooth[0][2:] - smooth[0][:-2]) * rate / 2
-    acceleration[1:-1] = (smooth[0][2:] - 2 * smooth[0][1:-1] + smooth[0][:-2]) * rate**2
-    torque = folded(smooth[1])
-    change = torque - torque.mean(axis=0)
-    covariance = np.einsum("pki,pkj->kij", change, change) / (periods - 1)
-    # A filter of this cut-off rounds to about 1e-14 of the signal; a difference over a step of
-    # h divides that by h, the second by h². Products of deviations lose what the signal is larger.
-    expected = {
-        "position": (folded(smooth[0]).mean(axis=0), 1e-12),
-        "velocity": (folded(velocity).mean(axis=0), 1e-14 * rate),
-        "acceleration": (folded(acceleration).mean(axis=0), 1e-14 * rate**2),
-        "effort": (torque.mean(axis=0), 1e-12),
-        "covariance": (covariance, 1e-11),
-        "effort_periods": (torque, 1e-12),
-    }
-    for stored_ in (False, True):
-        samples = process(read_recording(file, stored=stored_), Processing(reversal_time=None))
-        for name, (values, tolerance) in expected.items():
-            error = np.abs(getattr(samples, name) - values).max() / np.abs(values).max()
-            assert error < tolerance, name
 
 
 @pytest.mark.parametrize(("noise", "repeats"), [(0.03, True), (0.3, False)])

@@ -204,22 +204,6 @@ def test_defaults():
     assert any("mean of 4 periods of 2000 samples" in note for note in samples.notes)
 
 
-@settings(max_examples=15, deadline=None)
-@given(
-    factors=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
-    seed=st.integers(0, 99),
-    alike=st.booleans(),
-)
-def test_effort_is_processed_linearly(factors: tuple[float, float], seed: int, alike: bool):
-    log = periodic(3, seed=seed, noise=0.1, joints=1)
-    other = np.random.default_rng(seed + 1).standard_normal(log.effort.shape)
-    setting = replace(ALL_ROWS, filter_alike=alike)
-    run = lambda effort: process(replace(log, effort=effort), setting).effort  # noqa: E731
-    together = run(factors[0] * log.effort + factors[1] * other)
-    apart = factors[0] * run(log.effort) + factors[1] * run(other)
-    np.testing.assert_allclose(together, apart, atol=1e-11)
-
-
 @settings(max_examples=10, deadline=None)
 @given(periods=st.integers(1, 5), seed=st.integers(0, 99))
 def test_averaging_and_filtering_commute(periods: int, seed: int):
