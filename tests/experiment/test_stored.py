@@ -118,7 +118,8 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, monkeypatch: pytes
         tracemalloc.stop()
         assert samples.effort_periods is None
     values = 8 * 200 * 100 * (80 - 8) * (1 + 3 * JOINTS)
-    assert peaks[1] - peaks[0] < 0.1 * values
+    # The steps of all stamps: one of seven channels.
+    assert peaks[1] - peaks[0] < 0.2 * values
 
 
 @settings(max_examples=60, deadline=None)
