@@ -28,8 +28,8 @@ from sdpid.errors import CertificateError, DataError, ExportError
 from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.term import Motion
 from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
 from sdpid.robot.inertia import Consistency, margin, matrix_of, physical_parameters, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length, structural_base

@@ -27,9 +27,8 @@ from sdpid.estimation.selection.choose import (
     with_every_term,
     without_terms,
 )
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import FrictionTerm, OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, Motion, OpenParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,

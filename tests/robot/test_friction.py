@@ -15,10 +15,9 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
-from sdpid.robot.friction.term import FrictionTerm, OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, Motion, OpenParameter
 from sdpid.robot.friction.terms import (
     BY_NAME,
     AsymmetricCoulomb,

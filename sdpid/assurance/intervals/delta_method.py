@@ -23,7 +23,7 @@ from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Posterior, spectrum_of
 from sdpid.robot.friction.curve import JointCurve, joint_number
-from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.term import Motion
 from sdpid.robot.inertia import complement, physical_parameters, pseudo_inertia
 
 # What is given of each link, in this order, and its units.

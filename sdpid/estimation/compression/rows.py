@@ -18,7 +18,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion, OfMotion
+from sdpid.robot.friction.term import Motion, OfMotion
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel

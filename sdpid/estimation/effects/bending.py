@@ -10,8 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.effects.choose import Profiled
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, Motion
 
 # Differences are taken this far to either side, relative: the shapes bend over factors of two.
 _STEP = 0.02

@@ -10,8 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, Motion
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 

@@ -29,8 +29,7 @@ from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, Motion
 from sdpid.robot.model.model import RobotModel
 
 # States (position, velocity, acceleration), (K, n) each.

@@ -35,8 +35,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, Motion
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel
 

@@ -12,8 +12,7 @@ from sdpid.excitation.criterion.rows import smoothed
 from sdpid.excitation.standing.jets import Jets
 from sdpid.excitation.standing.stance import Stance, States
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, Motion
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 
 # Bytes of regressors that are made at a time.

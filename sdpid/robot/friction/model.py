@@ -14,8 +14,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm, TermParameter
+from sdpid.robot.friction.term import FrictionTerm, Motion, TermParameter
 from sdpid.robot.friction.terms import BY_NAME
 
 

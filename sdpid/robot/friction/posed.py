@@ -15,10 +15,10 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
+    Motion,
     TermParameter,
     check_speeds,
     smooth_sign,

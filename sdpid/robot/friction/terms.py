@@ -10,13 +10,13 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import (
     SLOWEST,
     EffortCurve,
     FrictionTerm,
     JointwiseTerm,
+    Motion,
     OpenParameter,
     TermParameter,
     check_speeds,

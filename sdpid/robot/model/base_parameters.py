@@ -16,7 +16,7 @@ from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid._common.tables import Shown
 from sdpid.errors import IdentifiabilityError
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.term import Motion
 from sdpid.robot.inertia import PARAMETER_NAMES
 from sdpid.robot.model.model import RobotModel
 

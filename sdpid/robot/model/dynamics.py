@@ -15,9 +15,8 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.friction.curve import JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, Motion
 from sdpid.robot.model.model import RobotModel
 
 # Forward dynamics with friction of the load: friction a tenth of the load shrinks the error tenfold
