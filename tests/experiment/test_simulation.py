@@ -17,10 +17,11 @@ from sdpid._common.arrays import Array
 from sdpid.controllers import PD, PID, ComputedTorque, Controller, P, fit_controller
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.drives import load_drives
+from sdpid.experiment.simulation import arm as arm_module
+from sdpid.experiment.simulation import closed_loop
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
-from sdpid.experiment.simulation.kernels import loops
-from sdpid.experiment.simulation.kernels.layout import memory_for
+from sdpid.experiment.simulation.kernels import linked, loops
 from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
 from sdpid.friction import Coulomb
@@ -136,22 +137,16 @@ def test_accelerations_are_those_of_the_model_with_every_friction() -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
 
 
-def test_the_loops_do_the_same_without_a_compiler() -> None:
+def test_the_loops_do_the_same_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = SimulatedArm.of(rubbing(5))
-    rng = np.random.default_rng(0)
-    q, v, effort = rng.normal(size=(3, 2, 3))
-    M, h = np.empty((2, 3, 3)), np.empty((2, 3))
-    memory = memory_for(arm.arrays)
-    loops.many_dynamics(arm.arrays, memory, q, v, M, h)
-    for found, expected in zip((M, h), arm.mass_and_bias(q, v), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
-    efforts = np.repeat(effort[:, None], 20, axis=1)
-    out, count = np.zeros((2, 2, 21, 3)), np.zeros(2, dtype=np.int64)
-    free, record = np.zeros((2, 3), dtype=np.bool_), np.zeros((2, 0, 0, 3))
-    loops.open_loop(arm.arrays, memory, q, v, efforts, 2e-3, free, record, out, count)
-    position, velocity, steps = arm.run(q, v, efforts, 2e-3)
-    assert (steps == count).all()
-    np.testing.assert_allclose(out, np.stack([position, velocity]), rtol=1e-7, atol=1e-9)
+    q, v, effort = np.random.default_rng(0).normal(size=(3, 2, 3))
+    found = []
+    for entries in (linked.entries, lambda: loops):
+        monkeypatch.setattr(arm_module, "entries", entries)
+        efforts = np.repeat(effort[:, None], 20, axis=1)
+        found.append((*arm.mass_and_bias(q, v), *arm.run(q, v, efforts, 2e-3)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9)
 
 
 def test_smooth_friction_converges_to_scipy_with_second_order() -> None:
@@ -302,6 +297,21 @@ def test_the_motion_is_that_of_scipy(law: Controller) -> None:
     np.testing.assert_allclose(residual, motion.effort, atol=1e-9)
 
 
+@pytest.mark.parametrize("options", [{}, {"control_hz": 500.0, "position_noise": 1e-5}])
+def test_closed_loops_do_the_same_without_a_compiler(
+    options: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = tuple(each[:20] for each in reference(TIMES))
+    inverse = ComputedTorque(model(1.3), np.full(2, 100.0), np.full(2, 20.0))
+    for law in (inverse, PID(KP, KI, KD, effort_limit=np.array([2.0, 1.0]))):
+        found = []
+        for entries in (linked.entries, lambda: loops):
+            monkeypatch.setattr(closed_loop, "entries", entries)
+            found.append(simulate_closed_loop(model(), told, law, rate_hz=RATE, **options))
+        np.testing.assert_allclose(found[1].position, found[0].position, rtol=1e-7, atol=1e-10)
+        np.testing.assert_allclose(found[1].effort, found[0].effort, rtol=1e-5, atol=1e-7)
+
+
 class OwnController(Controller):
     """A law that is not compiled."""
 
@@ -363,15 +373,9 @@ def test_samples_between_steps_lie_on_the_motion() -> None:
 
 
 def test_an_unstable_loop_ends_where_it_diverges() -> None:
-    law = PD([1e6], [0.0])
-    motion = simulate_closed_loop(
-        slider((), ()),
-        np.ones((500, 1)),
-        law,
-        rate_hz=100.0,
-        control_hz=100.0,
-        start=([0.0], [0.0]),
-    )
+    law, told, start = PD([1e6], [0.0]), np.ones((500, 1)), ([0.0], [0.0])
+    options = {"rate_hz": 100.0, "control_hz": 100.0, "start": start}
+    motion = simulate_closed_loop(slider((), ()), told, law, **options)
     assert motion.diverged is not None
     assert len(motion.time) < 500
     assert np.isfinite(motion.position).all()
@@ -448,14 +452,12 @@ def test_the_formulas() -> None:
 def test_bad_gains_and_samples_are_told() -> None:
     refuses(DataError, r"kp is .* give positive numbers", PD, [0.0, 1.0], [1.0, 1.0])
     refuses(DataError, "lengths differ", PD, [1.0, 1.0], [1.0])
-    with pytest.raises(DataError, match="integral is missing"):
-        PID(P_GAIN, I_GAIN, D_GAIN).effort(*np.zeros((4, 3, 2)))
-    with pytest.raises(DataError, match=r"velocity: shape \(2, 2\), expected \(3, 2\)"):
-        PD(P_GAIN, D_GAIN).effort(
-            np.zeros((3, 2)), np.zeros((2, 2)), np.zeros((3, 2)), np.zeros((3, 2))
-        )
-    with pytest.raises(DataError, match="gains of 3 joints, the model"):
-        ComputedTorque(laws()[3].model, np.ones(3), np.ones(3))
+    zero, few = np.zeros((3, 2)), np.zeros((2, 2))
+    refuses(DataError, "integral is missing", PID(P_GAIN, I_GAIN, D_GAIN).effort, *[zero] * 4)
+    words = r"velocity: shape \(2, 2\), expected \(3, 2\)"
+    refuses(DataError, words, PD(P_GAIN, D_GAIN).effort, zero, few, zero, zero)
+    other = laws()[3].model
+    refuses(DataError, "of 3 joints, the model", ComputedTorque, other, np.ones(3), np.ones(3))
     assert repr(sdpid.controllers.PD(P_GAIN, D_GAIN)) == "PD(2 joints, kp 20 to 30, kd 2 to 3)"
 
 
