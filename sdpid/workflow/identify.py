@@ -219,14 +219,14 @@ def identify(
         spoils = spoiling_effort(result, prepared, formulation)
     if spoils is None or spoils.joint is None:
         return replace(result, remedies=tried_remedies(result, prepared, formulation))
+    # Read, and torques by their gains, are the recordings already.
     again = identify(
-        robot,
-        log,
-        validation=validation,
+        prepared.robot,
+        prepared.logs,
+        validation=None if fresh is None else fresh.logs,
         processing=processing,
         without_effort=(*prepared.without_effort, spoils.joint),
         accept=kinds,
-        gains=known,
         intervals=intervals,
         folds=folds,
         rollout=rollout,
