@@ -39,8 +39,8 @@ READING = panel(
         "--mapping FILE|none": "TOML file with names, units and motors. Default: the one beside "
         "the log, run.toml for run.csv; 'none' ignores that too. Other options win over it.",
         "--topic NAME": "Topic of a ROS bag that has several.",
-        "--missing drop|interpolate": "What to do with samples that lack a value: leave them out, "
-        "or interpolate over gaps of at most 10. Default: refuse the log.",
+        "--missing refuse|drop|interpolate": "What to do with samples that lack a value: leave "
+        "them out, or interpolate over gaps of at most 10. Default: refuse the log.",
     },
 )
 

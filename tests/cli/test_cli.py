@@ -422,6 +422,7 @@ def test_samples_without_a_value(tmp_path: Path) -> None:
     first = lines[1].rpartition(",")
     path.write_text("\n".join([lines[0], f"{first[0]},", *lines[2:]]))
     refused(run("info", path, *READ), 2, "line 2", "has no value", "--missing drop|interpolate")
+    refused(run("info", path, *READ, "--missing", "refuse"), 2, "line 2", "has no value")
     facts = told("info", path, *READ, "--missing", "drop")
     assert facts["read_from"]["missing values"] == f"1 of {len(lines) - 1} samples dropped"
 

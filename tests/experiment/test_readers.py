@@ -137,7 +137,7 @@ def test_texts(tmp_path: Path, text: str, words: str):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("log.xyz", r"supported are \.bag, \.csv, \.csv\.gz, \.db3"),
+        ("log.xyz", r"supported are \.bag, \.csv, \.csv\.gz, \.db3.*, folder\."),
         ("absent.npz", "no such file"),
     ],
 )

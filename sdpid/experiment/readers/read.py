@@ -260,9 +260,8 @@ def _format(file: Path) -> Format:
         )
     suffix = suffix_of(file)
     if suffix not in BY_SUFFIX:
-        raise DataError(
-            f"{file}: format '{suffix}' is not known; supported are {', '.join(sorted(BY_SUFFIX))}."
-        )
+        known = ", ".join((*sorted(BY_SUFFIX), "folder"))
+        raise DataError(f"{file}: format '{suffix}' is not known; supported are {known}.")
     if not file.is_file():
         what = "is no regular file" if file.exists() else "there is no such file"
         raise DataError(f"{file}: {what}.")
