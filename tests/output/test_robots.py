@@ -1106,9 +1106,22 @@ class Subclassed(Coulomb):
     """A term that looks like one of ours."""
 
 
-@pytest.mark.parametrize("term", [Own(), Subclassed()])
+class Unwritten(Written):
+    """One without any formula."""
+
+    efforts: ClassVar[Mapping[str, str]] = {}
+
+
+class Misnamed(Own):
+    """One whose formula is of another parameter."""
+
+    efforts: ClassVar[Mapping[str, str]] = {"Other": "{v}"}
+
+
+@pytest.mark.parametrize("term", [Own(), Subclassed(), Unwritten(), Misnamed()])
 def test_terms_of_your_own_are_refused_by_name(term: FrictionTerm, tmp_path: Path) -> None:
-    model, words = model_of(FRICTION_ARM, (term,)), f"{type(term).__name__} is a term of your own"
+    wrong = "has formulas of Other" if isinstance(term, Misnamed) else "is a term of your own"
+    model, words = model_of(FRICTION_ARM, (term,)), f"{type(term).__name__} {wrong}"
     refuses(ExportError, words, write_friction, model, tmp_path / "friction.py")
     assert not list(tmp_path.iterdir())
 

@@ -354,9 +354,17 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
         found: dict[str, Any] = {"term": kind}
         if CLASSES.get(kind) is type(term):
             settings = term_to_dict(term)
-        elif "efforts" in vars(type(term)):
+        elif vars(type(term)).get("efforts"):
             settings = asdict(term) if is_dataclass(term) else {}
             found["efforts"] = dict(term.efforts)
+            stated = {f"{symbol}{k + 1}" for symbol in term.efforts for k in range(n)}
+            if not isinstance(term, Coupling) and stated != {
+                p.name for p in term.parameters(names)
+            }:
+                raise ExportError(
+                    f"friction: {kind} has formulas of {', '.join(term.efforts)}, not of its "
+                    "parameters of each joint; give `efforts` by their symbols."
+                )
         else:
             raise ExportError(
                 f"friction: {kind} is a term of your own without formulas for written code; give "
