@@ -202,7 +202,7 @@ class Recipe:
             return cls._from(given)
         except (SdpidError, TypeError, ValueError, KeyError, AttributeError) as cause:
             raise CertificateError(
-                f"manifest.json: its recipe cannot be followed: {cause}."
+                f"manifest.json: its recipe cannot be followed: {str(cause).rstrip('.')}."
             ) from None
 
     @classmethod
