@@ -23,7 +23,7 @@ from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing import process
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.recording.floating import robots
+from sdpid.experiment.recording import joints
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.grades import graded, grades
 from sdpid.output.report.recording import values
@@ -281,7 +281,7 @@ def test_a_log_is_processed_at_most_four_times_and_its_robot_loaded_once(
 
     # Every call of `process` asks for the pieces of its log.
     count(process, "continuous")
-    count(robots, "load_robot")
+    count(joints, "load_robot")
     log = sdpid.simulate_legged("solo12", "trot", duration=2.0, seed=3).recording
     sdpid.identify("solo12", log)
     assert 1 <= calls["continuous"] <= 4

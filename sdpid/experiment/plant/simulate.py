@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
+from sdpid._common.extras import require
 from sdpid._common.files import read_regular
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
@@ -195,11 +196,14 @@ def controlled(robot: RobotModel, trajectory: Trajectory, theta: Array, drives: 
 
     Raises
     ------
+    MissingExtraError
+        Without a compiler, which 100 s of an arm need to take seconds and not minutes.
     ModelError
         When the base floats, a joint has no motor, or links are no bodies.
     DataError
         When the velocity loop is too fast for the sample rate.
     """
+    require("numba", extra="fast")
     instead = "On its legs, sdpid.simulate_legged simulates it."
     require_fixed_robot(robot, "plant", instead=instead)
     require_open_chain(robot, "plant")
