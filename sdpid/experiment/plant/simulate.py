@@ -129,6 +129,8 @@ def simulate(
 
     Raises
     ------
+    MissingExtraError
+        When the arm is simulated under its controller, without the extra ``fast``.
     DataError
         When joints do not match, theta has the wrong length, or the loop is unstable.
     ModelError
