@@ -317,7 +317,7 @@ def _upward(mean: Array) -> float:
 
 @check
 def base_velocities(subject: Subject) -> Iterator[Finding]:
-    """Find velocities of the base in other axes than said, or in other units."""
+    """Find velocities of the base in other axes than stated, or in other units."""
     if subject.based is None:
         return
     log, base = subject.based
@@ -354,7 +354,7 @@ def base_velocities(subject: Subject) -> Iterator[Finding]:
 
 @check
 def contacts_missing(subject: Subject) -> Iterator[Finding]:
-    """Find a robot that stands or walks, and of which no contact is said to be closed."""
+    """Find a robot that stands or walks while no contact is recorded as closed."""
     if subject.based is None:
         return
     log, _ = subject.based

@@ -12,7 +12,7 @@ from sdpid.experiment.inspection.delays.find import (
     DEVIATIONS,
     LEAST,
     gyroscope_delay,
-    is_told,
+    is_significant,
 )
 from sdpid.experiment.inspection.delays.kinematic import delay_step
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
@@ -179,7 +179,7 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
     else:
         delays, against = gyroscope_delay(log), "the orientation of the base"
     for channel, delay in delays.items():
-        if not is_told(channel, delay):
+        if not is_significant(channel, delay):
             continue
         limit = max(LEAST[channel], DEVIATIONS * delay.error)
         what = (

@@ -1,4 +1,4 @@
-"""Check that feet that are down stand still, on the ground, by the frames and points said."""
+"""Check that feet that are down stand still, on the ground, at the stated frames and points."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _motion(
 def feet(subject: Subject) -> Iterator[Finding]:
     """Find contacts with the flags of other feet, that move, or whose frame or point is elsewhere.
 
-    Of feet with each other's flags nothing else is told.
+    Of feet with each other's flags there is no other finding.
     """
     from scipy.optimize import linear_sum_assignment
 

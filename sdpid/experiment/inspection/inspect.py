@@ -170,7 +170,7 @@ def inspect_recordings(
     name : str, optional
         Messages begin with it and, of several recordings, a number.
     without_effort : iterable of str, optional
-        Joints whose effort is not used: what is wrong with it is not told.
+        Joints whose effort is not used: there are no findings about it.
     total_mass : float, optional
         What a robot with a floating base weighs, kg.
     """
@@ -205,7 +205,7 @@ def _looked_at(
     subject = Subject(view=view, without=without, total_mass=total_mass)
     findings += channel_checks.silent(subject)
     subject = _less(subject, findings)
-    # What a wrong row makes of other channels, and of other joints, is not told.
+    # Rows in which a channel is wrong are left out: other channels and joints would be blamed.
     wrong, subject = channel_checks.wrong_channels(subject)
     findings += wrong
     for each in CHECKS:
@@ -220,7 +220,7 @@ def _looked_at(
 
 
 def _less(subject: Subject, findings: list[Finding]) -> Subject:
-    """Return a subject without efforts of which all is told."""
+    """Return a subject without the efforts that findings exclude from all further checks."""
     joints = {f.joint for f in findings if f.joint and KINDS[f.kind].excuses} - subject.without
     return replace(subject, without=subject.without | joints) if joints else subject
 
@@ -233,7 +233,7 @@ def _told(findings: list[Finding], subject: Subject, without: frozenset[str]) ->
         beside = "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES
         # What stands still and efforts both tell it.
         again = kind == "feet_exchanged" and kind in kinds[:place]
-        # Of an effort that is left out by a finding that finding is told.
+        # The finding by which an effort is left out is kept; others about that effort are not.
         unused = without if KINDS[kind].excuses else subject.without
         of_unused = kind.startswith("effort") and finding.joint in unused
         if not (beside or again or of_unused or explained(finding, findings)):

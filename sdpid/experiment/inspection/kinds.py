@@ -93,13 +93,13 @@ class Kind:
         What it is about, together with other kinds: ``"speed"``, ``"base"``, ``"feet"``,
         ``"late"``, ``"forces"`` or ``"flags"``.
     hides : tuple of str
-        Kinds, and what kinds are about, that it explains and that are not told beside it: of its
-        own joint, or all of them where it is of none. What is a note explains only what is of its
+        Kinds, or subjects (`about`), whose findings it explains, and which are left out beside it:
+        those of its joint, or all of them where it has none. A note explains only findings of its
         joint.
     spoils : bool
         Whether efforts say nothing of what else is wrong, unless it is a note.
     excuses : bool
-        Whether nothing else is told of the effort of its joint.
+        Whether other findings about the effort of its joint are left out.
     leaves_out : bool
         Whether that effort is left out of fits, unless it is accepted.
     final : bool
@@ -182,7 +182,7 @@ def found(
 
 
 def explained(finding: Finding, others: list[Finding]) -> bool:
-    """Return whether another finding explains one, so that it is not told."""
+    """Return whether another finding explains one, so that it is left out."""
     return any(
         {finding.kind, KINDS[finding.kind].about} & {*KINDS[other.kind].hides}
         and (

@@ -38,7 +38,7 @@ class Subject:
     total_mass : float or None
         What the robot weighs, kg, where that is known.
     left_out : tuple of slice
-        Rows in which a channel is wrong, as was told.
+        Rows in which a channel is wrong, by a finding.
     """
 
     view: LogView

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from sdpid._common.progress import progress
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.delays.find import is_told, pooled_delays
+from sdpid.experiment.inspection.delays.find import is_significant, pooled_delays
 from sdpid.experiment.inspection.inspect import (
     inspect_recordings,
     joints_left_out,
@@ -381,7 +381,7 @@ def with_delays(
     reasons = []
     for channel, delay in pooled_delays(each).items():
         field = f"{channel}_delay_s"
-        if field in (given or {}) or not is_told(channel, delay):
+        if field in (given or {}) or not is_significant(channel, delay):
             continue
         value = round(delay.value, _DIGITS)
         count = sum(channel in found for found in each)

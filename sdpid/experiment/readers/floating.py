@@ -27,7 +27,7 @@ def base_of(file: Path, found: Selection, tables: Mapping[str, Array]) -> BaseMo
     file : Path
         For messages.
     found : Selection
-        What the names say, and what was said of ``base`` and ``imu``.
+        Tables by their names, and the settings of ``base`` and ``imu``.
     tables : mapping of (N, m) ndarray
         The values in SI units.
 

@@ -29,7 +29,7 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     "imu": ("translation", "rotation", "topic"),
     "contacts": ("frames", "kind", "offset", "threshold"),
 }
-# Of these, what is said of a base that was held.
+# Of these, the settings of a base that was held.
 _HELD = ("held", "orientation")
 _ORDERS = ("xyzw", "wxyz")
 # Arguments that a mapping does not take.
@@ -75,7 +75,7 @@ class Arguments:
 
     @property
     def floating(self) -> dict[str, dict[str, Any]]:
-        """What is said of the columns of base, IMU and contacts."""
+        """Settings of the columns of base, IMU and contacts."""
         base = {} if "held" in self.base else self.base
         return {"base": base, "imu": self.imu, "contacts": self.contacts}
 
@@ -257,7 +257,7 @@ def _units(name: str, value: Any) -> dict[str, Any]:
 
 
 def _motors(name: str, value: Any) -> MotorSide:
-    """Return what is said of the motors' side."""
+    """Return the conversion from the motors' side."""
     if isinstance(value, MotorSide):
         return value
     _require(isinstance(value, Mapping), name, value, f"a table [{name}]")
@@ -265,7 +265,7 @@ def _motors(name: str, value: Any) -> MotorSide:
 
 
 def _settings(name: str, value: Any) -> dict[str, Any]:
-    """Return what is said of base, IMU or contacts."""
+    """Return the checked settings of base, IMU or contacts."""
     found = _table(name, value, SETTINGS[name])
     if name != "base":
         return found

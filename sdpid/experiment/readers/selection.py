@@ -53,7 +53,7 @@ class Selection:
     left_out : dict
         Why a quantity is left out that seems to be there.
     said : dict
-        What is said of ``base``, ``imu`` and ``contacts``.
+        Settings of ``base``, ``imu`` and ``contacts``, by arguments and file.
     """
 
     tables: dict[str, NDArray[Any]] = field(default_factory=dict)

@@ -195,7 +195,7 @@ class BaseMotion(Sampled):
     angular_velocity : (N, 3) array_like, optional
         rad/s.
     velocity_frame : {"world", "base"}, optional
-        Axes of both velocities; to be said where there is one.
+        Axes of both velocities; required where there is one.
     imu : Imu, optional
         What a sensor on the base measured.
 

@@ -36,7 +36,7 @@ def keep_per_joint(
     signed: Collection[str] = (),
     not_negative: Collection[str] = (),
 ) -> None:
-    """Check fields of a frozen dataclass, one number a joint, positive unless said, and keep them.
+    """Check fields of a frozen dataclass, one number a joint, positive by default, and keep them.
 
     Those that are None are left alone.
     """
@@ -171,7 +171,7 @@ class JointLaw(Controller):
         position, velocity : array_like, shape (K, n)
             What the controller sees.
         reference, reference_velocity : array_like, shape (K, n)
-            What it is told to do.
+            Commanded positions and velocities.
         reference_acceleration : array_like, shape (K, n), optional
             For computed torque.
         integral : array_like, shape (K, n), optional

@@ -2,8 +2,8 @@
 
 A channel that is late by d makes residuals of that equation that are, to first order, d times their
 derivative by the delay. Parameters of links and friction that fit best are taken off both (variable
-projection), and what is left of one is compared with what is left of the other. Contacts are taken
-for closed throughout: forces that flags deny look like delays, and rows without them need no flags.
+projection), and the delay is the ratio of the two residuals. Contacts are taken for closed
+throughout: forces that flags deny look like delays, and rows without them need no flags.
 """
 
 from __future__ import annotations
@@ -357,7 +357,7 @@ def _landings(down: Mask, steps: int) -> list[tuple[int, int]]:
     return found
 
 
-# Delays below these (s) are not told: ...
+# Delays below these (s) are not significant: ...
 LEAST = {"effort": 5e-4, "imu": 5e-4, "base": 1e-3, "contacts": 2e-3}
 # ... nor are those of fewer errors than this, to which these were added (s): what delays of
 # simulated quadrupeds were off by beyond their errors (docs/evidence/legged.md). Those of the pose
@@ -373,8 +373,8 @@ _READ = 20_000
 _LEAST_SAMPLES = 500
 
 
-def is_told(channel: str, delay: Delay) -> bool:
-    """Tell whether a delay is long and sure enough to be told."""
+def is_significant(channel: str, delay: Delay) -> bool:
+    """Return whether a delay is long and sure enough for a finding, and to be taken off."""
     return delay.sure(LEAST[channel], DEVIATIONS)
 
 
@@ -416,7 +416,7 @@ def channel_delays(
     beyond = {name: max(each, _BEYOND_STEPS * log.step) for name, each in _BEYOND.items()}
 
     def corrected(piece: Recording) -> Recording:
-        # What is found next is then off by less than where only what is told were taken off.
+        # The next delay is then off by less than if only the significant ones were taken off.
         likely = {name: d.value for name, d in found.items() if abs(d.value) > d.error}
         return without_delays(piece, likely, likely.values())
 
