@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from sdpid._common.signals import clean_up_when_ended
-from sdpid.cli.endings import Commands
+from sdpid.cli.endings import Command, Commands
 from sdpid.cli.excite import excite
 from sdpid.cli.identify import certify, compare, identify, validate
 from sdpid.cli.info import info, robots
@@ -59,7 +59,7 @@ for command in (
     *(identify, excite, info, robots, validate, compare, compare_runs, simulate, gains, payload),
     *(audit, certify, verify, sample),
 ):
-    app.command()(command)
+    app.command(cls=Command)(command)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import traceback
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from sdpid._common.signals import end_if_signaled
 from sdpid._common.text import printable
@@ -30,8 +30,25 @@ _OPTIONS = {
     "accept": "--accept KIND",
 }
 
+# Stands in help texts for the names of all friction terms.
+TERMS = "{terms}"
+
 # Where a context keeps its arguments.
 _ARGUMENTS = "sdpid.arguments"
+
+
+class Command(TyperCommand):
+    """A command; its help names the friction terms, which ``sdpid --help`` need not load."""
+
+    def make_context(self, *args: Any, **more: Any) -> Any:
+        """Put the names into the help of the options that take friction terms."""
+        for each in self.params:
+            text = getattr(each, "help", None) or ""
+            if TERMS in text:
+                from sdpid.robot.friction.terms import BY_NAME
+
+                each.help = text.replace(TERMS, ", ".join(BY_NAME))  # type: ignore[attr-defined]
+        return super().make_context(*args, **more)
 
 
 class Commands(TyperGroup):

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sdpid.cli.endings import TERMS
 from sdpid.cli.options import Given, panel, rows_of
 from sdpid.errors import DataError
 
@@ -104,11 +105,9 @@ ESTIMATION = (
             "those of left ones by at most this share, such as 20%; 0 for equal ones.",
             "--prior/--no-prior": "Regularize towards the inertias in the robot's description. "
             "Default: with the weighting residual, which logs without periods have.",
-            "--friction TERM ...": "coulomb, coulomb=0.02 (smooth within 0.02 rad/s), coulomb=fit "
-            "(smooth within the speed that fits best), asymmetric_coulomb, viscous, offset, "
-            "rotor_inertia, stribeck, sigmoid, square_root, load, tilt, or coupling=A,B (of two "
-            "joints). Repeat for each term. They replace the default terms; +stribeck adds to "
-            "them.",
+            "--friction TERM ...": f"{TERMS}, or coupling=A,B (of two joints); coulomb=0.02 is "
+            "smooth within 0.02 rad/s, coulomb=fit within the speed that fits best. Repeat for "
+            "each term. They replace the default terms; +stribeck adds to them.",
             "--effects auto|none|A,B,... = auto": "Effects beside the friction terms: those that "
             "the log shows, none, or some of tilt, load, rotor_inertia, coupling, falling.",
             "--weighting gls|gls_per_sample|eq9|eq18|residual": "Weighting of the residuals. "

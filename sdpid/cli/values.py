@@ -78,15 +78,6 @@ def share(text: str, option: str) -> float:
     return value
 
 
-# Friction terms with a speed, and what it is called.
-_SPEEDS = {
-    "coulomb": "width",
-    "asymmetric_coulomb": "width",
-    "stribeck": "velocity",
-    "sigmoid": "velocity",
-}
-
-
 def friction_terms(
     texts: Sequence[str], option: str = "--friction"
 ) -> list[str | FrictionTerm] | None:
@@ -123,11 +114,12 @@ def _term(text: str, option: str) -> str | FrictionTerm:
     if name == "coupling" and value.count(",") == 1:
         first, second = names(value)
         return Coupling(first, second)
-    if name not in _SPEEDS:
+    fields = {name: term.speed_fields[0] for name, term in BY_NAME.items() if term.speed_fields}
+    if name not in fields:
         raise ModelError(
-            f"{option} {text}: takes no value; with one there are coulomb=WIDTH, "
-            "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
-            "fit) and coupling=JOINT,JOINT."
+            f"{option} {text}: takes no value; with one there are "
+            f"{', '.join(f'{each}=SPEED' for each in fields)} (a speed in rad/s, or fit) and "
+            "coupling=JOINT,JOINT."
         )
     speeds = [None] if value == "fit" else numbers(value, f"{option} {name}")
     if len(speeds) != 1:
@@ -135,7 +127,7 @@ def _term(text: str, option: str) -> str | FrictionTerm:
             f"{option} {text}: has {len(speeds)} speeds; give one, which holds for every joint, or "
             "fit, which chooses one for each."
         )
-    return BY_NAME[name](**{_SPEEDS[name]: speeds[0]})
+    return BY_NAME[name](**{fields[name]: speeds[0]})
 
 
 def _beginning(words: Iterable[str], incomplete: str) -> list[str]:

@@ -15,6 +15,7 @@ import pytest
 import sdpid
 from sdpid.cli import endings, printing, values
 from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.robot.friction.terms import BY_NAME
 from tests.helpers.arm_files import ARM_URDF, write_arm
 from tests.helpers.bags import write_bag
 from tests.helpers.commands import ran, refused, run, told
@@ -51,6 +52,11 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]", done.stderr
     for command in ("identify", "compare", "simulate", "verify", "validate", "info"):
         assert command in done.stdout
+
+
+def test_help_names_every_friction_term() -> None:
+    told = ran("identify", "--help").stdout
+    assert [name for name in BY_NAME if name not in told] == []
 
 
 def test_it_runs_as_a_module() -> None:

@@ -40,8 +40,9 @@ from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.friction.terms import BY_NAME, RotorInertia
 from sdpid.robot.inertia import margin, physical_parameters, transform
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.load import load_robot
@@ -54,8 +55,8 @@ Log = Samples | _Recorded | Sequence[_Recorded]
 # Friction changes from run to run. To let it differ hardly widens intervals where
 # it does not change; to take it as common puts the center of mass off by centimeters where it
 # does (docs/evidence/exports.md).
-SEPARATE = (
-    *("coulomb", "viscous", "offset", "asymmetric_coulomb", "stribeck", "sigmoid", "square_root"),
+SEPARATE = tuple(
+    name for name, term in BY_NAME.items() if not issubclass(term, RotorInertia | PosedTerm)
 )
 
 # Friction of samples, of which nothing is known.

@@ -44,7 +44,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, graded, grades
 from sdpid.output.report.kinds import DESCRIBED, STEPS, listed, percent
 from sdpid.output.robots.export_report import ExportErrors, urdf_errors
-from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.friction.terms import BY_NAME, Coupling
 from sdpid.robot.model.model import RobotModel
 
 # Below this share of its effort an error does not matter, whatever its shape: torque sensors and
@@ -56,12 +56,6 @@ _ADDS = 0.01
 
 # Instants along the motion at which mass matrices are looked at: more than a picture shows.
 _INSTANTS = 300
-
-# Classes of terms that describe what every joint has.
-_FRICTION = {
-    "Coulomb": {"Coulomb", "AsymmetricCoulomb", "SigmoidFriction"},
-    "viscous": {"Viscous"},
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -233,9 +227,11 @@ class Subject(Prediction):
     @cached_property
     def missing_friction(self) -> tuple[str, ...]:
         """Which of Coulomb and viscous friction no term describes; none with unknown terms."""
-        if self.terms - {each.__name__ for each in BY_NAME.values()} - {"Coupling"}:
+        terms = self.problem.friction.terms
+        if any(type(term) not in (*BY_NAME.values(), Coupling) for term in terms):
             return ()
-        return tuple(kind for kind, classes in _FRICTION.items() if not self.terms & classes)
+        described = {term.describes for term in terms}
+        return tuple(kind for kind in ("Coulomb", "viscous") if kind not in described)
 
     @cached_property
     def speeds(self) -> Array:

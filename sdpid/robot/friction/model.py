@@ -48,8 +48,7 @@ class FrictionModel:
         Parameters
         ----------
         terms : iterable of str or FrictionTerm
-            Names are coulomb, viscous, offset, asymmetric_coulomb, rotor_inertia, stribeck,
-            sigmoid, square_root, load, tilt.
+            Names are those of `BY_NAME`.
         joint_names : sequence of str
             The robot's velocity coordinates.
         first : int, optional

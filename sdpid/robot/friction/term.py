@@ -257,6 +257,9 @@ class FrictionTerm(ABC):
         numbers that the data choose, one a joint.
     slowest : float or None
         Slowest speed that is searched for open fields, rad/s; None leaves it to the data.
+    describes : str
+        Which friction that every joint has it describes, ``"Coulomb"`` or ``"viscous"``, else
+        ``""``: reports say what no term describes.
     curve : bool
         Whether dry friction and damping stand in for it in files that have room for these alone.
     efforts : mapping of str to str
@@ -277,6 +280,7 @@ class FrictionTerm(ABC):
     posed: ClassVar[bool] = False
     speed_fields: ClassVar[tuple[str, ...]] = ()
     slowest: ClassVar[float | None] = None
+    describes: ClassVar[str] = ""
     curve: ClassVar[bool] = False
     efforts: ClassVar[Mapping[str, str]] = {}
 

@@ -72,6 +72,7 @@ class Coulomb(_SignTerm):
     >>> smooth = sdpid.build_problem(robot, samples, friction=terms)
     """
 
+    describes: ClassVar[str] = "Coulomb"
     symbol: ClassVar[str] = "Fs"
     efforts: ClassVar[Mapping[str, str]] = {"Fs": "{sign}"}
 
@@ -98,6 +99,7 @@ class Viscous(JointwiseTerm):
     array([[-0.5,  0. ,  2. ]])
     """
 
+    describes: ClassVar[str] = "viscous"
     symbol: ClassVar[str] = "Fv"
     efforts: ClassVar[Mapping[str, str]] = {"Fv": "{v}"}
     unit: ClassVar[str] = "N.m.s/rad"
@@ -311,6 +313,7 @@ class SigmoidFriction(JointwiseTerm):
     """
 
     velocity: Speed = None
+    describes: ClassVar[str] = "Coulomb"
     symbol: ClassVar[str] = "Fsg"
     efforts: ClassVar[Mapping[str, str]] = {"Fsg": "tanh({v} / {velocity!r})"}
     unit: ClassVar[str] = "N.m"
@@ -358,6 +361,7 @@ class AsymmetricCoulomb(FrictionTerm):
 
     width: Speed = 0.0
     dead_zone: float = 0.0
+    describes: ClassVar[str] = "Coulomb"
     efforts: ClassVar[Mapping[str, str]] = {"Fsp": "ahead({sign})", "Fsn": "back({sign})"}
     curve: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("width",)
