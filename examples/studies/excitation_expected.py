@@ -30,8 +30,8 @@ from simulated_logs import described, perturbed
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
-from sdpid._common.jobs import parallel
 from sdpid._common.tables import Table
+from sdpid._common.threads import parallel
 from sdpid.assurance.intervals.delta_method import friction_curve
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource

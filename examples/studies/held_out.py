@@ -35,8 +35,7 @@ from sdpid._common.arrays import Mask
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.preparation.default_friction import default_friction
-from sdpid.experiment.preparation.prepare import chosen_processing, samples_of
+from sdpid.experiment.preparation.prepare import chosen_processing, default_friction, samples_of
 
 # De Luca's gains of another UR10, N·m/A (docs/evidence/data.md).
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)

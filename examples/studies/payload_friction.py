@@ -24,8 +24,7 @@ from simulated_logs import Truth, drawn, log_of, other_log
 
 import sdpid
 from sdpid._common.tables import Table
-from sdpid.experiment.preparation.default_friction import default_friction
-from sdpid.experiment.preparation.prepare import samples_of
+from sdpid.experiment.preparation.prepare import default_friction, samples_of
 from sdpid.robot.inertia import theta_from_physical
 
 ROBOTS = ("ur10", "panda", "denso")

@@ -33,8 +33,7 @@ from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.default_friction import SMOOTH, default_friction
-from sdpid.experiment.preparation.prepare import samples_of
+from sdpid.experiment.preparation.prepare import SMOOTH, default_friction, samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency, margin
 

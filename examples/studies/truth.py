@@ -26,8 +26,8 @@ from simulated_logs import ROBOTS, Conditions, Truth, drawn, log_of, there
 
 import sdpid
 from sdpid._common.files import atomic_write_text
-from sdpid._common.jobs import parallel
 from sdpid._common.tables import Table
+from sdpid._common.threads import parallel
 from sdpid.assurance.intervals.delta_method import friction_curve
 
 # Speeds at which friction curves are compared, rad/s, on joints that reach them and whose Coulomb

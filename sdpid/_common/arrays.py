@@ -1,8 +1,8 @@
-"""Array arguments: converted once, checked once, then read-only."""
+"""Arrays and seeds as arguments: converted once, checked once, then read-only."""
 
 from __future__ import annotations
 
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -106,3 +106,20 @@ def rotation_matrices(quaternions: Array) -> Array:
     out[:, 0, 2], out[:, 2, 0] = 2.0 * (x * z + y * w), 2.0 * (x * z - y * w)
     out[:, 1, 2], out[:, 2, 1] = 2.0 * (y * z - x * w), 2.0 * (y * z + x * w)
     return out
+
+
+def generator(seed: Any) -> np.random.Generator:
+    """Return the random generator of a seed; a generator is returned as it is.
+
+    Raises
+    ------
+    DataError
+        When the seed is no whole number from 0 on.
+    """
+    if isinstance(seed, np.random.Generator):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise DataError(
+            f"seed: is {seed!r}; give a whole number from 0 on, or a numpy.random.Generator."
+        )
+    return np.random.default_rng(int(seed))

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all; known, when they were read, by their SHA-256."""
+"""Files: written whole or not at all; known, when they were read, by their SHA-256; their text."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import hashlib
 import os
 import secrets
 import sys
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -231,3 +232,28 @@ def hashed(path: Path) -> dict[str, Any]:
             digest.update(block)
             size += len(block)
     return {"size": size, "sha256": digest.hexdigest()}
+
+
+# Characters that a terminal obeys instead of showing: controls (escape sequences begin with one),
+# format characters (they reverse the order of a line, or have no width), line and paragraph
+# separators, and halves of surrogate pairs.
+_OBEYED = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs"})
+
+_REPLACEMENT = "\ufffd"
+
+
+def printable(text: str, *, keep: str = "") -> str:
+    """Return text with every character that a terminal would obey replaced by U+FFFD.
+
+    Parameters
+    ----------
+    text : str
+        The text to print.
+    keep : str, optional
+        Characters that stay, such as line ends in text of several lines.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        c if c in keep or unicodedata.category(c) not in _OBEYED else _REPLACEMENT for c in text
+    )

@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sdpid._common.files import atomic_write_text
-from sdpid._common.text import printable
+from sdpid._common.files import atomic_write_text, printable
 
 # Characters of a value, and of all settings together.
 _VALUE, _LINE = 40, 120

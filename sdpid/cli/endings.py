@@ -10,8 +10,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from sdpid._common.files import printable
 from sdpid._common.signals import end_if_signaled
-from sdpid._common.text import printable
 from sdpid.errors import IdentifiabilityError, InfeasibleError, SdpidError, SolverError
 
 # Exit statuses.

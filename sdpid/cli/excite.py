@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from sdpid._common.text import printable
+from sdpid._common.files import printable
 from sdpid.cli.commands import command, config_text
 from sdpid.cli.endings import NO_ANSWER, command_line, complain
 from sdpid.cli.options import Given, panel

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sdpid._common.text import printable
+from sdpid._common.files import printable
 from sdpid.cli.commands import command
 from sdpid.cli.endings import NO_ANSWER, OURS, complain
 from sdpid.cli.options import Given, panel

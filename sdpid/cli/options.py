@@ -20,8 +20,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from sdpid._common.files import require_other_files
-from sdpid._common.text import printable
+from sdpid._common.files import printable, require_other_files
 from sdpid.cli.values import KINDS, ValueKind
 from sdpid.errors import DataError, ExportError
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from sdpid._common.text import printable
+from sdpid._common.files import printable
 
 if TYPE_CHECKING:
     from sdpid.assurance.diagnostics.validation import Validation

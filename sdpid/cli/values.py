@@ -92,7 +92,7 @@ def friction_terms(
     ModelError
         When a term takes no value, or another number of them, or only some begin with +.
     """
-    from sdpid.experiment.preparation.default_friction import DEFAULT
+    from sdpid.experiment.preparation.prepare import DEFAULT
 
     terms = [_term(text.removeprefix("+"), option) for text in texts]
     added = [text for text in texts if text.startswith("+")]

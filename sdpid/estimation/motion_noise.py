@@ -32,8 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, Mask, generator
 from sdpid.errors import DataError
 from sdpid.estimation.compression.factor import compressed
 from sdpid.estimation.compression.rows import RowSource

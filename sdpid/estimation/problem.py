@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.files import printable
 from sdpid._common.tables import Shown
-from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, WEIGHTINGS, Weighting, pooled

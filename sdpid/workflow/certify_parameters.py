@@ -26,7 +26,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.output.tables.parameters_file import read_parameters
-from sdpid.robot.description.level import without_level
+from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

@@ -9,10 +9,10 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from sdpid._common.jobs import parallel
+from sdpid._common.arrays import generator
 from sdpid._common.progress import progress
-from sdpid._common.seeds import generator
 from sdpid._common.tables import Shown, Table
+from sdpid._common.threads import parallel
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate

@@ -20,11 +20,11 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.default_friction import friction_of
 from sdpid.experiment.preparation.prepare import (
     Logs,
     Prepared,
     ProcessingOf,
+    friction_of,
     prepare,
 )
 from sdpid.experiment.recording.joints import robot_of

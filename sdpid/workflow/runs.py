@@ -17,7 +17,7 @@ from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import OURS
 from sdpid.errors import DataError
 from sdpid.output.tables.parameters_file import parameters_dict
-from sdpid.robot.description.level import without_level
+from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.stored import term_from_dict

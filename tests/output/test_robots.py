@@ -27,7 +27,7 @@ from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import CertificateError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.preparation.default_friction import SMOOTH
+from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.friction import (
     AsymmetricCoulomb,
     Coulomb,
@@ -53,7 +53,7 @@ from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
-from sdpid.robot.description.level import without_level
+from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import parse_xml, undeclared, xml_text
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm

@@ -28,7 +28,7 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.output.robots import friction_files
 from sdpid.output.robots.friction_files import WRITERS
 from sdpid.output.tables.parameter_tables import base_table, theta_table
-from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.workflow.certify_parameters import GivenParameters, certify_parameters, read_given
 from sdpid.workflow.replay.compare import text_differences
 from sdpid.workflow.verify import Verification

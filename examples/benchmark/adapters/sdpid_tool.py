@@ -49,7 +49,7 @@ def defaults(task: Task) -> Answer:
     log = sdpid.Recording(**task.log, joint_names=task.joints)
     given: dict[str, Any] = {}
     if task.wrist:
-        from sdpid.experiment.preparation.default_friction import default_friction
+        from sdpid.experiment.preparation.prepare import default_friction
 
         given["friction"] = (*default_friction(log), *_terms(task))
     result = sdpid.identify(_robot(task), log, intervals=False, **given)

@@ -30,8 +30,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression import distributed_rows
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.default_friction import default_friction
-from sdpid.experiment.preparation.prepare import samples_of
+from sdpid.experiment.preparation.prepare import default_friction, samples_of
 from sdpid.experiment.processing.choose import default_processing
 
 ROBOT = "denso_vp6242"

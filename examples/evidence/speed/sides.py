@@ -37,7 +37,7 @@ def sdpid_job(everything: bool) -> Job:
     import sdpid
 
     def job(log_file: str, robot_file: str) -> None:
-        from sdpid.experiment.preparation.default_friction import default_friction
+        from sdpid.experiment.preparation.prepare import default_friction
         from sdpid.workflow.formulate import formulate
         from sdpid.workflow.identify import identify
 

@@ -32,8 +32,7 @@ def job(file: str) -> dict[str, Any]:
     from sdpid.estimation.problem import build_problem
     from sdpid.estimation.sdp.solve import solve_sdp
     from sdpid.estimation.wls import solve_wls
-    from sdpid.experiment.preparation.default_friction import default_friction
-    from sdpid.experiment.preparation.prepare import samples_of
+    from sdpid.experiment.preparation.prepare import default_friction, samples_of
     from sdpid.experiment.readers.read import read_recording
     from sdpid.output.robots.urdf import write_urdf
     from sdpid.robot.model.load import load_robot

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.estimation.compression.rows import motion_of
-from sdpid.experiment.preparation.default_friction import SMOOTH
+from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm

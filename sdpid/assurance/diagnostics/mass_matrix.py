@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator
 from sdpid._common.tables import Shown, plain
 from sdpid.errors import DataError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic

@@ -38,10 +38,14 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import transform
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
+from sdpid.robot.model.arms import (
+    carrying_link,
+    frame_on_link,
+    require_fixed_robot,
+    require_open_chain,
+)
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
 # Starts of the search beside the rough gains, and the spread of their logarithms.
 _STARTS, _SPREAD = 12, 0.7

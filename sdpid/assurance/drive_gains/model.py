@@ -26,8 +26,12 @@ from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
-from sdpid.experiment.preparation.default_friction import SMOOTH, friction_of
-from sdpid.experiment.preparation.prepare import ProcessingOf, chosen_processing
+from sdpid.experiment.preparation.prepare import (
+    SMOOTH,
+    ProcessingOf,
+    chosen_processing,
+    friction_of,
+)
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing

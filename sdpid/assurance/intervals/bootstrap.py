@@ -21,9 +21,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
-from sdpid._common.jobs import parallel
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator
+from sdpid._common.threads import parallel
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.jobs import parallel
+from sdpid._common.threads import parallel
 from sdpid.assurance.intervals.level import Level
 from sdpid.assurance.intervals.parameters import (
     FROM_DATA,

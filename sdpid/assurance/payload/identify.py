@@ -27,8 +27,8 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.inspection.kinds import Finding
-from sdpid.experiment.preparation.default_friction import friction_of
 from sdpid.experiment.preparation.prepare import (
+    friction_of,
     joints_without,
     prepare,
     read_logs,
@@ -44,10 +44,14 @@ from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import BY_NAME, RotorInertia
 from sdpid.robot.inertia import margin, physical_parameters, transform
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
+from sdpid.robot.model.arms import (
+    carrying_link,
+    frame_on_link,
+    require_fixed_robot,
+    require_open_chain,
+)
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
 _Recorded = Recording | str | os.PathLike[str]
 Log = Samples | _Recorded | Sequence[_Recorded]

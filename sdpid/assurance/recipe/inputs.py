@@ -14,7 +14,7 @@ from sdpid._common.tables import plain
 from sdpid.experiment.recording.columns import base_columns, base_metadata
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
-from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.model import RobotModel
 
 

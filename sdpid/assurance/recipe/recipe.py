@@ -21,7 +21,7 @@ from sdpid.experiment.readers.mapping import Arguments
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.model import RobotModel
 
 # Weightings with a covariance for each sample: it comes from the log's periods, as do the rows.

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, Mask, frozen, generator
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.held_out import (

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, frozen
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, Indices, frozen, generator
 from sdpid._common.tables import Shown
 from sdpid._common.threads import one_thread
 from sdpid.assurance.sampling.density import Density

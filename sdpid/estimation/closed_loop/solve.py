@@ -32,7 +32,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.terms import Coupling
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot
+from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Method = Literal["didim", "closed_loop"]

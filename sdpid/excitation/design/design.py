@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.information import UNDETERMINED, Excitation
 from sdpid.estimation.prior.prior import Prior
@@ -35,7 +34,7 @@ from sdpid.excitation.search.starts import random_start
 from sdpid.excitation.search.steps import counted_steps
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.contacts.open_chain import require_open_chain
+from sdpid.robot.model.arms import require_open_chain
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 

@@ -10,8 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, generator, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.information import Excitation
 from sdpid.estimation.prior.prior import Prior
@@ -38,7 +37,7 @@ from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot
+from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
 Motion = Literal["spline", "fourier", "postures", "one_by_one"]

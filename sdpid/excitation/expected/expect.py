@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator
 from sdpid._common.threads import one_thread
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending

@@ -28,7 +28,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.excitation.criterion.belief import default_prior
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
 from sdpid.excitation.criterion.nominal import nominal_theta
-from sdpid.experiment.preparation.default_friction import friction_of
+from sdpid.experiment.preparation.prepare import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, Indices, Mask, generator
 from sdpid.errors import ModelError
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.reach import way

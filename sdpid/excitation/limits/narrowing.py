@@ -18,7 +18,7 @@ from sdpid.excitation.limits.joint_limits import (
     unit_of,
 )
 from sdpid.excitation.limits.resting import able_to_rest, check_rest
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot
+from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 

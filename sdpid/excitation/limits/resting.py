@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import DESCRIBED, JointLimits, unit_of
 from sdpid.robot.model.model import RobotModel

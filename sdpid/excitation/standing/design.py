@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.noise import Given

@@ -8,8 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, generator
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import prior_information

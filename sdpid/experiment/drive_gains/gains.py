@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array, require_probability
-from sdpid._common.files import Source, atomic_write_text, load_toml
+from sdpid._common.files import Source, atomic_write_text, load_toml, printable
 from sdpid._common.tables import Table, facts_html, plain
-from sdpid._common.text import printable
 from sdpid.errors import DataError
 
 # An eigenvalue of a covariance below minus this share of the largest is no rounding.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import generator
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.paper import filled, quiet_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot
+from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
 # Joints use this part of their range, about its middle, and no more than this to either side (rad,

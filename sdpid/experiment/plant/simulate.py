@@ -10,11 +10,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array, generator, real_array
 from sdpid._common.extras import require
 from sdpid._common.files import read_regular
 from sdpid._common.progress import progress as progress_bar
-from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.drives import (
@@ -34,7 +33,7 @@ from sdpid.experiment.simulation.controllers import P
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_robots
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
+from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sdpid._common.text import printable
+from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES, SINGLE, UNITS, split_unit
 from sdpid.experiment.readers.table import NoNumbersError, Table

@@ -17,8 +17,8 @@ from sdpid._common.arrays import (
     real_array,
     rotation_matrices,
 )
+from sdpid._common.files import printable
 from sdpid._common.tables import Table, facts_html
-from sdpid._common.text import printable
 from sdpid.errors import DataError
 
 T = TypeVar("T", bound="Sampled")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.text import printable
+from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed

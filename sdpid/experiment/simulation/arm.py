@@ -17,7 +17,7 @@ from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm, Tilt
 from sdpid.robot.friction.term import simulated_curves
-from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
+from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Numba compiles for writable C-contiguous arrays of doubles.

@@ -10,8 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, real_array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator, real_array
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, generator
 from sdpid._common.files import load_toml
-from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.trajectory import Trajectory, connection_points

@@ -20,7 +20,7 @@ from sdpid.output.report.grades import Grade
 from sdpid.output.report.kinds import GOES, LEVELS, percent
 from sdpid.output.report.subject import NEGLIGIBLE, Judged, Subject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings
-from sdpid.robot.description.level import LINK
+from sdpid.robot.description.urdf import LINK
 from sdpid.robot.friction.stored import CLASSES
 
 # What readers and processing made of the recordings, beside what is wrong with them.

@@ -23,7 +23,7 @@ from sdpid.assurance.diagnostics.described import described_coulomb, efforts_of_
 from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.default_friction import SMOOTH
+from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import Tilt

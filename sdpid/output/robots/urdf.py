@@ -25,8 +25,14 @@ from sdpid.output.robots.written_bodies import (
 )
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
 from sdpid.robot.description.inertials import Inertial
-from sdpid.robot.description.level import LINK, base_turn, stand_on_level, without_level
-from sdpid.robot.description.urdf import check_urdf, written_values
+from sdpid.robot.description.urdf import (
+    LINK,
+    base_turn,
+    check_urdf,
+    stand_on_level,
+    without_level,
+    written_values,
+)
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
 

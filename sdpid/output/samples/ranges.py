@@ -25,9 +25,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array, Mask, generator
 from sdpid._common.files import atomic_write_text
-from sdpid._common.seeds import generator
 from sdpid._common.tables import Shown, Table, json_text, plain_dict
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import FEASIBLE

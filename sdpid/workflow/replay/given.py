@@ -16,10 +16,10 @@ from sdpid.experiment.preparation.prepare import Logs
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.description.catalog import bundled_robots, example_robots
-from sdpid.robot.description.level import without_level
+from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xacro import is_xacro
 from sdpid.robot.description.xml import read_description
-from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier import certificate, manifest

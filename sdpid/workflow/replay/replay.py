@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.files import printable
 from sdpid._common.progress import progress
 from sdpid._common.tables import changed
-from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import problem_dict
 from sdpid.assurance.certificate.rows_digest import rows_digest

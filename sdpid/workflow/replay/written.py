@@ -28,7 +28,6 @@ from sdpid.output.tables.parameters_file import parameters_dict
 from sdpid.robot.description.xml import decode_xml
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
-from sdpid.robot.model.digest import close
 from sdpid.verifier import certificate
 from sdpid.verifier.exact import product
 from sdpid.verifier.reading import parse, read_bytes, text
@@ -322,3 +321,11 @@ def _computed(
     yield "friction", every.columns(v, none) @ values, code["friction"](v)
     yield "effort of drives", every.columns(none, a) @ values - rest, code["drive_inertia"](a)
     yield "friction of the load", held, code["load_friction"](v, load)
+
+
+def close(found: Array, wanted: Array, within: float) -> bool:
+    """Return whether arrays are the same to a share of their size, at least one."""
+    if found.shape != wanted.shape:
+        return False
+    off = np.abs(found - wanted) <= within * np.maximum(np.abs(wanted), 1.0)
+    return bool(np.all(off | (found == wanted)))

@@ -12,9 +12,14 @@ from scipy import signal
 
 import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.default_friction import default_friction, friction_of
 from sdpid.experiment.preparation.overview import gaps
-from sdpid.experiment.preparation.prepare import chosen_processing, prepare, samples_of
+from sdpid.experiment.preparation.prepare import (
+    chosen_processing,
+    default_friction,
+    friction_of,
+    prepare,
+    samples_of,
+)
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing import pipeline
 from sdpid.experiment.processing.choose import default_processing

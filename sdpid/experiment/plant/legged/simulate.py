@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, real_array
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, frozen, generator, real_array
 from sdpid._common.tables import Shown
 from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.motions import LEAD, follow, plan_motion

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen, frozen_view
-from sdpid._common.seeds import generator
+from sdpid._common.arrays import Array, Mask, frozen, frozen_view, generator
 from sdpid.errors import DataError
 from sdpid.experiment.plant.drives import check_bodies
 from sdpid.robot.friction.terms import Coulomb, Stribeck

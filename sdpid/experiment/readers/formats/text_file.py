@@ -21,8 +21,8 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from sdpid._common.files import printable
 from sdpid._common.sandbox import memory_limit
-from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import unit_of
 from sdpid.experiment.readers.table import NoNumbersError, Table
