@@ -151,21 +151,6 @@ FEATURES = (
 )
 FACES = ("sdpid.cli", "sdpid.workflow")
 
-# Names of classes that are used more than once, a leading underscore left out. Each is to be
-# renamed or joined with the other; the list only shrinks.
-USED_TWICE = {
-    "Finding",
-    "Measure",
-    "Motion",
-    "Plan",
-    "Rows",
-    "States",
-    "Subject",
-    "Table",
-}
-# In these rooms no class has the name of another one of the package.
-ROOMS_OF_OWN_NAMES = ("estimation", "assurance", "verifier")
-
 # Code lines that each room and sub-package may have, lowered by `.ci/budgets`.
 BUDGETS = Path(__file__).with_name("budgets.toml")
 
@@ -371,10 +356,7 @@ def test_no_two_classes_have_the_same_name() -> None:
             if isinstance(node, ast.ClassDef):
                 found[node.name.lstrip("_")].append(name)
     twice = {name: modules for name, modules in found.items() if len(modules) > 1}
-    assert {name: twice[name] for name in twice.keys() - USED_TWICE} == {}, "rename one, or join"
-    assert USED_TWICE - twice.keys() == set(), "no longer used twice: leave out of USED_TWICE"
-    kept = {n: m for n, m in twice.items() if {room(each) for each in m} & {*ROOMS_OF_OWN_NAMES}}
-    assert kept == {}, "names in these rooms are their own"
+    assert twice == {}, "rename one, or join"
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="tomllib came with Python 3.11")

@@ -35,7 +35,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
-from sdpid.experiment.plant.legged.truth import DryFriction, Motion, changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
 
 THREE = ("stand", "trot", "hang")
 # The motions of each robot; the second is its gait.
@@ -101,10 +101,10 @@ class Walker:
         return {motion: self.run(motion) for motion in (*ROBOTS[self.name], "walk")}
 
     @cached_property
-    def walk(self) -> tuple[Motion, Array]:
+    def walk(self) -> tuple[TrueMotion, Array]:
         """The walk as it was, some of its samples, and their true efforts without the ground's."""
         whole = self.runs["walk"].motion
-        motion = Motion(**{key: value[::STRIDE] for key, value in vars(whole).items()})
+        motion = TrueMotion(**{key: value[::STRIDE] for key, value in vars(whole).items()})
         needed = self.robot.inverse_dynamics(
             self.theta[: 10 * self.robot.n_links].reshape(-1, 10),
             motion.position,

@@ -27,7 +27,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
-from sdpid.experiment.plant.legged.truth import Motion
+from sdpid.experiment.plant.legged.truth import TrueMotion
 from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.legs.find import find_legs
@@ -58,7 +58,7 @@ class Beside:
         self._rotor = run.theta[10 * self.robot.n_links + 24 :]
         self._evaluate(built, run.motion)
 
-    def _evaluate(self, built: LeggedModel, motion: Motion) -> None:
+    def _evaluate(self, built: LeggedModel, motion: TrueMotion) -> None:
         """Ask MuJoCo for accelerations and contact forces in states of a motion."""
         picked = slice(None, None, STRIDE)
         q, v = motion.position[picked], motion.velocity[picked]

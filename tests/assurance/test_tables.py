@@ -29,7 +29,7 @@ from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import Motion
+from sdpid.robot.friction.term import SampledMotion
 from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
 from sdpid.robot.inertia import Consistency, margin, matrix_of, physical_parameters, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length, structural_base
@@ -343,7 +343,7 @@ def test_a_table_with_effects_is_audited_by_the_description(tmp_path: Path) -> N
     posed = (Coulomb(), Viscous(), LoadFriction(bodies), Tilt(bodies))
     model = FrictionModel.from_terms(posed, robot.joint_names)
     q, v, a = random_states(rng, robot.n, 150)
-    motion = Motion(position=q, velocity=v, acceleration=a, robot=robot)
+    motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=robot)
     values = np.repeat([2.0, 1.0, 0.1, 0.02], [6, 6, 6, 2])
     effort = robot.inverse_dynamics(links_, q, v, a) + model.columns_in(motion) @ values
     effort += 0.05 * rng.standard_normal(effort.shape)

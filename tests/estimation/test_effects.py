@@ -28,7 +28,7 @@ from sdpid.estimation.selection.choose import (
     without_terms,
 )
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import FrictionTerm, Motion, OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
@@ -252,7 +252,7 @@ def test_derivatives_are_those_of_the_shape() -> None:
     problem, values = saturating(np.random.default_rng(1)), SATURATED[20:]
     found = Bending.of(problem.friction, problem.origin.profiled, values)
     v = np.linspace(-2.0, 2.0, 30)[:, None] * np.ones(2)
-    motion = Motion(position=v, velocity=v, acceleration=v, robot=ARM)
+    motion = SampledMotion(position=v, velocity=v, acceleration=v, robot=ARM)
     speeds = np.array([each.value for each in problem.origin.profiled])
     # d(tanh(v/w))/d(log w) = -(v/w)·sech²(v/w)
     ratio = v / speeds
@@ -342,7 +342,7 @@ def logged(*effects: str, seed: int = 1, count: int = 400, color: float = 0.0) -
     """Return samples of the arm with effects, and noise that remembers a share of itself."""
     rng = np.random.default_rng(seed)
     q, v, a = random_states(rng, ARM4.n, count)
-    motion = Motion(position=q, velocity=v, acceleration=a, robot=ARM4)
+    motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=ARM4)
     effort = ARM4.inverse_dynamics(LINKS.ravel(), q, v, a)
     effort += 0.3 * np.sign(v) + 0.2 * v + 0.1
     for name in effects:
@@ -428,7 +428,7 @@ def test_the_columns_are_those_of_the_estimate() -> None:
     assert term.bodies is not None
     moved = Tilt(tuple(tuple(map(float, b)) for b in estimate.theta[:40].reshape(4, 10)))
     q, v, a = random_states(np.random.default_rng(0), 4, 50)
-    motion = Motion(position=q, velocity=v, acceleration=a, robot=ARM4)
+    motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=ARM4)
     before, after = (t.columns_in(motion, ARM4.joint_names) for t in (term, moved))
     # What is left of it is far below the noise.
     change = (after - before) @ np.radians([1.5, -0.5])

@@ -18,7 +18,7 @@ from sdpid.excitation.standing.design import _narrowed, _rows
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.rows import StandingRows
-from sdpid.excitation.standing.stance import Stance, States
+from sdpid.excitation.standing.stance import Stance, StanceStates
 from sdpid.excitation.standing.task import _joints
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.processing.contact_samples import ContactSamples
@@ -151,7 +151,7 @@ def coordinates(stance: Stance, order: int, time: Array) -> Array:
     return np.asarray(size * rate**order * np.sin(angle))
 
 
-def states(stance: Stance) -> tuple[States, list[Array]]:
+def states(stance: Stance) -> tuple[StanceStates, list[Array]]:
     x = [coordinates(stance, order, np.linspace(0.0, 1.0, K)) for order in range(3)]
     return stance.states(stance.poses(x[0]), x[1], x[2]), x
 

@@ -17,7 +17,7 @@ from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
-from sdpid.robot.friction.term import FrictionTerm, Motion, OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
 from sdpid.robot.friction.terms import (
     BY_NAME,
     AsymmetricCoulomb,
@@ -80,12 +80,12 @@ def bodies_of(robot: sdpid.RobotModel, seed: int) -> tuple[tuple[float, ...], ..
     return tuple(map(tuple, random_links(np.random.default_rng(seed), robot.n_links).tolist()))
 
 
-def motion_of(robot: sdpid.RobotModel, seed: int, count: int = 20) -> Motion:
+def motion_of(robot: sdpid.RobotModel, seed: int, count: int = 20) -> SampledMotion:
     q, v, a = random_states(np.random.default_rng(seed), robot.n, count)
-    return Motion(position=q, velocity=v, acceleration=a, robot=robot)
+    return SampledMotion(position=q, velocity=v, acceleration=a, robot=robot)
 
 
-def efforts(robot: sdpid.RobotModel, motion: Motion, bodies: object) -> Array:
+def efforts(robot: sdpid.RobotModel, motion: SampledMotion, bodies: object) -> Array:
     return robot.inverse_dynamics(
         np.ravel(np.asarray(bodies)), motion.position, motion.velocity, motion.acceleration
     )
@@ -158,7 +158,7 @@ def test_what_cannot_be_evaluated_is_refused(term: PosedTerm) -> None:
     refuses(ModelError, "needs", type(term)(((1.0,) * 10,)).columns_in, motion, ARM.joint_names)
     floating = sdpid.load_robot(TREE, root="free_flyer")
     still, position = np.zeros((1, floating.n - 6)), np.zeros((1, floating.pin_model.nq))
-    state = Motion(position=position, velocity=still, acceleration=still, robot=floating)
+    state = SampledMotion(position=position, velocity=still, acceleration=still, robot=floating)
     refuses(ModelError, "floats", term.columns_in, state, floating.joint_names[6:])
 
 

@@ -23,7 +23,7 @@ from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Posterior, spectrum_of
 from sdpid.robot.friction.curve import JointCurve, joint_number
-from sdpid.robot.friction.term import Motion
+from sdpid.robot.friction.term import SampledMotion
 from sdpid.robot.inertia import complement, physical_parameters, pseudo_inertia
 
 # What is given of each link, in this order, and its units.
@@ -263,7 +263,7 @@ class _Curves:
         These are by the shape parameters that were fitted with the rest.
         """
         friction, names = self.problem.friction, self.problem.friction.joint_names
-        motion = Motion(
+        motion = SampledMotion(
             position=v, velocity=v, acceleration=np.zeros_like(v), robot=self.problem.robot
         )
         functions = np.zeros((*v.shape, self.problem.n_theta))

@@ -18,7 +18,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import Motion, OfMotion
+from sdpid.robot.friction.term import OfMotion, SampledMotion
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
@@ -241,19 +241,19 @@ class RowSource:
         for start in range(first, stop, size):
             yield slice(start, min(start + size, stop))
 
-    def motion(self, part: slice) -> Motion:
+    def motion(self, part: slice) -> SampledMotion:
         """Return the motion of some samples, at which friction columns are evaluated."""
         return motion_of(self.robot, self.samples, part, first=self.friction.first)
 
 
-def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 0) -> Motion:
+def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 0) -> SampledMotion:
     """Return the motion of some samples, of the joints from `first` on that have friction."""
 
     def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
         # The coordinates of a floating base come first, and have no friction.
         return samples.through_filter(lambda v, a: function(v[:, first:], a[:, first:]), part, key)
 
-    return Motion(
+    return SampledMotion(
         position=samples.position[part],
         velocity=samples.velocity[part][:, first:],
         acceleration=samples.acceleration[part][:, first:],

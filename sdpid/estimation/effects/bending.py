@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.effects.choose import Profiled
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import FrictionTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 
 # Differences are taken this far to either side, relative: the shapes bend over factors of two.
 _STEP = 0.02
@@ -56,7 +56,7 @@ class Bending:
                 deviations += [limits.get(f"{field}{j + 1}", 0.0) for j in range(count)]
         return cls(friction, tuple(moved), np.array(deviations) / np.sqrt(12.0))
 
-    def columns(self, motion: Motion) -> Array:
+    def columns(self, motion: SampledMotion) -> Array:
         """Return the derivatives, (K, n, d), of efforts at K states."""
         names, first = self.friction.joint_names, self.friction.first
         count = len(names)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, SampledMotion
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 
@@ -140,7 +140,7 @@ class BaseRows:
     def _friction(self, q: Array, v: Array, a: Array) -> Array:
         """Return the columns (K, n, ·) of the friction's base parameters."""
         kept = self.base.kept[~self._inertial] - 10 * self.robot.n_links
-        motion = Motion(position=q, velocity=v, acceleration=a, robot=self.robot)
+        motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=self.robot)
         return np.asarray(self.friction.columns_in(motion)[:, :, kept])
 
     def _links_gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:

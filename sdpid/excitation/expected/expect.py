@@ -28,7 +28,7 @@ from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.friction.term import FrictionTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.model import RobotModel
 
 # States (position, velocity, acceleration), (K, n) each.
@@ -363,7 +363,7 @@ def _friction_functions(run: Rehearsal) -> tuple[Array, Array, Array]:
         v = np.array([[speed], [-speed]]) * np.ones(problem.robot.n)
         columns = friction.columns(v, np.zeros_like(v))[:, friction.first :]
         own = v[:, friction.first :]
-        motion = Motion(
+        motion = SampledMotion(
             position=own, velocity=own, acceleration=np.zeros_like(own), robot=problem.robot
         )
         bends = bending.columns(motion)[:, friction.first :]

@@ -35,7 +35,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import FrictionTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel
 
@@ -190,7 +190,7 @@ def _efforts(
     """Return the efforts (K, n) of nominal parameters."""
     links = 10 * robot.n_links
     rigid = robot.inverse_dynamics(theta[:links], q, v, a)
-    motion = Motion(
+    motion = SampledMotion(
         position=q,
         velocity=v[:, friction.first :],
         acceleration=a[:, friction.first :],

@@ -14,7 +14,7 @@ from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
-from sdpid.excitation.limits.extremes import Extremes, Measure, extremes, with_tolerance
+from sdpid.excitation.limits.extremes import CurveMeasure, Extremes, extremes, with_tolerance
 from sdpid.excitation.limits.joins import in_motion, jumps_of, range_of
 from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
@@ -322,7 +322,7 @@ def _joint_rows(
     kind: str,
     joints: JointLimits,
     curves: Sequence[tuple[float, Curve]],
-    measure: Measure,
+    measure: CurveMeasure,
     limits: Array,
     resolution: Array,
     jumps: tuple[Array, Array] | None = None,
@@ -360,7 +360,7 @@ def _distance_rows(
 
 
 def _along(
-    curves: Sequence[tuple[float, Curve]], measure: Measure, limits: Array, resolution: Array
+    curves: Sequence[tuple[float, Curve]], measure: CurveMeasure, limits: Array, resolution: Array
 ) -> Extremes:
     """Return the extremes over all curves of a motion, at its own time."""
     whole: Extremes | None = None

@@ -1,8 +1,8 @@
 """The largest value of functions along a curve, bounded at every instant.
 
-Time is cut into cells. Over each cell a `Measure` bounds its functions; cells on which a bound does
-not decide are cut in half, until every function is known to hold its limit or to break it at an
-instant that was evaluated.
+Time is cut into cells. Over each cell a `CurveMeasure` bounds its functions; cells on which a bound
+does not decide are cut in half, until every function is known to hold its limit or to break it at
+an instant that was evaluated.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Cells:
         return np.stack([self.largest(order) for order in range(5)])
 
 
-class Measure(Protocol):
+class CurveMeasure(Protocol):
     """m functions along a curve that must not grow too large."""
 
     def nodes(self, curve: Curve, time: Array) -> Array:
@@ -106,7 +106,7 @@ class Extremes:
 
 def extremes(
     curve: Curve,
-    measure: Measure,
+    measure: CurveMeasure,
     limits: Array,
     resolution: Array,
     *,
@@ -118,7 +118,7 @@ def extremes(
     ----------
     curve : Curve
         The motion.
-    measure : Measure
+    measure : CurveMeasure
         The functions.
     limits : ndarray, shape (m,)
         Values that they must not exceed.

@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.standing.jets import Jets
 from sdpid.excitation.standing.loads import loads
-from sdpid.excitation.standing.stance import Stance, States
+from sdpid.excitation.standing.stance import Stance, StanceStates
 
 # A leg's determinant keeps this share of that when standing: one that is stretched cannot follow.
 # It is the limit that plans come to first: 0.51 on a Solo12.
@@ -90,10 +90,10 @@ class Held:
             found.append(np.stack(columns, axis=-1))
         return tuple(found)
 
-    def _states(self, q: Array, v: Array, a: Array) -> States:
+    def _states(self, q: Array, v: Array, a: Array) -> StanceStates:
         return self.stance.states(self.stance.poses(q), v, a)
 
-    def _outputs(self, states: States) -> Array:
+    def _outputs(self, states: StanceStates) -> Array:
         """Return positions, velocities, torques, forces and determinants side by side, (K, ·)."""
         found = loads(self.stance, self.bodies, states, self.grip)
         return np.hstack(
@@ -160,7 +160,7 @@ class Held:
         )
         yield "torsion", turn * normal - moment[:, :, 2], turn * normal + moment[:, :, 2]
 
-    def quantities(self, states: States) -> Iterator[Quantity]:
+    def quantities(self, states: StanceStates) -> Iterator[Quantity]:
         """Yield everything that has a limit, as it is."""
         position, speed, torque, force, stretched = self._split(self._outputs(states))
         limits, names = self.joints, self.stance.robot.joint_names[6:]

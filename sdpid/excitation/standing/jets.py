@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.excitation.standing.stance import Poses, Stance, States
+from sdpid.excitation.standing.stance import Poses, Stance, StanceStates
 
 # Step of central differences by coordinates and their rates, m and rad (and s): far below the width
 # of a smooth sign. Efforts are linear in accelerations: a step of any size is exact.
@@ -20,15 +20,15 @@ class Jets:
 
     Attributes
     ----------
-    here : States
+    here : StanceStates
         K states.
-    aside : States
+    aside : StanceStates
         5·m·K states: coordinates ahead and behind, rates ahead and behind, accelerations ahead;
         of each the m coordinates one after the other, K states each.
     """
 
-    here: States
-    aside: States
+    here: StanceStates
+    aside: StanceStates
 
     @classmethod
     def of(cls, stance: Stance, x: Array, rate: Array, second: Array) -> Jets:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.excitation.standing.stance import Stance, States
+from sdpid.excitation.standing.stance import Stance, StanceStates
 
 # Moments on a sole count as forces at this share of its width: half of the half width.
 _LEVER = 0.25
@@ -29,7 +29,7 @@ class Loads:
     wrenches: Array
 
 
-def loads(stance: Stance, bodies: Array, states: States, grip: float) -> Loads:
+def loads(stance: Stance, bodies: Array, states: StanceStates, grip: float) -> Loads:
     """Return the torques and forces of a motion.
 
     Of the forces that carry the motion those are taken whose weighted sum of squares is least:
@@ -42,7 +42,7 @@ def loads(stance: Stance, bodies: Array, states: States, grip: float) -> Loads:
         The robot on its feet.
     bodies : ndarray, shape (links, 10)
         The bodies that a controller believes.
-    states : States
+    states : StanceStates
         K states.
     grip : float
         Coefficient of friction.

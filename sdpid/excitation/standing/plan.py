@@ -13,7 +13,7 @@ from sdpid._common.tables import Shown, Table
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.loads import loads
-from sdpid.excitation.standing.stance import Stance, States
+from sdpid.excitation.standing.stance import Stance, StanceStates
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.model.base_parameters import BaseParameters
@@ -25,7 +25,7 @@ _KNOWN = 0.1
 RATE_HZ = 500.0
 
 
-def sampled(stance: Stance, curve: Curve) -> tuple[Array, States]:
+def sampled(stance: Stance, curve: Curve) -> tuple[Array, StanceStates]:
     """Return instants (K,) of a motion of the coordinates, 500 a second, and the states there."""
     count = max(2, round(curve.duration * RATE_HZ))
     time = np.linspace(0.0, curve.duration, count + 1)

@@ -10,9 +10,9 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.rows import smoothed
 from sdpid.excitation.standing.jets import Jets
-from sdpid.excitation.standing.stance import Stance, States
+from sdpid.excitation.standing.stance import Stance, StanceStates
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import FrictionTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 
 # Bytes of regressors that are made at a time.
@@ -67,14 +67,14 @@ class StandingRows:
         """Return W (K, m, b) at coordinates (K, m) and their first and second derivatives."""
         return self.of_states(self.stance.states(self.stance.poses(q), v, a))
 
-    def of_states(self, states: States) -> Array:
+    def of_states(self, states: StanceStates) -> Array:
         """Return W (K, m, b)."""
         poses = states.poses
         N = poses.basis
         L = np.linalg.cholesky(np.einsum("kni,n,knj->kij", N, self.spread, N, optimize=True))
         return np.asarray(np.linalg.solve(L, np.swapaxes(N, 1, 2) @ self.regressor(states)))
 
-    def regressor(self, states: States) -> Array:
+    def regressor(self, states: StanceStates) -> Array:
         """Return the rows Y (K, n, b) of the base parameters with all forces in them."""
         robot, base = self.stance.robot, self.base
         q, v, a = states.poses.configuration, states.velocity, states.acceleration
@@ -86,7 +86,9 @@ class StandingRows:
         own = np.empty((len(q), robot.n, np.count_nonzero(inertial)))
         out[:, :, inertial] = robot.regressor_columns(q, v, a, places=places, out=own)
         first = self.friction.first
-        motion = Motion(position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot)
+        motion = SampledMotion(
+            position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
+        )
         kept = base.kept[~inertial] - links
         out[:, :, ~inertial] = self.friction.columns_in(motion)[:, :, kept]
         return out

@@ -62,16 +62,16 @@ class Poses:
 
 
 @dataclass(frozen=True, eq=False)
-class States:
+class StanceStates:
     """States of a robot that stands; the base's linear velocity is left out (Galilei)."""
 
     poses: Poses
     velocity: Array
     acceleration: Array
 
-    def take(self, index: Indices) -> States:
+    def take(self, index: Indices) -> StanceStates:
         """Return some of them, in any order."""
-        return States(self.poses.take(index), self.velocity[index], self.acceleration[index])
+        return StanceStates(self.poses.take(index), self.velocity[index], self.acceleration[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,7 +262,7 @@ class Stance:
         lengths = np.linalg.norm(self._standing_jacobians, axis=1)
         return np.asarray(np.abs(self._standing_determinants) / np.prod(lengths, axis=1))
 
-    def states(self, poses: Poses, rate: Array, second: Array) -> States:
+    def states(self, poses: Poses, rate: Array, second: Array) -> StanceStates:
         """Return states from the coordinates' first and second derivatives, (K, m) each."""
         legs = self.legs
         twist, slope = _twist(poses, rate, second)
@@ -272,7 +272,7 @@ class Stance:
         own = poses.inverse @ drift[..., None]
         acceleration[:, 6 + legs.joints] -= own[..., 0]
         velocity[:, :3] = 0.0
-        return States(poses, velocity, acceleration)
+        return StanceStates(poses, velocity, acceleration)
 
     def _drift(self, poses: Poses, velocity: Array) -> Array:
         """Return the contacts' accelerations (K, c, 3 or 6) without any of the coordinates'."""

@@ -16,7 +16,7 @@ from sdpid.experiment.inspection.delays.find import (
 )
 from sdpid.experiment.inspection.delays.kinematic import delay_step
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
-from sdpid.experiment.inspection.rows import Rows, friction
+from sdpid.experiment.inspection.rows import FilteredRows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.recording.plausible import moving
@@ -133,7 +133,7 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
         yield found("effort_late", name, what=what, remedy=remedy, **numbers)
 
 
-def effort_delays(rows: Rows, links: Array) -> dict[int, tuple[float, float, float]]:
+def effort_delays(rows: FilteredRows, links: Array) -> dict[int, tuple[float, float, float]]:
     """Return by how much each joint's effort is late, s, the standard error, and what that takes.
 
     An effort that is late by a little is the effort of the motion less its derivative times the

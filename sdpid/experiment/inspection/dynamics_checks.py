@@ -27,7 +27,7 @@ from sdpid.experiment.inspection.kinds import (
     warning,
     words,
 )
-from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.inspection.rows import FilteredRows
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.robot.model.model import RobotModel
 
@@ -363,7 +363,9 @@ def other_loads(subjects: Sequence[Subject]) -> Iterator[tuple[int, Finding]]:
             yield place, found("payload_differs", None, None if severe else "warning", **told)
 
 
-def _other_load(robot: RobotModel, one: Rows, other: Rows) -> dict[str, float] | None:
+def _other_load(
+    robot: RobotModel, one: FilteredRows, other: FilteredRows
+) -> dict[str, float] | None:
     """Return how well another load in one of two recordings explains both.
 
     Parameters of the arm and friction are common, offsets are each recording's own, and the load
@@ -396,7 +398,7 @@ def _other_load(robot: RobotModel, one: Rows, other: Rows) -> dict[str, float] |
     }
 
 
-def _equations(robot: RobotModel, *recordings: Rows) -> Iterator[tuple[Array, Array]]:
+def _equations(robot: RobotModel, *recordings: FilteredRows) -> Iterator[tuple[Array, Array]]:
     """Yield the matrix (K, n, unknowns) and the efforts beyond the description's, (K, n)."""
     own = np.eye(robot.n)
     for place, rows in enumerate(recordings):

@@ -22,7 +22,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.block_fit import BlockFit, block_fit
 from sdpid.experiment.inspection.delays.find import free_of_contacts
-from sdpid.experiment.inspection.rows import Rows, smooth_sign
+from sdpid.experiment.inspection.rows import FilteredRows, smooth_sign
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.plausible import moving
@@ -466,7 +466,7 @@ def searched(log: ExplainedLog) -> ExplainedLog:
     return min((log.mended(), rescaled.mended()), key=attrgetter("price"))
 
 
-def corrected(robot: RobotModel, rows: Rows) -> ExplainedLog | None:
+def corrected(robot: RobotModel, rows: FilteredRows) -> ExplainedLog | None:
     """Return rows of a log with a fixed base after changes; None where nothing can be compared."""
     if not described(robot) or not rows.usable.any():
         return None

@@ -32,7 +32,7 @@ _WIDTH = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
+class FilteredRows:
     """Signals of a recording at some times, all passed through one filter.
 
     Attributes
@@ -61,7 +61,7 @@ class Rows:
     recorded_velocity: Array | None = None
 
 
-def friction(rows: Rows, j: int) -> tuple[Array, Array, Array]:
+def friction(rows: FilteredRows, j: int) -> tuple[Array, Array, Array]:
     """Return the columns of Coulomb and viscous friction and of a rotor's inertia of a joint."""
     return rows.sign[:, j], rows.velocity[:, j], rows.acceleration[:, j]
 
@@ -71,7 +71,7 @@ def smooth_sign(velocity: Array) -> Array:
     return np.asarray(np.tanh(velocity / _WIDTH))
 
 
-def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Rows | None:
+def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> FilteredRows | None:
     """Return rows of the pieces of a recording; None where none is long enough or nothing moves.
 
     Parameters
@@ -98,11 +98,11 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     signals = {name: np.concatenate([part[name][::stride] for part in parts]) for name in parts[0]}
     known = np.array([name not in without for name in longest.names])
     usable = moves & known & (np.ptp(signals["effort"], axis=0) > 0.0)
-    return Rows(**signals, usable=usable, step=longest.step)
+    return FilteredRows(**signals, usable=usable, step=longest.step)
 
 
 def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
-    """Return the signals of `Rows` of a piece, (samples, n) each; none if it is too short."""
+    """Return signals of `FilteredRows` of a piece, (samples, n) each; none if it is too short."""
     count = max(1, int(1.0 / (grid.step * _SAMPLES * cutoff)))
     step = count * grid.step
     width = max(_GAUSSIAN / (cutoff * step), 1.0)

@@ -14,7 +14,7 @@ from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.delays.kinematic import Standing
 from sdpid.experiment.inspection.explain import ExplainedLog, corrected, floating_log, searched
 from sdpid.experiment.inspection.kinds import Finding, Severity
-from sdpid.experiment.inspection.rows import Rows, low_passed
+from sdpid.experiment.inspection.rows import FilteredRows, low_passed
 from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.process import process
@@ -111,7 +111,7 @@ class Subject:
         return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
 
     @cached_property
-    def low_passed(self) -> Rows | None:
+    def low_passed(self) -> FilteredRows | None:
         """Motion and efforts at a few times, filtered alike; None where nothing moves."""
         pieces = [piece for _, piece in self.pieces]
         return low_passed(pieces, self.without) if pieces else None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES, SINGLE, UNITS, split_unit
-from sdpid.experiment.readers.table import NoNumbersError, Table
+from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.recording import CHANNELS
 from sdpid.experiment.recording.stored import StoredArray, check_memory
 
@@ -75,7 +75,7 @@ class Columns:
     ----------
     file : Path
         For messages.
-    table : Table
+    table : LogTable
         The arrays.
     given : mapping
         Names to be used instead of the usual ones; None leaves a quantity out.
@@ -91,7 +91,7 @@ class Columns:
     """
 
     def __init__(
-        self, file: Path, table: Table, given: Mapping[str, Any], *, scaled: bool = False
+        self, file: Path, table: LogTable, given: Mapping[str, Any], *, scaled: bool = False
     ) -> None:
         self._file, self._table, self.given, self._scaled = file, table, given, scaled
         self._arrays = {printable(name): read for name, read in table.arrays.items()}

@@ -15,7 +15,7 @@ from sdpid.experiment.readers.columns import Columns
 from sdpid.experiment.readers.mapping import SETTINGS, Arguments
 from sdpid.experiment.readers.missing import sound
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES
-from sdpid.experiment.readers.table import Table
+from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.recording.recording import CHANNELS
 
 # ``q_d`` is the desired position in some logs and the derivative in others. What a controller
@@ -68,14 +68,14 @@ class Selection:
     said: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def select(file: Path, table: Table, how: Arguments) -> Selection:
+def select(file: Path, table: LogTable, how: Arguments) -> Selection:
     """Find the quantities of a log.
 
     Parameters
     ----------
     file : Path
         For messages.
-    table : Table
+    table : LogTable
         The arrays of the log.
     how : Arguments
         Those of `read_recording`.

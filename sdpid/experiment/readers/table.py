@@ -26,7 +26,7 @@ def row_number(sample: int) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """The named arrays of a log.
 
     Attributes

@@ -21,7 +21,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
-from sdpid.robot.friction.term import Motion as FrictionMotion
+from sdpid.robot.friction.term import SampledMotion as FrictionMotion
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
 

@@ -15,7 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import Columns
 from sdpid.experiment.readers.conversion import in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
-from sdpid.experiment.readers.table import Table
+from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.trajectory.curve import rests_at_ends
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -102,7 +102,7 @@ def between_rests(motion: Trajectory) -> Trajectory:
 
 
 def _sampled(
-    file: Path, table: Table, wanted: Sequence[str] | None
+    file: Path, table: LogTable, wanted: Sequence[str] | None
 ) -> tuple[SampledCurve, tuple[str, ...]]:
     """Return the curve through the samples of a file, and the names of its joints."""
     acceleration = next((key for key in _ACCELERATIONS if _begins(key, table)), None)
@@ -158,13 +158,13 @@ def _joints(
     return tuple(wanted), [list(names).index(name) for name in wanted]
 
 
-def _begins(key: str, table: Table) -> bool:
+def _begins(key: str, table: LogTable) -> bool:
     """Return whether an array, or columns by joint, have a name."""
     pattern = re.compile(rf"{key}(?:$|[_./\s\-\[\d])", re.IGNORECASE)
     return any(pattern.match(name) for name in table.arrays)
 
 
-def _check_finite(file: Path, table: Table, columns: Sequence[str], values: Array) -> None:
+def _check_finite(file: Path, table: LogTable, columns: Sequence[str], values: Array) -> None:
     """Raise where a value is missing, with its row and column."""
     if values.dtype.kind not in "fiu":
         raise DataError(f"{file}: {', '.join(columns)}: holds {values.dtype}, expected numbers.")

@@ -13,7 +13,7 @@ from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Mesh, Plane
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.experiment.trajectory.trajectory import Played
-from sdpid.output.scene.contents import Group, Motion
+from sdpid.output.scene.contents import Group, ShownMotion
 from sdpid.output.scene.scene import Line, Scene, grid, robot_scene
 from sdpid.output.scene.surfaces import Surface, described_surfaces, surface_of
 from sdpid.robot.model.model import RobotModel
@@ -50,7 +50,7 @@ def scene_of(
     clearance : float
         Least distance that is asked, m.
     """
-    shown, lines, distances = Motion(motion.rate_hz, motion.position), [], None
+    shown, lines, distances = ShownMotion(motion.rate_hz, motion.position), [], None
     if collision is None:
         surfaces, notes = described_surfaces(robot)
         notes = (*notes, "Shapes are those of the description: no collisions were checked.")
@@ -93,7 +93,7 @@ def _colored(surface: Surface) -> Surface:
     return replace(surface, color=own) if surface.group == "links" else surface
 
 
-def _traces(robot: RobotModel, motion: Motion) -> Iterator[Line]:
+def _traces(robot: RobotModel, motion: ShownMotion) -> Iterator[Line]:
     """Yield where the links without followers go."""
     followed = {int(parent) - 1 for parent in list(robot.pin_model.parents)[1:]}
     origins = motion.placements(robot)[:, :, :3, 3]

@@ -18,7 +18,7 @@ from sdpid.assurance.diagnostics.held_out import (
 from sdpid.experiment.processing.on_time import ON_TIME
 from sdpid.output.report.grades import Grade
 from sdpid.output.report.kinds import GOES, LEVELS, percent
-from sdpid.output.report.subject import NEGLIGIBLE, Judged, Subject
+from sdpid.output.report.subject import NEGLIGIBLE, Judged, VerdictSubject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings
 from sdpid.robot.description.urdf import LINK
 from sdpid.robot.friction.stored import CLASSES
@@ -138,7 +138,7 @@ def _log(result: Judged) -> Iterator[str]:
             yield each.line()
 
 
-def _title(of: Subject) -> str:
+def _title(of: VerdictSubject) -> str:
     """Return the robot, how long the recordings are, and what was predicted."""
     samples, predicted = of.problem.samples, "nothing else predicted"
     size = f"{len(samples.position)} samples"
@@ -152,7 +152,7 @@ def _title(of: Subject) -> str:
     return f"{of.robot.name}: {of.robot.n - of.robot.n_base} joints, {size} fitted, {predicted}"
 
 
-def _proven(of: Subject) -> str:
+def _proven(of: VerdictSubject) -> str:
     """Return what the certificate proves."""
     certificate = of.result.certificate
     if of.problem.consistency == "none":
@@ -162,7 +162,7 @@ def _proven(of: Subject) -> str:
     return f"no physically possible robot of this model fits better (gap {certificate.gap:.1g})"
 
 
-def _error(of: Subject) -> str:
+def _error(of: VerdictSubject) -> str:
     """Return the error on what was held out, in motion and at rest."""
     fit, share, told = of.fit, of.inside_bands, []
     if fit.moving.rows.any():
@@ -186,7 +186,7 @@ def _error(of: Subject) -> str:
     return f"{numbers}, on recordings that were not fitted{inside}"
 
 
-def _beside(of: Subject) -> str | None:
+def _beside(of: VerdictSubject) -> str | None:
     """Return the errors of the baselines and of the estimate, on the same rows in motion.
 
     And where on the motion the mass matrix of least squares is that of no robot.
@@ -204,7 +204,7 @@ def _beside(of: Subject) -> str | None:
     return f"{' | '.join(errors)} in motion"
 
 
-def _joint(of: Subject, worst: Grade | None) -> str:
+def _joint(of: VerdictSubject, worst: Grade | None) -> str:
     """Return a joint's error in words, and what it goes with."""
     if worst is None:
         return "none has a measured effort"
@@ -219,7 +219,7 @@ def _joint(of: Subject, worst: Grade | None) -> str:
     return f"{name}, error {percent(nrmse)} of its effort ({explained}); {why}"
 
 
-def _steps(of: Subject, worst: Grade | None) -> Iterator[str]:
+def _steps(of: VerdictSubject, worst: Grade | None) -> Iterator[str]:
     """Yield what could be done, the most important first."""
     for finding in of.result.findings:
         if finding.severity == "refuse" and finding.remedy:
@@ -257,7 +257,7 @@ def _steps(of: Subject, worst: Grade | None) -> Iterator[str]:
     yield f"none: use {what}, and validate again when the load or the temperature changes"
 
 
-def _weight(of: Subject, cause: Cause) -> float:
+def _weight(of: VerdictSubject, cause: Cause) -> float:
     """Return the share of the squared errors of all joints that a cause explains.
 
     0 where the joint's error is negligible.
@@ -269,7 +269,7 @@ def _weight(of: Subject, cause: Cause) -> float:
     return float(cause.share * own / max(float(squares.sum()), np.finfo(float).tiny))
 
 
-def _file(of: Subject) -> str | None:
+def _file(of: VerdictSubject) -> str | None:
     """Return what identified.urdf misses, and what to use instead where that is clearly more.
 
     As good is an error that differs by no more than another motion makes, or does not matter.
@@ -284,7 +284,7 @@ def _file(of: Subject) -> str | None:
     )
 
 
-def _tilt(of: Subject) -> str | None:
+def _tilt(of: VerdictSubject) -> str | None:
     """Return how robots are written whose base was found to be tilted."""
     if "Tilt" not in of.terms:
         return None
@@ -295,7 +295,7 @@ def _tilt(of: Subject) -> str | None:
     )
 
 
-def _whole(of: Subject) -> str:
+def _whole(of: VerdictSubject) -> str:
     """Return in words what has all terms: no code has terms of one's own, a URDF has the tilt."""
     both = "estimate.model() or parameters.json"
     if of.terms <= CLASSES.keys():

@@ -14,7 +14,7 @@ from sdpid.assurance.intervals.delta_method import joint_curves
 from sdpid.errors import SdpidError
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report.recording import driven
-from sdpid.output.report.subject import Judged, Subject
+from sdpid.output.report.subject import Judged, VerdictSubject
 from sdpid.plots.figures import dress, panels
 from sdpid.plots.joints import FLOOR, WITHIN, detail, heights, plot_friction_curve, plot_joint
 from sdpid.plots.lines import TimeLine, decimate, spans, stretch
@@ -31,7 +31,7 @@ _POINTS = 1500
 _DOTS = 400
 
 
-def values(of: Subject, charts: Charts, line: TimeLine) -> dict[str, Any]:
+def values(of: VerdictSubject, charts: Charts, line: TimeLine) -> dict[str, Any]:
     """Return the values of the template, over the time of what was judged."""
     fits = {"training": of.result.training, "free": of.result.training_wls}
     title = "validation (held out)"
@@ -66,7 +66,7 @@ def _errors(fit: Validation, j: int) -> dict[str, Any]:
     return {**sizes, "silent": bool(np.isinf(told.nrmse[j]))}
 
 
-def _plots(of: Subject, charts: Charts, line: TimeLine) -> Iterator[dict[str, Any]]:
+def _plots(of: VerdictSubject, charts: Charts, line: TimeLine) -> Iterator[dict[str, Any]]:
     """Yield the charts of every joint."""
     curves, seen = _curves(of), list(driven(of))
     for each in of.errors:
@@ -82,7 +82,7 @@ def _plots(of: Subject, charts: Charts, line: TimeLine) -> Iterator[dict[str, An
         }
 
 
-def _efforts(of: Subject, j: int, line: TimeLine, charts: Charts) -> dict[str, Any]:
+def _efforts(of: VerdictSubject, j: int, line: TimeLine, charts: Charts) -> dict[str, Any]:
     """Return efforts over time: of many samples the extremes, and all about the largest error."""
     measured, predicted, used = _efforts_of(of, j)
     columns = {
@@ -105,12 +105,12 @@ def _efforts(of: Subject, j: int, line: TimeLine, charts: Charts) -> dict[str, A
     }
 
 
-def _efforts_of(of: Subject, j: int) -> tuple[Array, Array, Mask]:
+def _efforts_of(of: VerdictSubject, j: int) -> tuple[Array, Array, Mask]:
     """Return a joint's measured and predicted efforts, and which rows count, (K,) each."""
     return of.samples.effort[:, j], of.fit.effort_predicted[:, j], of.samples.used[:, j]
 
 
-def _friction(of: Subject, j: int, curve: JointCurve, charts: Charts) -> int:
+def _friction(of: VerdictSubject, j: int, curve: JointCurve, charts: Charts) -> int:
     """Return the friction over the velocity, shaded where it was not driven."""
     low, high = _speeds(of, j)
     beyond = np.array([(curve.velocity.min(), low), (high, curve.velocity.max())])
@@ -121,7 +121,7 @@ def _friction(of: Subject, j: int, curve: JointCurve, charts: Charts) -> int:
     return charts.add(shaded=beyond, **shown, **band)
 
 
-def _speeds(of: Subject, j: int) -> tuple[float, float]:
+def _speeds(of: VerdictSubject, j: int) -> tuple[float, float]:
     """Return the least and the greatest velocity of the data that were fitted."""
     velocity = of.problem.samples.velocity[:, j]
     return float(velocity.min()), float(velocity.max())
@@ -145,7 +145,7 @@ def _error_shapes(errors: JointErrors, charts: Charts) -> dict[str, int | None]:
     }
 
 
-def _curves(of: Subject) -> dict[str, JointCurve]:
+def _curves(of: VerdictSubject) -> dict[str, JointCurve]:
     """Return the friction curve of every joint with friction, over what was driven and beyond."""
     friction = of.problem.friction
     if not friction.parameters:
@@ -161,7 +161,7 @@ def _curves(of: Subject) -> dict[str, JointCurve]:
     return {curve.joint: curve for curve in curves}
 
 
-def _cloud(of: Subject, j: int, curve: JointCurve) -> tuple[Array, Array] | None:
+def _cloud(of: VerdictSubject, j: int, curve: JointCurve) -> tuple[Array, Array] | None:
     """Return velocities, and the curve with the errors of the samples; of many some, evenly."""
     measured, predicted, used = _efforts_of(of, j)
     if not used.any():

@@ -19,7 +19,7 @@ _LISTED = 4
 
 
 @dataclass(frozen=True)
-class Finding:
+class VerdictFinding:
     """A finding of the verdict.
 
     Attributes
@@ -230,14 +230,14 @@ class _VerdictWords(Formatter):
         return super().format_field(value, format_spec)
 
 
-def found(kind: str, /, *, careful: bool = False, **fields: Any) -> Finding:
+def found(kind: str, /, *, careful: bool = False, **fields: Any) -> VerdictFinding:
     """Return a finding of a kind; where it calls for care, it is a caution in any case."""
     level, words = next((each, rows[kind]) for each, rows in KINDS.items() if kind in rows)
     both = (_VerdictWords().vformat(each, (), fields) for each in (words, WARNINGS.get(kind, "")))
-    return Finding(kind, "caution" if careful else level, *both)
+    return VerdictFinding(kind, "caution" if careful else level, *both)
 
 
-def named(kind: str, names: Sequence[str], **fields: Any) -> tuple[Finding, ...]:
+def named(kind: str, names: Sequence[str], **fields: Any) -> tuple[VerdictFinding, ...]:
     """Return a finding of a kind about what has these names; none where there are none."""
     return (found(kind, names=names, **fields),) if names else ()
 

@@ -16,7 +16,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import SdpidError
 from sdpid.estimation.problem import Problem
 from sdpid.output.charts.charts import Charts
-from sdpid.output.report.subject import Subject
+from sdpid.output.report.subject import VerdictSubject
 from sdpid.output.tables.parameter_tables import base_table, ends_of, in_words, theta_table
 from sdpid.plots.estimates import row_scales, told
 from sdpid.plots.lines import TimeLine
@@ -38,7 +38,7 @@ _MOST = 12
 _ROUNDING = 1e-9
 
 
-def values(of: Subject, intervals: Intervals | None, charts: Charts) -> dict[str, Any]:
+def values(of: VerdictSubject, intervals: Intervals | None, charts: Charts) -> dict[str, Any]:
     """Return the values of the templates."""
     base, theta = base_rows(of, intervals), []
     if of.estimate.theta is not None:
@@ -59,7 +59,7 @@ def values(of: Subject, intervals: Intervals | None, charts: Charts) -> dict[str
     }
 
 
-def base_rows(of: Subject, intervals: Intervals | None) -> list[dict[str, Any]]:
+def base_rows(of: VerdictSubject, intervals: Intervals | None) -> list[dict[str, Any]]:
     """Return the rows of the table of base parameters."""
     rows = _records(base_table(of.estimate, of.result.wls, intervals))
     for row in rows:
@@ -78,7 +78,7 @@ def _records(table: Table) -> list[dict[str, Any]]:
 _MARKS = ("own", "free", "described", "low", "high")
 
 
-def _pictures(of: Subject, intervals: Intervals | None) -> Iterator[dict[str, Any]]:
+def _pictures(of: VerdictSubject, intervals: Intervals | None) -> Iterator[dict[str, Any]]:
     """Yield a picture of the base parameters of every link and of the terms of every joint."""
     names, ends = of.problem.base.names, ends_of(intervals)
     own, described = of.estimate.base, _described(of.problem)
@@ -127,7 +127,7 @@ def _described(problem: Problem) -> Array:
     return np.where(links_alone, B @ theta, np.nan)
 
 
-def _links(of: Subject) -> dict[str, Any]:
+def _links(of: VerdictSubject) -> dict[str, Any]:
     """Return the values of the links; none where an estimate has no standard parameters."""
     robot, theta = of.robot, of.estimate.theta
     if theta is None:
@@ -154,7 +154,7 @@ def _links(of: Subject) -> dict[str, Any]:
     }
 
 
-def _mass_matrix(of: Subject, charts: Charts) -> dict[str, Any]:
+def _mass_matrix(of: VerdictSubject, charts: Charts) -> dict[str, Any]:
     """Return the mass matrix's least eigenvalue along the motion, and over all positions."""
     samples, some, box = of.problem.samples, of.instants, _over_the_box(of)
     bound = None if box is None or not box.positive_definite else box.lower_bound
@@ -185,7 +185,7 @@ def _mass_matrix(of: Subject, charts: Charts) -> dict[str, Any]:
     }
 
 
-def _over_the_box(of: Subject) -> SmallestMassEigenvalue | None:
+def _over_the_box(of: VerdictSubject) -> SmallestMassEigenvalue | None:
     """Return the least over all positions, of the links alone, where drives only add to it."""
     if of.robot.n > _MOST or of.estimate.theta is None:
         return None

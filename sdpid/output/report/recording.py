@@ -11,7 +11,7 @@ from sdpid._common.arrays import Mask
 from sdpid.assurance.diagnostics.causes import period
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.subject import Subject
+from sdpid.output.report.subject import VerdictSubject
 from sdpid.robot.model.model import RobotModel
 
 # Weakly excited directions that are listed one by one; more say no more.
@@ -31,7 +31,7 @@ _UNITS = {
 }
 
 
-def values(of: Subject) -> dict[str, Any]:
+def values(of: VerdictSubject) -> dict[str, Any]:
     """Return the values of the template."""
     result, problem = of.result, of.problem
     weak = problem.excitation.weak()
@@ -61,7 +61,7 @@ def values(of: Subject) -> dict[str, Any]:
     }
 
 
-def driven(of: Subject) -> Iterator[dict[str, Any]]:
+def driven(of: VerdictSubject) -> Iterator[dict[str, Any]]:
     """Yield range, peak speed, peak acceleration and RMS effort of every joint, and its limits."""
     samples, robot = of.problem.samples, of.robot
     shift = samples.position.shape[1] - robot.n
@@ -79,7 +79,7 @@ def driven(of: Subject) -> Iterator[dict[str, Any]]:
         }
 
 
-def _data(of: Subject, parts: list[Samples]) -> Iterator[tuple[str, list[str]]]:
+def _data(of: VerdictSubject, parts: list[Samples]) -> Iterator[tuple[str, list[str]]]:
     """Yield facts about the recordings: a label, and a value for each recording."""
     counts = [(of.problem.n_samples, of.problem.n_rows)]
     counts += [(fresh.n_samples, fresh.n_rows) for fresh in parts[1:]]

@@ -20,7 +20,7 @@ from sdpid.output.charts.charts import Charts
 from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
 from sdpid.output.report.kinds import LEVELS
-from sdpid.output.report.subject import Judged, Subject
+from sdpid.output.report.subject import Judged, VerdictSubject
 from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
@@ -119,7 +119,7 @@ def report_html(
     )
 
 
-def _beside(of: Subject) -> Iterator[dict[str, Any]]:
+def _beside(of: VerdictSubject) -> Iterator[dict[str, Any]]:
     """Yield the errors on what was held out of the baselines and of the estimate.
 
     Bars are logarithmic, from 0.1 % to 100 %.

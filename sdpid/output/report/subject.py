@@ -93,7 +93,7 @@ class Judged(ABC):
         """Return plain values for JSON."""
 
     @property
-    def _subject(self) -> Subject:
+    def _subject(self) -> VerdictSubject:
         """What verdict, lines and report are drawn from, so that they say the same."""
         return _subject_of(self)
 
@@ -139,7 +139,7 @@ class Prediction:
         return rest / max(rest + int(self.fit.moving.rows.sum()), 1)
 
 
-class Subject(Prediction):
+class VerdictSubject(Prediction):
     """An identification, by its prediction of what was held out, or else of what was fitted."""
 
     def __init__(self, result: Judged) -> None:
@@ -287,8 +287,8 @@ class Subject(Prediction):
 
 # Beside the result, not in it: no copy or pickle of it takes along what was drawn from it.
 @kept
-def _subject_of(result: Judged) -> Subject:
-    return Subject(result)
+def _subject_of(result: Judged) -> VerdictSubject:
+    return VerdictSubject(result)
 
 
 def _speeds_of(rows: RowSource) -> Array:

@@ -24,8 +24,8 @@ from sdpid.estimation.posterior import Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import MARGIN, SMALL
-from sdpid.output.report.kinds import GOES, Finding, Level, found, listed, named, percent
-from sdpid.output.report.subject import Judged, Prediction, Subject
+from sdpid.output.report.kinds import GOES, Level, VerdictFinding, found, listed, named, percent
+from sdpid.output.report.subject import Judged, Prediction, VerdictSubject
 from sdpid.robot.model.model import RobotModel
 
 # Held-out over training error. Another motion weighs the same defects differently, which makes
@@ -78,14 +78,14 @@ _STATED = 2.0
 _TINY = np.finfo(float).tiny
 
 
-def recordings(of: Subject) -> Iterator[Finding]:
+def recordings(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Yield what the inspection of the recordings found."""
     for each in of.result.findings:
         if each.severity == "refuse":
             yield found("recording", finding=each)
 
 
-def efforts(of: Prediction) -> Iterator[Finding]:
+def efforts(of: Prediction) -> Iterator[VerdictFinding]:
     """Sort the joints by how well their efforts are predicted."""
     fit, joints = of.fit, defaultdict(list)
     for each in of.grades:
@@ -118,7 +118,7 @@ def _explained(fit: Validation, joint: int) -> str:
     return "over 99.9 %" if r2 > 0.999 else percent(r2)
 
 
-def floating(of: Subject) -> Iterator[Finding]:
+def floating(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Yield what a floating base's equations miss, and what the recordings tell of the links."""
     theta = of.estimate.theta
     if of.robot.free_flyer and theta is not None:
@@ -127,7 +127,7 @@ def floating(of: Subject) -> Iterator[Finding]:
         yield from _told(of)
 
 
-def _base(of: Subject, theta: Array) -> Iterator[Finding]:
+def _base(of: VerdictSubject, theta: Array) -> Iterator[VerdictFinding]:
     """Say how well force and torque on the base are predicted, beside the weight."""
     errors, mass = of.fit.floating, float(theta[: 10 * of.robot.n_links : 10].sum())
     weight = mass * float(np.linalg.norm(of.robot.gravity))
@@ -140,7 +140,7 @@ def _base(of: Subject, theta: Array) -> Iterator[Finding]:
     yield found("base_force", careful=careful, **fields)
 
 
-def _forces(problem: Problem) -> Iterator[Finding]:
+def _forces(problem: Problem) -> Iterator[VerdictFinding]:
     """Say by how much measured forces are off as residuals show, beside what was stated."""
     rows = problem.require_rows("verdict")
     contacts = rows.samples.contacts
@@ -162,7 +162,7 @@ def _forces(problem: Problem) -> Iterator[Finding]:
     yield found("contact_forces", careful=scale > _STATED, **fields)
 
 
-def _told(of: Subject) -> Iterator[Finding]:
+def _told(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Say what recordings tell beyond the description, and what motion would tell more."""
     told = directions_told(of.estimate)
     if told is None:
@@ -178,7 +178,7 @@ def _told(of: Subject) -> Iterator[Finding]:
     yield found("told", careful=bool(dark), told=told, base=of.problem.base, **fields)
 
 
-def _dark(of: Subject, data: Array) -> Iterator[str]:
+def _dark(of: VerdictSubject, data: Array) -> Iterator[str]:
     """Yield the masses, centers of mass and inertias that the data hardly tell, and whose."""
     for name, part in _PARTS.items():
         dark = np.flatnonzero(data[:, part].mean(axis=1) < _TOLD)
@@ -187,7 +187,7 @@ def _dark(of: Subject, data: Array) -> Iterator[str]:
             yield f"{name} of {whose}"
 
 
-def _advice(of: Subject, trunk: Array) -> Iterator[str]:
+def _advice(of: VerdictSubject, trunk: Array) -> Iterator[str]:
     """Yield motions that were not recorded and would tell more; `trunk` is the base's shares."""
     contacts = of.problem.samples.contacts
     if contacts is None:
@@ -209,7 +209,7 @@ def _advice(of: Subject, trunk: Array) -> Iterator[str]:
         yield f"turn the base more, in {listed(turns)}"
 
 
-def held_out(of: Subject) -> Iterator[Finding]:
+def held_out(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Compare what was held out with the training, with what costs less, and with the bands."""
     if of.held_out is None:
         yield found("nothing_held_out")
@@ -241,7 +241,7 @@ def _carries(held: float, own: float) -> tuple[Level, float]:
     return "good" if ratio <= CARRIES else "caution" if ratio <= FAILS else "bad", ratio
 
 
-def crossed(of: Subject) -> Iterator[Finding]:
+def crossed(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Compare the error of the cross-validation that was asked for with the training error."""
     crossed = of.result.cross_validation
     if crossed is None:
@@ -260,7 +260,7 @@ def crossed(of: Subject) -> Iterator[Finding]:
         yield found(f"crossed_{'blocks' if crossed.by == 'time' else level}", numbers=numbers)
 
 
-def causes(of: Prediction) -> Iterator[Finding]:
+def causes(of: Prediction) -> Iterator[VerdictFinding]:
     """Name the joints whose errors go with something, by what they go with."""
     kinds: dict[str, list[Cause]] = defaultdict(list)
     for cause in of.causes.values():
@@ -278,7 +278,7 @@ def causes(of: Prediction) -> Iterator[Finding]:
         yield found("cause", goes=GOES[kind], names=joints, step=step)
 
 
-def model(of: Subject) -> Iterator[Finding]:
+def model(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Tell what the model lacks, how it moves when simulated, and which joints are held back."""
     if of.missing_friction:
         terms = ", ".join(sorted(of.terms)) or "none"
@@ -297,7 +297,7 @@ def model(of: Subject) -> Iterator[Finding]:
         yield found("held_back", joint=joint, words=words, step=step)
 
 
-def gains(of: Subject) -> Iterator[Finding]:
+def gains(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Say what errors of the gains do to the parameters, or that none are counted."""
     errors, rows, names = gain_errors(of.problem), of.problem.rows, of.problem.base.names
     gains = None if rows is None else rows.samples.gains
@@ -323,7 +323,7 @@ def gains(of: Subject) -> Iterator[Finding]:
     yield found("gains_known", careful=bool(most), **fields)
 
 
-def motion(of: Subject) -> Iterator[Finding]:
+def motion(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Tell noise in the recorded motion, and what joints of it are extrapolation."""
     if of.result.bias is not None and of.result.bias.biased:
         yield found("bias", words=of.result.bias.verdict)
@@ -352,7 +352,7 @@ def motion(of: Subject) -> Iterator[Finding]:
         yield from named("without_rows", [names[j] for j in joints if not used[:, j].any()])
 
 
-def _beyond(of: Subject, joint: int) -> Iterator[str]:
+def _beyond(of: VerdictSubject, joint: int) -> Iterator[str]:
     """Yield what of a joint's validation motion is beyond that of the training."""
     fresh = of.result.validation_samples
     for what in () if fresh is None else ("velocity", "acceleration"):
@@ -361,7 +361,7 @@ def _beyond(of: Subject, joint: int) -> Iterator[str]:
             yield what
 
 
-def parameters(of: Subject) -> Iterator[Finding]:
+def parameters(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Name weakly excited directions, and count parameters that come mostly from the prior."""
     if weak := of.problem.excitation.weak():
         held = "the description's inertias decide there"
@@ -378,12 +378,12 @@ def parameters(of: Subject) -> Iterator[Finding]:
         yield found("sources", prior=int(mostly.sum()), count=len(mostly), which=which)
 
 
-def _links(of: Subject, which: Indices) -> str:
+def _links(of: VerdictSubject, which: Indices) -> str:
     """Return the names of some links."""
     return listed(of.robot.link_names[k] for k in which)
 
 
-def constraints(of: Subject) -> Iterator[Finding]:
+def constraints(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Report what the constraints cost in residual, and parameters at a numerical limit."""
     own, free = (each.told.relative for each in (of.result.training, of.result.training_wls))
     states = [s for s in constraint_states(of.estimate) if s.active]
@@ -407,13 +407,13 @@ def constraints(of: Subject) -> Iterator[Finding]:
         yield from named(kind, limits[kind])
 
 
-def _presses(of: Subject, state: ConstraintState) -> bool:
+def _presses(of: VerdictSubject, state: ConstraintState) -> bool:
     """Return whether the cost would fall, were a limit twice as far: to first order."""
     fall = abs(state.multiplier or 0.0) * abs(state.limit or 0.0)
     return fall > PRICE * max(of.estimate.cost, 1e-300)
 
 
-def _whether_it_pays(of: Subject) -> str:
+def _whether_it_pays(of: VerdictSubject) -> str:
     """Return whether the constraints lower the error on held-out data, in words."""
     held, free = of.fit.moving, of.free.moving
     if of.held_out is None:
@@ -428,7 +428,7 @@ def _whether_it_pays(of: Subject) -> str:
     )
 
 
-def beliefs(of: Subject) -> Iterator[Finding]:
+def beliefs(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Name links that recordings tell apart against belief, and report whether it is proven."""
     prior, links, pairs = of.problem.prior, of.robot.link_names, []
     for each in () if prior is None or of.estimate.theta is None else prior.alike:
@@ -442,7 +442,7 @@ def beliefs(of: Subject) -> Iterator[Finding]:
 
 
 # The most important first.
-CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[VerdictSubject], Iterator[VerdictFinding]], ...] = (
     recordings,
     efforts,
     floating,
@@ -459,7 +459,7 @@ CHECKS: tuple[Callable[[Subject], Iterator[Finding]], ...] = (
 
 
 @kept
-def findings(result: Judged) -> tuple[Finding, ...]:
+def findings(result: Judged) -> tuple[VerdictFinding, ...]:
     """Return the findings of the verdict, each with its level; computed once a result."""
     return tuple(each for check in CHECKS for each in check(result._subject))
 
@@ -471,7 +471,7 @@ def verdict(result: Judged) -> tuple[str, ...]:
 
 def prediction_findings(
     robot: RobotModel, samples: Samples, fit: Validation
-) -> tuple[Finding, ...]:
+) -> tuple[VerdictFinding, ...]:
     """Return the findings about a prediction of one recording by a robot's description.
 
     Parameters
@@ -485,7 +485,7 @@ def prediction_findings(
 
     Returns
     -------
-    tuple of Finding
+    tuple of VerdictFinding
         The most important first.
     """
     of = Prediction(robot, samples, fit)

@@ -157,7 +157,7 @@ def joint_attributes(
     if exact or problem.rows is None:
         places.require_nonnegative(what)
     else:
-        rows = Rows(problem, theta, places)
+        rows = MeasuredRows(problem, theta, places)
         for j in np.flatnonzero(rows.shown) if places.kinds else ():
             system = rows.system(int(j))
             fit = nonnegative_fit(system.columns, system.target)
@@ -368,7 +368,7 @@ def nonnegative_fit(columns: Array, target: Array) -> Array:
     return np.asarray(nnls(columns / scale, target)[0] / scale)
 
 
-class Rows:
+class MeasuredRows:
     """The measured rows of all joints, and what the parts of the model make of them, (K, n)."""
 
     def __init__(self, problem: Problem, theta: Array, places: Places) -> None:

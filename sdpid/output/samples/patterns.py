@@ -22,7 +22,7 @@ from sdpid.assurance.descriptions.checks import consistent
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import PLACES as URDF_PLACES
-from sdpid.output.robots.joint_friction import Kind, Places, Rows, nonnegative_fit
+from sdpid.output.robots.joint_friction import Kind, MeasuredRows, Places, nonnegative_fit
 from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
 from sdpid.output.robots.mjcf import Mjcf, open_source
 from sdpid.output.robots.urdf import Urdf
@@ -154,7 +154,7 @@ def drawn_attributes(
     nominal = [drawn.at_nominal_speeds() for drawn in each]
     values = {kind: np.stack([found[kind] for found in nominal]) for kind in places.kinds}
     if problem.rows is not None and values and (places.curves or places.lost):
-        rows = Rows(problem, center, places)
+        rows = MeasuredRows(problem, center, places)
         friction = thetas[:, 10 * problem.robot.n_links :]
         change = friction - center[10 * problem.robot.n_links :]
         for j, (factor, target, slope) in _reduced(rows, places).items():
@@ -164,7 +164,7 @@ def drawn_attributes(
     return values
 
 
-def _reduced(rows: Rows, places: Places) -> dict[int, tuple[Array, Array, Array]]:
+def _reduced(rows: MeasuredRows, places: Places) -> dict[int, tuple[Array, Array, Array]]:
     """Return each joint's equations by few rows: factor, target, and its slope in friction.
 
     With the factorization Q·R of a joint's columns, ``R·x = Q^T·target`` has the same solutions.

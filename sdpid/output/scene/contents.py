@@ -59,7 +59,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ShownMotion:
     """Positions on an even grid.
 
     Attributes
@@ -84,14 +84,14 @@ class Motion:
         return np.stack([link_placements(robot, q) for q in self.position])
 
 
-def recorded_motion(samples: Samples) -> Motion:
+def recorded_motion(samples: Samples) -> ShownMotion:
     """Return the first minute of a motion that was recorded, pieces one after the other."""
     if samples.time is None:
         position = samples.position[:_MOST]
         told = f"The recording has no stamps: {FRAME_RATE:g} samples are played a second"
         if len(position) < samples.n_samples:
             told += f", the first {len(position):,} of {samples.n_samples:,}"
-        return Motion(FRAME_RATE, position, f"{told}.", np.arange(len(position)))
+        return ShownMotion(FRAME_RATE, position, f"{told}.", np.arange(len(position)))
     # Seconds of play: pieces follow each other without a break.
     steps = np.diff(samples.time, prepend=samples.time[0])
     usual = float(np.median(steps[1:])) if len(steps) > 1 else 1.0 / FRAME_RATE
@@ -105,7 +105,7 @@ def recorded_motion(samples: Samples) -> Motion:
     told = ""
     if len(frames) > _MOST:
         told = f"The first {seconds:.0f} s of {played[-1]:.0f} s are played."
-    return Motion(rate, samples.position[nearest], told, nearest)
+    return ShownMotion(rate, samples.position[nearest], told, nearest)
 
 
 # Second moments negative by less than this share of the body's largest about its frame's origin

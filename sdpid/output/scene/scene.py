@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.output.charts.charts import packed, packed_indices
 from sdpid.output.charts.page import beside, rendered
-from sdpid.output.scene.contents import Ellipsoid, Group, Motion, moved, still_picture, view
+from sdpid.output.scene.contents import Ellipsoid, Group, ShownMotion, moved, still_picture, view
 from sdpid.output.scene.surfaces import Surface, thinned
 from sdpid.robot.model.model import RobotModel
 
@@ -75,7 +75,7 @@ class Scene:
 
 def robot_scene(
     robot: RobotModel,
-    motion: Motion,
+    motion: ShownMotion,
     groups: Sequence[Group],
     surfaces: Sequence[Surface],
     *,
@@ -92,7 +92,7 @@ def robot_scene(
     ----------
     robot : RobotModel
         The robot.
-    motion : Motion
+    motion : ShownMotion
         What is played.
     groups : sequence of Group
         In the order in which they are painted.

@@ -14,7 +14,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.term import FrictionTerm, Motion, TermParameter
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion, TermParameter
 from sdpid.robot.friction.terms import BY_NAME
 
 
@@ -98,7 +98,7 @@ class FrictionModel:
             ),
         )
 
-    def columns_in(self, motion: Motion) -> Array:
+    def columns_in(self, motion: SampledMotion) -> Array:
         """Return all columns as they stand in filtered efforts, (K, n, number of parameters)."""
         return self._side_by_side(
             len(motion.velocity),

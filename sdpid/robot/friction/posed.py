@@ -18,7 +18,7 @@ from sdpid.errors import ModelError
 from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
-    Motion,
+    SampledMotion,
     TermParameter,
     check_speeds,
     smooth_sign,
@@ -72,10 +72,10 @@ class PosedTerm(FrictionTerm):
         """
         raise ModelError(
             f"{type(self).__name__}: its effort depends on the position; evaluate it with "
-            "columns_in(Motion(...), joint_names)."
+            "columns_in(SampledMotion(...), joint_names)."
         )
 
-    def _bodies(self, motion: Motion) -> Array:
+    def _bodies(self, motion: SampledMotion) -> Array:
         """Return the links' parameters (links, 10)."""
         robot = motion.robot
         bodies = robot.prior if self.bodies is None else np.asarray(self.bodies)
@@ -124,7 +124,7 @@ class Tilt(PosedTerm):
             TermParameter(name, "rad", False, 0, deviation=_UPRIGHT) for name in ("Gx", "Gy")
         )
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return how the gravitational efforts of the bodies change with the angles."""
         bodies, robot = self._bodies(motion), motion.robot
         zero = np.zeros_like(motion.velocity)
@@ -202,7 +202,7 @@ class LoadFriction(PosedTerm):
             for j in range(len(joint_names))
         )
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the bodies' efforts times the filtered sign: they vary slowly beside it."""
         load = np.abs(
             motion.robot.efforts_of_bodies(

@@ -70,7 +70,7 @@ class Filtered(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SampledMotion:
     """States of K samples.
 
     Attributes
@@ -338,12 +338,12 @@ class FrictionTerm(ABC):
             "simulated(values, joint_names), or identify with terms of sdpid.friction."
         )
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns (K, n, number of parameters) as they stand in filtered efforts.
 
         Parameters
         ----------
-        motion : Motion
+        motion : SampledMotion
             States of K samples.
         joint_names : sequence of str
             The n joints.
@@ -505,13 +505,13 @@ class JointwiseTerm(FrictionTerm):
             else:
                 yield EffortCurve("constant", (j, -1), 0.5 * (low + high))
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns as they stand in filtered efforts: diagonal in the joints."""
         if type(self).columns is not JointwiseTerm.columns:
             return FrictionTerm.columns_in(self, motion, joint_names)
         return diagonal(self.shape_in(motion))
 
-    def shape_in(self, motion: Motion) -> Array:
+    def shape_in(self, motion: SampledMotion) -> Array:
         """Return the effort (K, n) of a unit parameter as it stands in filtered efforts."""
         if self.linear:
             return self.shape(motion.velocity, motion.acceleration)

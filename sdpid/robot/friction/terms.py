@@ -16,8 +16,8 @@ from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
     JointwiseTerm,
-    Motion,
     OpenParameter,
+    SampledMotion,
     TermParameter,
     check_speeds,
     diagonal,
@@ -388,7 +388,7 @@ class AsymmetricCoulomb(FrictionTerm):
         sides = self._sides(velocity, acceleration)
         return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns of the two sides as they stand in filtered efforts."""
         sides = motion.filtered(self._sides, self)
         return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
@@ -462,7 +462,7 @@ class Coupling(FrictionTerm):
             TermParameter(f"Fs{pair}", "N.m", True, last),
         )
 
-    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the three columns as they stand in filtered efforts; two of them are linear."""
         columns = self.columns(motion.velocity, motion.acceleration, joint_names)
         i, j = self._joints(joint_names)

@@ -18,7 +18,7 @@ from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid._common.tables import Shown
 from sdpid.errors import IdentifiabilityError
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import Motion
+from sdpid.robot.friction.term import SampledMotion
 from sdpid.robot.inertia import PARAMETER_NAMES
 from sdpid.robot.model.model import RobotModel
 
@@ -187,7 +187,9 @@ def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Arra
         more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
         q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
     first = friction.first
-    motion = Motion(position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot)
+    motion = SampledMotion(
+        position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
+    )
     columns = np.concatenate([robot.regressor(q, v, a), friction.columns_in(motion)], axis=2)
     return columns.reshape(-1, columns.shape[2])
 

@@ -16,7 +16,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.robot.friction.curve import JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.term import FrictionTerm, Motion
+from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.model import RobotModel
 
 # Forward dynamics with friction of the load: friction a tenth of the load shrinks the error tenfold
@@ -399,7 +399,9 @@ class RobotDynamics:
         for term, values in self._posed():
             if isinstance(term, kind):
                 position = np.atleast_2d(np.asarray(q, dtype=np.float64))
-                motion = Motion(position=position, velocity=v, acceleration=a, robot=self.robot)
+                motion = SampledMotion(
+                    position=position, velocity=v, acceleration=a, robot=self.robot
+                )
                 out += term.columns_in(motion, self.terms.joint_names) @ values
         return out
 

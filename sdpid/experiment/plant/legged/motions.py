@@ -51,7 +51,7 @@ Path: TypeAlias = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class LeggedPlan:
     """A desired motion.
 
     Attributes
@@ -85,7 +85,7 @@ def planned(
     base: Path,
     feet: Callable[[Array], Array],
     down: Callable[[Array], Mask],
-) -> Plan:
+) -> LeggedPlan:
     """Plan a motion: solve for the joints at knots.
 
     Parameters
@@ -141,7 +141,7 @@ def planned(
     def joints(t: Array) -> tuple[Array, Array]:
         return spline(t), slope(t)
 
-    return Plan(joints, lifted, down, False, duration)
+    return LeggedPlan(joints, lifted, down, False, duration)
 
 
 def joint_sines(n: int, rng: np.random.Generator) -> Path:
@@ -184,7 +184,9 @@ def rise(t: Array) -> tuple[Array, Array]:
     return x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x * (1.0 - x)) ** 2 / RAMP
 
 
-def plan_motion(legs: Legs, motion: str, *, duration: float, rng: np.random.Generator) -> Plan:
+def plan_motion(
+    legs: Legs, motion: str, *, duration: float, rng: np.random.Generator
+) -> LeggedPlan:
     """Plan a motion by its name.
 
     Parameters
@@ -227,7 +229,7 @@ def plan_motion(legs: Legs, motion: str, *, duration: float, rng: np.random.Gene
     return planned(legs, duration, rng, base_sines(legs, rng, 1.0), feet, down)
 
 
-def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
+def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> LeggedPlan:
     swing = joint_sines(legs.n_joints, rng)
 
     def joints(t: Array) -> tuple[Array, Array]:
@@ -239,7 +241,9 @@ def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> Plan:
     def base(t: Array) -> tuple[Array, Array]:
         return np.broadcast_to(height, (len(t), 3)), np.zeros((len(t), 3))
 
-    return Plan(joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration)
+    return LeggedPlan(
+        joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration
+    )
 
 
 def _gait(
@@ -249,7 +253,7 @@ def _gait(
     gait: tuple[float, float, float, float, float],
     *,
     together: bool,
-) -> Plan:
+) -> LeggedPlan:
     """Plan a gait: feet lifted in turn, the base above those that are down."""
     cycle, duty, lift, speed, shift = gait
     places = legs.feet(legs.standing[None])[0]
@@ -307,7 +311,7 @@ def _phases(legs: Legs, places: Array, cycle: float, duty: float, together: bool
     return np.asarray(0.25 * fore + 0.5 * left)
 
 
-def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Plan:
+def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> LeggedPlan:
     """Return the plan of a motion; the robot stands in its first pose for a while before.
 
     Parameters
@@ -356,4 +360,4 @@ def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Plan:
     def down(t: Array) -> Mask:
         return motion.down[np.minimum(np.searchsorted(motion.time, at(t)), len(motion.time) - 1)]
 
-    return Plan(wanted, base, down, False, length, lambda t: np.asarray(effort(at(t))))
+    return LeggedPlan(wanted, base, down, False, length, lambda t: np.asarray(effort(at(t))))

@@ -18,8 +18,8 @@ from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
-from sdpid.experiment.plant.legged.motions import LEAD, Plan
-from sdpid.experiment.plant.legged.truth import DryFriction, Motion
+from sdpid.experiment.plant.legged.motions import LEAD, LeggedPlan
+from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion
 from sdpid.robot.legs.legs import Legs
 
 # Stiffness of the motors' feedback over the torque that a joint bears at its lever, 1/rad, and
@@ -34,7 +34,7 @@ _STAGES, _WEIGHTS = (0.0, 0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 
 _COMMAND_STRIDE = 5
 
 
-def weight_torques(legs: Legs, plan: Plan, times: Array) -> Array:
+def weight_torques(legs: Legs, plan: LeggedPlan, times: Array) -> Array:
     """Return the joint torques that hold the robot still at every instant of a plan.
 
     The robot is that of its description: a controller does not know the true one. The feet that
@@ -79,20 +79,20 @@ def weight_torques(legs: Legs, plan: Plan, times: Array) -> Array:
 
 def run_plan(
     legs: Legs,
-    plan: Plan,
+    plan: LeggedPlan,
     theta: Array,
     *,
     friction: DryFriction,
     rate_hz: float,
     before: int = 0,
-) -> tuple[Array, Motion]:
+) -> tuple[Array, TrueMotion]:
     """Simulate a plan.
 
     Parameters
     ----------
     legs : Legs
         The robot.
-    plan : Plan
+    plan : LeggedPlan
         What it shall do.
     theta : ndarray, shape (10·links + 3·joints,)
         True parameters.
@@ -107,7 +107,7 @@ def run_plan(
     -------
     time : ndarray, shape (N,)
         In s from the start of the motion; negative in the lead.
-    motion : Motion
+    motion : TrueMotion
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _in_pinocchio(
     torques: Array,
     wrenches: Array,
     down: Mask,
-) -> Motion:
+) -> TrueMotion:
     """Return MuJoCo's states in Pinocchio's order and axes."""
     from scipy.spatial.transform import Rotation
 
@@ -221,7 +221,7 @@ def _in_pinocchio(
     # The derivative of body-axis components, which Pinocchio calls the acceleration.
     turning = np.cross(velocity[:, 3:6], velocity[:, :3])
     acceleration[:, :3] = inverse.apply(acceleration[:, :3]) - turning
-    return Motion(
+    return TrueMotion(
         position=frozen(position),
         velocity=frozen(velocity),
         acceleration=frozen(acceleration),

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.truth import Motion
+from sdpid.experiment.plant.legged.truth import TrueMotion
 from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.legs.legs import Legs
@@ -105,7 +105,7 @@ class Sensors:
 def record(
     legs: Legs,
     time: Array,
-    motion: Motion,
+    motion: TrueMotion,
     sensors: Sensors,
     *,
     gravity: Array,
@@ -172,7 +172,7 @@ def _rms(values: Array) -> float:
 
 
 def _imu(
-    motion: Motion,
+    motion: TrueMotion,
     rows: Indices,
     sensors: Sensors,
     gravity: Array,

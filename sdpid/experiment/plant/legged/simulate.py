@@ -14,7 +14,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.motions import LEAD, follow, plan_motion
 from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
-from sdpid.experiment.plant.legged.truth import DryFriction, Motion, changed_parameters
+from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.find import find_legs
@@ -38,7 +38,7 @@ class LeggedRun(Shown):
     theta : ndarray, shape (10·links + 3·joints,)
         True parameters: of the links, then Coulomb friction, viscous friction and rotor inertia
         of all joints.
-    motion : Motion
+    motion : TrueMotion
         The motion without sensors: positions, velocities, accelerations, torques, friction and
         contact wrenches at the recorded instants.
     friction : DryFriction
@@ -53,7 +53,7 @@ class LeggedRun(Shown):
 
     recording: Recording
     theta: Array
-    motion: Motion
+    motion: TrueMotion
     friction: DryFriction
 
     _facts = ("recording",)

@@ -92,7 +92,7 @@ class DryFriction:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class TrueMotion:
     """A motion as it was, in Pinocchio's order, without sensors.
 
     Attributes
@@ -119,9 +119,11 @@ class Motion:
     wrenches: Array
     down: Mask
 
-    def after(self, samples: int) -> Motion:
+    def after(self, samples: int) -> TrueMotion:
         """Return the motion without its first samples."""
-        return Motion(**{name: frozen_view(value[samples:]) for name, value in vars(self).items()})
+        return TrueMotion(
+            **{name: frozen_view(value[samples:]) for name, value in vars(self).items()}
+        )
 
 
 def changed_parameters(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.table import NoNumbersError, Table
+from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_claim
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -37,7 +37,7 @@ _PLAIN |= {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _STRUCTS = 4
 
 
-def load_hdf5(path: Path) -> Table:
+def load_hdf5(path: Path) -> LogTable:
     """List the arrays of an HDF5 file by their paths, columns of tables and attributes included.
 
     Attributes of the file and of groups are found like arrays, so a rate or joint names may be
@@ -85,7 +85,7 @@ def load_hdf5(path: Path) -> Table:
         # Not by `visititems`: it asks for the sizes of indices, and where a damaged index leads
         # back to itself, HDF5 2.0 never comes back.
         visit("", file, 0)
-    return Table(found)
+    return LogTable(found)
 
 
 def _read(path: Path, name: str, field: str | None) -> NDArray[Any]:
@@ -138,7 +138,7 @@ def _text(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray([v.decode() if isinstance(v, bytes) else str(v) for v in values])
 
 
-def load_mat(path: Path) -> Table:
+def load_mat(path: Path) -> LogTable:
     """List the variables of a MATLAB file; fields of structs are named ``struct/field``.
 
     Raises
@@ -163,7 +163,7 @@ def load_mat(path: Path) -> Table:
                 found[field] = partial(np.asarray, value)
         elif isinstance(name, str):
             found[name] = partial(_loaded, path, name, kind)
-    return Table(found)
+    return LogTable(found)
 
 
 def _variable(path: Path, name: str) -> Any:

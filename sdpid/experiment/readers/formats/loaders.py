@@ -20,7 +20,7 @@ from sdpid.experiment.readers.formats.hdf5 import load_hdf5, load_mat
 from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
 from sdpid.experiment.readers.formats.text_file import load_matrices, load_text
-from sdpid.experiment.readers.table import NoNumbersError, Table
+from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_claim
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
@@ -42,7 +42,7 @@ _HEADERS: dict[tuple[int, int], Any] = {
 }
 
 
-def load_npz(path: Path) -> Table:
+def load_npz(path: Path) -> LogTable:
     """List the arrays of a NumPy archive; pickled objects are never loaded."""
 
     def member(name: str) -> NDArray[Any]:
@@ -71,10 +71,10 @@ def load_npz(path: Path) -> Table:
     except (*_DAMAGE, ValueError) as cause:
         raise DataError(f"{path}: not a readable NumPy archive ({cause}).") from None
     names = [entry.removesuffix(".npy") for entry in entries]
-    return Table({name: partial(member, name) for name in names})
+    return LogTable({name: partial(member, name) for name in names})
 
 
-def load_frame(frame: Any) -> Table:
+def load_frame(frame: Any) -> LogTable:
     """List the columns of a data frame (pandas, polars), and an index that is named or of times."""
     arrays: dict[str, Callable[[], NDArray[Any]]] = {}
     index = getattr(frame, "index", None)
@@ -85,10 +85,10 @@ def load_frame(frame: Any) -> Table:
             arrays[str(name)] = partial(_frame_column, index, name)
     for name in frame.columns:
         arrays[str(name)] = partial(_frame_column, frame[name], name)
-    return Table(arrays)
+    return LogTable(arrays)
 
 
-def load_feather(path: Path) -> Table:
+def load_feather(path: Path) -> LogTable:
     """List the columns of an Arrow or Feather file."""
     feather = require("pyarrow.feather", extra="io")
     try:
@@ -116,7 +116,7 @@ class Format:
     Attributes
     ----------
     load : callable
-        From a path to a `Table`.
+        From a path to a `LogTable`.
     suffixes : tuple of str
         What names of its files end with; of a folder none.
     sandboxed : bool
@@ -129,7 +129,7 @@ class Format:
         Whether motions to run are read from it; others can be exported as one of these.
     """
 
-    load: Callable[..., Table]
+    load: Callable[..., LogTable]
     suffixes: tuple[str, ...]
     sandboxed: bool = False
     choices: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.table import Table
+from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.recording.columns import FORMAT, KEY
 from sdpid.experiment.recording.recording import CHANNELS
 from sdpid.experiment.recording.stored import ROWS, check_claim, store
@@ -31,7 +31,7 @@ _KINDS |= {f"{sign}int{8 * k}": f"{sign or 'i'}{k}" for sign in ("", "u") for k 
 _Arrays = dict[str, Callable[[], NDArray[Any]]]
 
 
-def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
+def load_parquet(path: Path, *, stored: bool | None = None) -> LogTable:
     """List the columns of a Parquet file, and what `Recording.to_parquet` kept beside them.
 
     Parameters
@@ -57,9 +57,9 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
     arrays: _Arrays = {name: partial(file.any, name) for name in file.kinds}
     arrays |= {name: partial(_first, several, name) for name in plain}
     if KEY not in file.metadata:
-        return Table(arrays, columns=several, plain=frozenset(plain))
+        return LogTable(arrays, columns=several, plain=frozenset(plain))
     recorded, stated = _recorded(path, file.metadata[KEY], plain, several)
-    return Table(
+    return LogTable(
         arrays | recorded,
         columns=several,
         plain=frozenset(plain),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.table import Table
+from sdpid.experiment.readers.table import LogTable
 
 _STATES = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"
@@ -34,7 +34,7 @@ def load_rosbag(
     topic: str | None = None,
     joint_names: Sequence[str] | None = None,
     topics: Mapping[str, str] | None = None,
-) -> Table:
+) -> LogTable:
     """Read the joint states of a bag, and the odometry and the IMU of a base.
 
     Parameters
@@ -51,7 +51,7 @@ def load_rosbag(
 
     Returns
     -------
-    Table
+    LogTable
         ``time`` (from the messages' own stamps where they have any, else when they were
         recorded), ``bag_time`` (when they were recorded), both in s from the first message,
         ``joint_names``, ``position``, and ``velocity`` and ``effort`` where they are filled;
@@ -70,7 +70,7 @@ def load_rosbag(
     typesys = require("rosbags.typesys", extra="ros")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     with highlevel.AnyReader([path], default_typestore=store) as reader:
-        states = _States(path, None if joint_names is None else tuple(joint_names))
+        states = _JointStates(path, None if joint_names is None else tuple(joint_names))
         streams: dict[str, _Stream] = {}
         for message, (name, row) in _MESSAGES.items():
             wanted = (topics or {}).get(name)
@@ -88,7 +88,7 @@ def load_rosbag(
     for stream in streams.values():
         columns |= _at_states(stream, states)
     said = {"base": {"quaternion": "xyzw", "velocity_frame": "base"}} if streams else {}
-    return Table(
+    return LogTable(
         {name: partial(np.asarray, values) for name, values in columns.items()}, stated=said
     )
 
@@ -155,7 +155,7 @@ def _imu(message: Any) -> Iterable[float]:
     return [value for part in parts for value in (part.x, part.y, part.z)]
 
 
-class _States(_Stream):
+class _JointStates(_Stream):
     """The joint states of a topic, message by message; those of other joints are passed over."""
 
     def __init__(self, path: Path, names: tuple[str, ...] | None) -> None:
@@ -231,7 +231,7 @@ class _States(_Stream):
         return found | {quantity: table[:, k] for k, quantity in enumerate(there)}
 
 
-def _at_states(stream: _Stream, states: _States) -> dict[str, Array]:
+def _at_states(stream: _Stream, states: _JointStates) -> dict[str, Array]:
     """Return quantities of the base at the stamps of the joint states; NaN where unknown."""
     if not stream.recorded:
         return {}

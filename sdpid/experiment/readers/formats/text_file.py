@@ -25,7 +25,7 @@ from sdpid._common.files import printable
 from sdpid._common.sandbox import memory_limit
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import unit_of
-from sdpid.experiment.readers.table import NoNumbersError, Table
+from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_memory
 
 # A line is not longer than this.
@@ -51,7 +51,7 @@ _SUFFIXES = (".dat", ".txt", ".csv", ".tsv")
 _MOST_GROWTH = 4
 
 
-def load_text(path: Path) -> Table:
+def load_text(path: Path) -> LogTable:
     """List the columns of a text file.
 
     Columns are separated by semicolons, tabs, commas or blanks; decimals by points, or by commas
@@ -69,7 +69,7 @@ def load_text(path: Path) -> Table:
     except _DAMAGE as cause:
         raise DataError(f"{path}: not a readable text file ({cause}).") from None
     arrays = {name: partial(text.column, k) for k, name in enumerate(text.names) if name}
-    return Table(arrays, place=text.place, unnamed=text.unnamed)
+    return LogTable(arrays, place=text.place, unnamed=text.unnamed)
 
 
 class _Lines(io.TextIOBase):
@@ -300,7 +300,7 @@ def is_folder_of_matrices(folder: Path) -> bool:
     return any(path.suffix.lower() in _SUFFIXES for path in folder.iterdir())
 
 
-def load_matrices(folder: Path) -> Table:
+def load_matrices(folder: Path) -> LogTable:
     """List the text matrices of a folder, by the names of their files.
 
     The longer side of each matrix is time, whichever way it is written.
@@ -318,7 +318,7 @@ def load_matrices(folder: Path) -> Table:
         if name in files:
             raise DataError(f"{folder}: {files[name].name} and {path.name} have the same name.")
         files[name] = path
-    return Table({name: partial(_matrix, path) for name, path in files.items()})
+    return LogTable({name: partial(_matrix, path) for name, path in files.items()})
 
 
 def _matrix(path: Path) -> NDArray[Any]:
