@@ -713,6 +713,22 @@ def test_dates(tmp_path: Path, zone: str, between: str):
     close(read_recording(tmp_path / "log.csv"))
 
 
+def test_columns_of_one_name_in_a_data_frame():
+    frame = pd.concat([FRAME.assign(time=TIME), FRAME[["tau1"]]], axis=1)
+    refuses(DataError, "several columns of one name", read_recording, frame)
+
+
+def test_dates_of_whole_seconds_are_no_milliseconds(tmp_path: Path):
+    stamps = [f"2024-03-01 00:{k // 60:02d}:{k % 60:02d}" for k in range(N)]
+    frame = FRAME.assign(time=["", *stamps[1:]])
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    found = read_recording(tmp_path / "log.csv", missing="drop")
+    np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
+    frame = FRAME.assign(time=[pd.NaT, *pd.to_datetime(stamps[1:])])
+    found = read_recording(frame, missing="drop")
+    np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
+
+
 @pytest.mark.parametrize("zone", [None, "UTC", "Europe/Rome"])
 @pytest.mark.parametrize("suffix", ["index", "column", ".parquet", ".feather"])
 def test_stamps_with_time_zones(tmp_path: Path, zone: str | None, suffix: str):
@@ -780,7 +796,7 @@ def test_data_frames():
     refuses(DataError, "is given NoneType, expected the path of a log", read_recording, None)
 
 
-@pytest.mark.parametrize("word", ["", "nan", "NaN", "null", "--", "N/A"])
+@pytest.mark.parametrize("word", ["", "nan", "NaN", "-nan", "null", "--", "N/A"])
 def test_values_that_begin_late(tmp_path: Path, word: str):
     file = write(tmp_path / "log.csv", "t,q1,q2,tau1,tau2", TIME, Q, TAU)
     lines = file.read_text().splitlines()

@@ -420,6 +420,16 @@ def test_joints_in_another_order_and_arrays(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.series.evaluate(TIME), q, atol=1e-12)
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_samples_at_dates(tmp_path: Path, suffix: str) -> None:
+    file, table = tmp_path / f"motion{suffix}", frame(1)
+    stamps = pd.Timestamp("2024-03-01") + pd.to_timedelta(np.rint(1e3 * TIME), unit="ms")
+    table = table.assign(**{table.columns[0]: stamps})
+    (table.to_parquet if suffix == ".parquet" else table.to_csv)(file, index=False)
+    motion = read_trajectory(file, NAMES)
+    np.testing.assert_allclose(motion.series.evaluate(TIME), SPLINE.evaluate(TIME), atol=1e-9)
+
+
 def test_degrees(tmp_path: Path) -> None:
     q = np.degrees(SPLINE.evaluate(TIME))
     table = pd.DataFrame(q, columns=[f"q{j} [deg]" for j in range(3)])

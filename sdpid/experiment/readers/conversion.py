@@ -294,6 +294,16 @@ def in_si(
     return transformed(values, lambda part: part * factors)
 
 
+def in_seconds(time: NDArray[Any]) -> NDArray[Any]:
+    """Return dates and times in s from the first one, NaN for none; numbers as they are."""
+    if time.dtype.kind not in "Mm":
+        return time
+    known = time[~np.isnat(time)]
+    # Relative, since seconds since 1970 in a double resolve no microsecond.
+    since = time - (known if known.size else time)[:1]
+    return np.asarray(since / np.timedelta64(1, "ns") * 1e-9)
+
+
 def _time(
     file: Path, found: Selection, arguments: Arguments, count: int
 ) -> tuple[NDArray[Any], dict[str, str]]:
@@ -309,8 +319,7 @@ def _time(
     if time.ndim != 1:
         raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
     if time.dtype.kind in "Mm":
-        # Relative, since seconds since 1970 in a double resolve no microsecond.
-        return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
+        return in_seconds(time), {}
     if time.dtype.kind not in "fiu":
         raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
     if time.dtype.kind == "f":

@@ -13,7 +13,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import Columns
-from sdpid.experiment.readers.conversion import in_si
+from sdpid.experiment.readers.conversion import in_seconds, in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
 from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.trajectory.curve import rests_at_ends
@@ -116,7 +116,7 @@ def _sampled(
             f"acceleration_<joint>. Found: {', '.join(list(table.arrays)[:40]) or 'nothing'}."
         )
     names, order = _joints(file, labels or log.names(), wanted, position.shape[1])
-    values = {"time": np.asarray(time).ravel(), "position": position}
+    values = {"time": in_seconds(np.asarray(time).ravel()), "position": position}
     for quantity in ("velocity", "acceleration"):
         found, label = log.read(quantity, labels)
         if found is not None and (label != labels or found.shape != position.shape):

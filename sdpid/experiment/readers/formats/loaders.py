@@ -75,7 +75,13 @@ def load_npz(path: Path) -> LogTable:
 
 
 def load_frame(frame: Any) -> LogTable:
-    """List the columns of a data frame (pandas, polars), and an index that is named or of times."""
+    """List the columns of a data frame (pandas, polars), and an index that is named or of times.
+
+    Raises
+    ------
+    DataError
+        When several columns have the same name.
+    """
     arrays: dict[str, Callable[[], NDArray[Any]]] = {}
     index = getattr(frame, "index", None)
     if index is not None:
@@ -83,6 +89,8 @@ def load_frame(frame: Any) -> LogTable:
         name = "time" if index.name is None and kind in "Mm" else index.name
         if name is not None:
             arrays[str(name)] = partial(_frame_column, index, name)
+    if len(set(frame.columns)) < len(frame.columns):
+        raise DataError("data frame: has several columns of one name.")
     for name in frame.columns:
         arrays[str(name)] = partial(_frame_column, frame[name], name)
     return LogTable(arrays)

@@ -38,7 +38,10 @@ _LOOKED_AT = 200
 _SNIFFED = 1 << 16
 _COMMENTS = ("#", "%", "//")
 # How programs write that a value is missing, in any case.
-_MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "1.#qnan", "-nan(ind)")
+_MISSING = (
+    *("", "nan", "-nan", "na", "n/a", "null", "none"),
+    *("-", "--", "#n/a", "1.#qnan", "-nan(ind)"),
+)
 _CASES = (str.lower, str.upper, str.title, lambda _: "NaN")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
@@ -136,13 +139,13 @@ class _Text:
         self.comma = self.comma and any(marks)
 
     def column(self, k: int) -> NDArray[Any]:
-        """Return one column."""
+        """Return one column: numbers, or dates and times."""
         values = self._frame[k]
         if values.dtype.kind in "iu" and abs(int(values[0])) >= _BEYOND_DOUBLE:
             values = values - values[0]
         if values.dtype.kind not in "iuf":
-            values = self._numbers(k, values.dropna().astype(str)).reindex(values.index)
-        return np.asarray(values, dtype=np.float64)
+            values = self._parsed(k, values.dropna().astype(str)).reindex(values.index)
+        return np.asarray(values, dtype=None if values.dtype.kind == "M" else np.float64)
 
     def place(self, sample: int) -> str:
         """Return the line of a sample, counted from 1 as editors do."""
@@ -172,8 +175,8 @@ class _Text:
         except _DAMAGE as cause:
             raise DataError(f"{self.path}: cannot be read ({cause}).") from None
 
-    def _numbers(self, k: int, texts: Any) -> Any:
-        """Return texts as numbers: dates and times as seconds from the first one."""
+    def _parsed(self, k: int, texts: Any) -> Any:
+        """Return texts as numbers, or as dates and times in UTC."""
         import pandas as pd
 
         texts, kind = texts.str.strip(), "a number"
@@ -181,15 +184,15 @@ class _Text:
             kind, iso = "a date and time", texts.str.removesuffix("UTC").str.strip()
             iso = iso.str.replace(",", ".", regex=False)
             stamps = pd.to_datetime(iso, utc=True, format="ISO8601", errors="coerce")
-            numbers = (stamps - stamps.iloc[0]) / pd.Timedelta(seconds=1)
+            parsed = stamps.dt.tz_localize(None)
         else:
-            numbers = texts.map(self._number).astype(float)
+            parsed = texts.map(self._number).astype(float)
             if self.comma:
                 # A point beside commas marks thousands, and is no part of a number.
-                numbers = numbers.mask(texts.str.contains(".", regex=False))
-        bad = numbers.isna()
+                parsed = parsed.mask(texts.str.contains(".", regex=False))
+        bad = parsed.isna()
         if not bad.any():
-            return numbers
+            return parsed
         sample, name = int(texts.index[bad][0]), printable(self.names[k])
         word = texts[sample]
         said = f"{self.path}: {self.place(sample)}: '{name}' holds '{printable(word[:40])}'"
