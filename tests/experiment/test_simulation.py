@@ -541,6 +541,13 @@ def test_much_noise_is_told_and_refused(arm_model: RobotDynamics):
     refuses(DataError, r"not known well enough: .*(deviation of|explains)", fitted.require)
 
 
+def test_efforts_of_zero_show_no_controller(arm_model: RobotDynamics):
+    log = logged(arm_model, LAWS["pd"])
+    fitted = fit_controller(replace(log, effort=0.0 * log.effort))
+    assert not fitted.usable
+    assert fitted.controller is None
+
+
 @pytest.mark.parametrize(("name", "kind"), [("pid", "pd"), ("pid", "p")])
 def test_other_kinds_are_refused(arm_model: RobotDynamics, name: str, kind: str):
     fitted = fit_controller(logged(arm_model, LAWS[name]), kind)
@@ -571,6 +578,8 @@ def test_what_cannot_be_fitted_is_told_before(arm_model: RobotDynamics):
         (lambda: fit_controller(replace(log, reference=None)), "no commanded positions"),
         (lambda: fit_controller(replace(log, currents=True)), "efforts are currents in A"),
         (lambda: fit_controller(log, cutoff_hz=400.0), "expected at most 50 Hz"),
+        (lambda: fit_controller(log, cutoff_hz="3"), "cutoff_hz: is '3', expected"),
+        (lambda: fit_controller("run.csv"), "recording: is 'run.csv'; give a Recording"),
         (
             lambda: fit_controller(
                 sdpid.Recording(**{k: getattr(log, k)[:400] for k in (

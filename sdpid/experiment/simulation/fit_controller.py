@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, frozen, is_number
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass
@@ -203,6 +203,11 @@ def fit_controller(
     """
     if kind not in KINDS:
         raise DataError(f"kind: '{kind}' is not known; known are {', '.join(KINDS)}.")
+    if not isinstance(recording, Recording):
+        raise DataError(
+            f"recording: is {recording!r:.80}; give a Recording, such as "
+            "sdpid.read_recording(path) returns."
+        )
     require_fixed_base(recording, "fit_controller")
     if recording.reference is None:
         raise DataError(
@@ -252,8 +257,10 @@ def _feedforward(signals: dict[str, Array], columns: list[Array]) -> tuple[bool,
     fit = _LawFit.of(signals, columns)
     (told, seen), C = fit.weights[:, 1:3].T, fit.covariances
     of_difference = C[:, 1, 1] + C[:, 2, 2] - 2.0 * C[:, 1, 2]
-    with_it = float(np.mean((told - seen) ** 2 / of_difference))
-    without = float(np.mean(told**2 / C[:, 1, 1]))
+    # Efforts of zero show neither, and without an error.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        with_it = float(np.mean((told - seen) ** 2 / of_difference))
+        without = float(np.mean(told**2 / C[:, 1, 1]))
     if max(with_it, without) > _DECIDED:
         return with_it < without, []
     doubt = "the log does not show whether the commanded velocity is in the law"
@@ -394,10 +401,10 @@ def _signals(log: Recording, cutoff_hz: float | None) -> tuple[dict[str, Array],
     if cutoff_hz is None:
         motion = motion_frequency(max(pieces, key=lambda piece: piece.n_samples))
         cutoff_hz = min(max(_PASS * motion, _LEAST_PASS), _LARGEST_PART * log.rate_hz)
-    elif not 0.0 < cutoff_hz <= _LARGEST_PART * log.rate_hz:
+    elif not (is_number(cutoff_hz) and 0.0 < cutoff_hz <= _LARGEST_PART * log.rate_hz):
         raise DataError(
-            f"cutoff_hz: is {cutoff_hz:g}, expected at most {_LARGEST_PART * log.rate_hz:.4g} Hz, "
-            f"{_LARGEST_PART:g} of the sample rate."
+            f"cutoff_hz: is {cutoff_hz!r:.80}, expected at most "
+            f"{_LARGEST_PART * log.rate_hz:.4g} Hz, {_LARGEST_PART:g} of the sample rate."
         )
     found = [rows for piece in pieces if (rows := _filtered(piece, cutoff_hz)) is not None]
     count = sum(len(rows["position"]) for rows in found)
