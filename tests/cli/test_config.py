@@ -187,7 +187,6 @@ def test_options_offer_what_the_library_knows() -> None:
     from sdpid.assurance.intervals.intervals import Method
     from sdpid.estimation.compression.covariance import Weighting
     from sdpid.estimation.effects.kinds import EFFECTS
-    from sdpid.robot.friction.terms import BY_NAME
     from sdpid.robot.inertia import Consistency
 
     rows = {row.name: row for row in TABLES["identify"]}
@@ -197,8 +196,8 @@ def test_options_offer_what_the_library_knows() -> None:
         ("interval_method", Method),
     ):
         assert {each.value for each in rows[name].kind.type} == set(get_args(known))
-    for name in (*BY_NAME, *(effect.name for effect in EFFECTS)):
-        assert name in rows["friction"].help + rows["effects"].help
+    for effect in EFFECTS:
+        assert effect.name in rows["effects"].help
 
 
 def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
