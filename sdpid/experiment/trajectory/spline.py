@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.curve import ROUNDING, Pieces, times_within
+from sdpid.experiment.trajectory.curve import ROUNDING, Pieces, blossom, times_within
 
 # Position, velocity and acceleration at an end are those of as many control points.
 _END = 3
@@ -112,8 +112,12 @@ class Spline(Pieces):
         -------
         ndarray, shape (rows, n)
         """
-        intervals, degree = len(self.control_points) - self.degree, self.degree - derivative
-        return _halved(self._derivative(derivative), intervals, max(degree, 0), halvings)
+        points = self._derivative(derivative)
+        intervals = len(self.control_points) - self.degree
+        for _ in range(halvings):
+            points = _halved(intervals, max(self.degree - derivative, 0)) @ points
+            intervals *= 2
+        return points
 
     @staticmethod
     def control_matrix(
@@ -131,14 +135,23 @@ class Spline(Pieces):
         DataError
             When m is too small for the degree, or the derivative is higher than the degree.
         """
-        from scipy.sparse import csr_array
+        from scipy.sparse import csr_array, diags_array
 
         intervals = _intervals(m, duration, degree)
         if not 0 <= derivative <= degree:
             raise DataError(f"derivative: is {derivative}; give 0 to the degree, {degree}.")
-        points = _points(_knots(intervals, degree), np.eye(m), degree, derivative)
-        points = _halved(points, intervals, degree - derivative, halvings)
-        return csr_array(points * (intervals / duration) ** derivative)
+        matrix = csr_array(diags_array(np.ones(m)))
+        for order in range(derivative):
+            rates = _rates(intervals, degree - order)
+            matrix = (
+                diags_array([-rates, rates], offsets=[0, 1], shape=(m - order - 1, m - order))
+                @ matrix
+            )
+        matrix = matrix * (intervals / duration) ** derivative
+        for _ in range(halvings):
+            matrix = _halved(intervals, degree - derivative) @ matrix
+            intervals *= 2
+        return csr_array(matrix)
 
     @classmethod
     def from_free(
@@ -185,9 +198,14 @@ class Spline(Pieces):
 
     def _derivative(self, order: int) -> Array:
         """Return the control points (rows, n) of a derivative, zero where they are equal."""
+        points = self.control_points
+        intervals = len(points) - self.degree
         if order > self.degree:
-            return np.zeros((len(self.control_points) - self.degree, self.n))
-        return _points(self.knots, self.control_points, self.degree, order)
+            return np.zeros((intervals, self.n))
+        for k in range(order):
+            rates = _rates(intervals, self.degree - k) * (intervals / self.duration)
+            points = rates[:, None] * np.diff(points, axis=0)
+        return points
 
     def _polynomials(self, derivative: int, piece: Any) -> tuple[Array, Array, Array]:
         """Return control points (q+1, S, n), knots (2q, S) and rounding (S, n) of S pieces."""
@@ -223,27 +241,30 @@ def _knots(intervals: int, degree: int) -> Array:
     return np.pad(np.arange(intervals + 1.0), degree, mode="edge")
 
 
-def _points(knots: Array, points: Array, degree: int, derivative: int) -> Array:
-    """Return the control points of a derivative of a spline."""
-    from scipy.interpolate import BSpline
-
-    if derivative == 0:
-        return points
-    lower = BSpline(knots, points, degree).derivative(derivative)
-    return np.asarray(lower.c[: len(points) - derivative])
+def _rates(intervals: int, degree: int) -> Array:
+    """Return degree over the knots' distance, for each difference of two control points."""
+    knots = _knots(intervals, degree)[1:-1]
+    return degree / (knots[degree:] - knots[:-degree])
 
 
-def _halved(points: Array, intervals: int, degree: int, times: int) -> Array:
-    """Return the control points on knots whose distance was halved some times."""
-    from scipy.interpolate import BSpline
+def _halved(intervals: int, degree: int) -> Any:
+    """Return the sparse map to the control points on knots half as far apart.
 
-    for _ in range(times):
-        if degree == 0:
-            points = np.repeat(points, 2, axis=0)
-        else:
-            spline = BSpline(_knots(intervals, degree), points, degree)
-            for middle in np.arange(intervals) + 0.5:
-                spline = spline.insert_knot(middle)
-            points = spline.c
-        intervals *= 2
-    return np.asarray(points)
+    A new control point is the blossom of the old spline at the inner knots of its support.
+    """
+    from scipy.sparse import csr_array
+
+    old, new = _knots(intervals, degree), _knots(2 * intervals, degree) / 2.0
+    rows = np.arange(2 * intervals + degree)
+    # Any piece under the new basis function will do; the middle one keeps the shares small.
+    inside = np.clip(rows + (degree + 1) // 2, degree, degree + 2 * intervals - 1)
+    piece = (inside - degree) // 2
+    unit = np.broadcast_to(np.eye(degree + 1)[:, None, :], (degree + 1, len(rows), degree + 1))
+    knots = old[np.arange(2 * degree)[:, None] + piece + 1]
+    weights = blossom(unit, knots, [new[rows + 1 + k] for k in range(degree)])
+    weights = np.where(np.abs(weights) < ROUNDING, 0.0, weights)
+    columns = piece[:, None] + np.arange(degree + 1)
+    where = (np.repeat(rows, degree + 1), columns.ravel())
+    matrix = csr_array((weights.ravel(), where), shape=(len(rows), intervals + degree))
+    matrix.eliminate_zeros()
+    return matrix
