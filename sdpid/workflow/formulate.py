@@ -27,7 +27,6 @@ from sdpid.experiment.preparation.prepare import (
     friction_of,
     prepare,
 )
-from sdpid.experiment.recording.joints import robot_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
@@ -128,4 +127,4 @@ def formulate(
             gains=gains,
             total_mass=formulation.total_mass,
         )
-    return formulation.problem(robot_of(robot, log.logs), log)
+    return formulation.problem(robot if isinstance(robot, RobotModel) else log.robot, log)

@@ -163,18 +163,25 @@ def prepare(
         When a recording cannot be read, matched or processed, or is refused, they cannot be fitted
         together, a joint does not exist, or no joint is left.
     """
-    robot, read = read_logs(robot, logs, name, without_effort=without_effort, gains=gains)
+    without = joints_without(without_effort)
+    robot, read = read_logs(robot, logs, name, without_effort=without, gains=gains)
     require_joint_covariance(read)
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
     views = [LogView(given=log, asked=robot) for log in read]
-    without = joints_without(without_effort)
     findings: tuple[Finding, ...] = ()
     if accept is not None:
+        kinds = kinds_accepted(accept)
         with progress(1, f"inspecting the {name}"):
-            findings = inspected(views, accept, without, name, total_mass)
-        without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept))))
+            findings = inspect_recordings(
+                views,
+                name="" if name == "log" else f"{name} recording",
+                without_effort=without,
+                total_mass=total_mass,
+            )
+        require_accepted(findings, kinds)
+        without = tuple(dict.fromkeys((*without, *joints_left_out(findings, kinds))))
     chosen, why = chosen_processing(views, processing)
     if not isinstance(processing, Processing):
         chosen = with_delays(views, chosen, processing, without)
@@ -284,29 +291,6 @@ def require_joint_covariance(logs: Sequence[Recording]) -> None:
             "cannot be joined with other recordings: fit one periodic recording alone, or leave "
             "its period out (period=None) so that it counts sample by sample."
         )
-
-
-def inspected(
-    views: Sequence[LogView],
-    accept: Iterable[str] = (),
-    without_effort: Sequence[str] = (),
-    name: str = "log",
-    total_mass: float | None = None,
-) -> tuple[Finding, ...]:
-    """Return what is wrong with recordings; arguments are those of `prepare`.
-
-    Raises
-    ------
-    DataError
-        When a finding that makes every result meaningless is not accepted.
-    """
-    kinds = kinds_accepted(accept)
-    called = "" if name == "log" else f"{name} recording"
-    findings = inspect_recordings(
-        views, name=called, without_effort=without_effort, total_mass=total_mass
-    )
-    require_accepted(findings, kinds)
-    return findings
 
 
 def chosen_processing(

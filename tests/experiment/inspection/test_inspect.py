@@ -354,6 +354,7 @@ def test_an_effort_that_says_nothing_is_left_out_and_accuses_no_other(
     assert prepare(robot, wrong, accept=()).without_effort == (name,)
     assert prepare(robot, wrong).without_effort == ()
     assert prepare(robot, wrong, accept=(kind,)).without_effort == ()
+    assert prepare(robot, wrong, without_effort=iter([name])).without_effort == (name,)
     assert f"--accept {kind}" in finding.remedy
     assert not inspect_recordings([wrong], robot, without_effort=[name])
 
