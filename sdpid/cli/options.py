@@ -153,11 +153,12 @@ class Given(SimpleNamespace):
         Raises
         ------
         DataError
-            When one has another value than its default.
+            When one is given on the command line, or in a file with another value than its default:
+            files of earlier runs hold defaults too.
         """
         for row in (self.rows[name] for name in names.split()):
-            value = getattr(self, row.name)
-            if value != row.value(row.default):
+            value, source = getattr(self, row.name), self.ctx.get_parameter_source(row.name)
+            if value != row.value(row.default) or source.name == "COMMANDLINE":
                 raise DataError(f"{row.label(value)}: {why}")
 
     def chosen(self, names: str) -> dict[str, Any]:

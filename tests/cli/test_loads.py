@@ -118,7 +118,6 @@ def test_gains_of_a_known_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("options", "said"),
     [
         (("--load", "2", "--load-com", "1,2"), "--load-com 1,2: has 2 numbers, expected 3"),
-        (("--load-error", "0.1"), "--load-error: of a load without a mass; give --load"),
         (("--load", "2", "--known", "a=x"), "--known a x: expected numbers"),
         (("--load", "2"), "load: there is no recording with load; give it"),
         (("--out", "run.csv"), "run.csv"),
