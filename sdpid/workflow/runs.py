@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import frozen
 from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import OURS
@@ -24,7 +24,7 @@ from sdpid.robot.friction.stored import term_from_dict
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from sdpid.verifier.reading import REFUSED, listed, numbers, parse, read_bytes, text
-from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS
+from sdpid.workflow.replay.compare import PARAMETERS, RESULT, ROBOTS
 from sdpid.workflow.result import Identification
 
 # Results, and folders of them.
@@ -38,9 +38,11 @@ _NOT_COMPUTED = frozenset(
 
 _LOG = "log, SHA-256"
 
-# What was chosen, beside friction terms and processing.
+# What was chosen, beside friction terms and processing, and what was found.
 _CHOSEN = ("weighting", "consistency", "margin", "prior", "samples", "rows_used")
+_FOUND = ("cost", "lower_bound", "gap", "certified", "worst_margin")
 
+_ERROR = f"error of {OURS}, %"
 _NO_JOINT_TEST = (
     "Files hold no covariances, so parameters are tested one by one and never together; "
     "first.compare_to(other) of the estimates does both."
@@ -68,6 +70,9 @@ class SavedParameter:
     lower: float | None
     upper: float | None
     expression: str = ""
+
+
+_COLUMNS = SavedParameter.__dataclass_fields__
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -197,36 +202,28 @@ class SavedRun(Shown):
 
     @cached_property
     def facts(self) -> dict[str, object]:
-        """What was given, asked, chosen and found, by name."""
-        result, facts = self.result, dict[str, object]()
+        """What was given, asked, chosen and found, by where it stands in the files."""
+        result, problem = self.result, self.result["problem"]
+        held = dict(result["held_out"] or {})
+        facts: dict[str, object] = {}
         for role, files in (self.inputs or {}).items():
             facts[role] = ", ".join(name for name, _ in files)
             facts[f"{role}, SHA-256"] = ", ".join(digest for _, digest in files)
         asked = {k: v for k, v in (self.options or {}).items() if k not in _NOT_COMPUTED}
         facts |= {f"option {name}": value for name, value in asked.items()}
-        problem = result["problem"]
-        facts["joints"] = [text(each, "joints") for each in problem["joints"]]
         facts |= {name: problem.get(name) for name in _CHOSEN}
         facts["friction terms"] = [
             text(each["term"], "terms") for each in problem["friction_terms"]
         ]
         processing = (self.recipe or {}).get("processing", {})
         facts |= {f"processing {name}": value for name, value in processing.items()}
-        held = dict(result["held_out"] or {})
-        facts |= {f"held out {name}": held.pop(name) for name in ("by", "blocks") if held}
+        facts |= {f"held out {name}": held.pop(name, None) for name in ("by", "blocks")}
         if held:
             joints = held[OURS]["moving"]["joints"].values()
-            facts["held out rows"] = [numbers(joint["rows"]) for joint in joints]
+            facts["held out rows"] = [each["rows"] for each in joints]
         for model, each in held.items():
-            moving = each["moving"]
-            facts[f"error of {model}, %"] = 100.0 * numbers(moving["relative_residual"])
-            for joint, own in moving["joints"].items():
-                share = own["nrmse"]
-                share = None if share is None else 100.0 * numbers(share)
-                facts[f"error of {model} at {joint}, %"] = share
-        facts |= {name: numbers(result[name]) for name in ("cost", "lower_bound", "gap")}
-        facts |= {name: result[name] for name in ("certified", "worst_margin")}
-        return facts
+            facts[f"error of {model}, %"] = 100.0 * numbers(each["moving"]["relative_residual"])
+        return facts | {name: result[name] for name in _FOUND}
 
     def model(self) -> RobotDynamics:
         """Return the identified robot, to compute with; see `Estimate.model`.
@@ -258,13 +255,14 @@ class SavedRun(Shown):
         import pandas
 
         entries = self.base if parameters == "base" else self.standard
-        return pandas.DataFrame.from_dict({k: vars(e) for k, e in entries.items()}, orient="index")
+        rows, columns = [vars(each) for each in entries.values()], [*_COLUMNS]
+        return pandas.DataFrame(rows, index=[*entries], columns=columns)
 
     def plot(self, *, axes: Any = None) -> Any:
         """Draw base parameters with their intervals (extra ``plot``) and return the axes."""
         from sdpid.plots.estimates import plot_forest
 
-        value, lower, upper = _values(self.base)
+        value, lower, upper = self.to_frame()[["value", "lower", "upper"]].to_numpy(float).T
         sets = {"this estimate": value}
         return plot_forest([*self.base], sets, lower=lower, upper=upper, axes=axes)
 
@@ -284,12 +282,6 @@ def _parameter(entry: Mapping[str, Any]) -> SavedParameter:
     lower, upper = (None if end is None else numbers(end) for end in ends)
     value, expression = numbers(entry["value"]), str(entry.get("expression", ""))
     return SavedParameter(value, str(entry["unit"]), lower, upper, expression)
-
-
-def _values(parameters: Mapping[str, SavedParameter]) -> Array:
-    """Return values, lower and upper ends of parameters, (3, count); NaN where there are none."""
-    rows = [(each.value, each.lower, each.upper) for each in parameters.values()]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3).T
 
 
 def load(folder: str | os.PathLike[str]) -> SavedRun:
@@ -349,11 +341,9 @@ class RunComparison(Shown):
 
     folders: tuple[str, str]
     facts: Table
-    differences: Table
     parameters: Table
     same_log: bool | None
     better: str | None
-    outside: tuple[str, ...]
     notes: tuple[str, ...]
 
     def _shown(self) -> dict[str, object]:
@@ -364,18 +354,28 @@ class RunComparison(Shown):
     def _tables(self) -> Iterator[Table]:
         return iter((self.differences, self.parameters))
 
+    @property
+    def differences(self) -> Table:
+        """Those facts that differ."""
+        return replace(self.facts, rows=tuple(row for row in self.facts.rows if row[1] != row[2]))
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Base parameters that differ by more than their intervals together.
+
+        None where the runs share data.
+        """
+        return tuple(str(row[0]) for row in self.parameters.rows if row[-1])
+
     def text(self, *, full: bool = True) -> str:
         """Return everything as text; not in full what differs and what it means."""
-        outside = tuple(row for row in self.parameters.rows if row[0] in self.outside)
+        outside = tuple(row for row in self.parameters.rows if row[-1])
         tables = {
-            "given, chosen and found": self.facts,
-            "base parameters": self.parameters,
+            "given, chosen and found differently": self.differences,
+            "base parameters that differ": replace(self.parameters, rows=outside),
         }
-        if not full:
-            tables = {
-                "given, chosen and found differently": self.differences,
-                "base parameters that differ": replace(self.parameters, rows=outside),
-            }
+        if full:
+            tables = {"given, chosen and found": self.facts, "base parameters": self.parameters}
         parts = [f"first: {self.folders[0]}\nother: {self.folders[1]}"]
         for title, table in tables.items():
             body = table.text() if table.rows else "nothing"
@@ -384,7 +384,8 @@ class RunComparison(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: tables as lists of rows by name."""
-        return plain_dict(vars(self))
+        more = {"differences": self.differences, "outside": self.outside}
+        return plain_dict({**vars(self), **more})
 
 
 def compare_runs(first: Saved, other: Saved) -> RunComparison:
@@ -405,15 +406,16 @@ def compare_runs(first: Saved, other: Saved) -> RunComparison:
     DataError
         When a folder is none, or they are of different robots.
     """
-    a, b = runs = SavedRun.of(first), SavedRun.of(other)
+    runs = {"first": SavedRun.of(first), "other": SavedRun.of(other)}
+    a, b = runs.values()
     names = (str(a.folder or "first"), str(b.folder or "other"))
-    joints = [_cell(run.facts["joints"]) for run in runs]
+    joints = [", ".join(run.result["problem"]["joints"]) for run in (a, b)]
     if joints[0] != joints[1]:
         raise DataError(
             f"compare: the joints of {names[0]} are {joints[0]}, those of {names[1]} {joints[1]}; "
             "compare runs of one robot."
         )
-    logs = [{digest for _, digest in (run.inputs or {}).get("log", ())} for run in runs]
+    logs = [{digest for _, digest in (run.inputs or {}).get("log", ())} for run in (a, b)]
     known = a.inputs is not None and b.inputs is not None
     untested = None
     if not known:
@@ -426,21 +428,17 @@ def compare_runs(first: Saved, other: Saved) -> RunComparison:
     elif a.intervals != b.intervals or None in a.intervals:
         kinds = (f"{method or 'none'} at {level}" for method, level in (a.intervals, b.intervals))
         untested = f"their intervals are of two kinds, or there are none ({' and '.join(kinds)})"
-    facts = [
-        (name, *(_cell(run.facts.get(name)) for run in runs)) for name in {**a.facts, **b.facts}
-    ]
-    header = ("what", "first", "other")
-    differences = tuple(row for row in facts if row[1] != row[2])
-    better, sentence = _better(a, b, names, [str(row[0]) for row in differences])
-    parameters, outside, sentences = _parameters(a, b, untested)
+    facts = tuple(
+        (name, *(_cell(run.facts.get(name)) for run in (a, b))) for name in a.facts | b.facts
+    )
+    better, sentence = _better(a, b, [str(row[0]) for row in facts if row[1] != row[2]])
+    parameters, sentences = _parameters(runs, untested)
     return RunComparison(
         folders=names,
-        facts=Table(header, tuple(facts)),
-        differences=Table(header, differences),
+        facts=Table(("what", *runs), facts),
         parameters=parameters,
         same_log=a.facts.get(_LOG) == b.facts.get(_LOG) if known else None,
-        better=better,
-        outside=outside,
+        better=None if better is None else names[better],
         notes=(sentence, *sentences),
     )
 
@@ -452,13 +450,11 @@ def _cell(value: Any) -> object:
     return value if value is None or isinstance(value, float) else str(value)
 
 
-def _better(
-    a: SavedRun, b: SavedRun, names: tuple[str, str], differ: list[str]
-) -> tuple[str | None, str]:
-    """Return the folder that predicts better what was held out from both, and a sentence."""
-    errors: list[Any] = [run.facts.get(f"error of {OURS}, %") for run in (a, b)]
-    held = _LOG if a.facts.get("held out by") == "blocks" else "validation, SHA-256"
-    other = [name for name in differ if name.startswith(("held out", "processing", held))]
+def _better(a: SavedRun, b: SavedRun, differ: list[str]) -> tuple[int | None, str]:
+    """Return which run predicts better what was held out from both, and a sentence."""
+    log = _LOG if a.facts.get("held out by") == "blocks" else "validation, SHA-256"
+    other = [name for name in differ if name.startswith(("held out", "processing", log))]
+    errors: list[Any] = [run.facts.get(_ERROR) for run in (a, b)]
     if None in (*errors, a.recipe, b.recipe):
         other.append("something was held out by one alone, or a manifest has no recipe")
     if other:
@@ -467,47 +463,43 @@ def _better(
     if errors[0] == errors[1]:
         return None, f"On the same rows held out both predict alike: {told}"
     k = int(errors[1] < errors[0])
-    which = ("first", "other")[k]
-    return names[k], f"On the same rows held out the {which} predicts better: {told}"
+    return k, f"On the same rows held out the {('first', 'other')[k]} predicts better: {told}"
 
 
-def _parameters(
-    a: SavedRun, b: SavedRun, untested: str | None
-) -> tuple[Table, tuple[str, ...], list[str]]:
-    """Return the base parameters of both, those that differ, and sentences on them."""
-    shared = [name for name in a.base if name in b.base]
-    regrouped = [name for name in shared if a.base[name].expression != b.base[name].expression]
-    names = [name for name in shared if name not in regrouped]
-    one, two = (_values({name: run.base[name] for name in names}) for run in (a, b))
+def _parameters(runs: Mapping[str, SavedRun], untested: str | None) -> tuple[Table, list[str]]:
+    """Return the base parameters of both runs with their differences, and sentences on them."""
+    frames = {which: run.to_frame().reset_index(names="parameter") for which, run in runs.items()}
+    # What is regrouped has the same name and is another parameter.
+    keys = ["parameter", "unit", "expression"]
+    both = frames["first"].merge(frames["other"], on=keys, suffixes=("", " of other"))
+    ends = ["value", "lower", "upper"]
+    one, two = (both[[f"{end}{of}" for end in ends]].to_numpy(float).T for of in ("", " of other"))
     difference = two[0] - one[0]
     # The ends that face each other; squares of half widths add up, as of independent errors.
     facing = np.where(difference > 0.0, (one[2], two[1]), (one[1], two[2]))
     allowed = np.hypot(*(facing - (one[0], two[0])))
     differ = (np.abs(difference) > allowed) & (untested is None)
     columns = {
-        "parameter": names,
-        "unit": [a.base[name].unit for name in names],
+        "parameter": both["parameter"],
+        "unit": both["unit"],
         "first": one[0],
         "other": two[0],
         "difference": difference,
         "allowed": allowed,
-        "verdict": ["differs" * each for each in differ.tolist()],
+        "verdict": np.where(differ, "differs", ""),
     }
-    outside = tuple(name for name, each in zip(names, differ.tolist(), strict=True) if each)
-    if untested:
-        sentences = [f"Differences of parameters are not tested: {untested}."]
-    else:
-        told = f" ({listed(outside, 6)})" if outside else ""
+    sentences = [f"Differences of parameters are not tested: {untested}."]
+    if not untested:
         tested = int(np.count_nonzero(np.isfinite(allowed)))
-        chance = (1.0 - float(a.intervals[1])) * tested
+        told = f" ({listed(map(str, both['parameter'][differ]), 6)})" if differ.any() else ""
+        chance = (1.0 - float(runs["first"].intervals[1])) * tested
         sentences = [
-            f"Of {tested} base parameters with intervals in both, {len(outside)}{told} differ "
+            f"Of {tested} base parameters with intervals in both, {differ.sum()}{told} differ "
             f"by more than these allow; about {chance:.2g} would by chance.",
             _NO_JOINT_TEST,
         ]
-    for which, run, against in (("first", a, b), ("other", b, a)):
-        if alone := [name for name in run.base if name not in against.base]:
-            sentences.append(f"In the {which} alone: {', '.join(alone)}.")
-    if regrouped:
-        sentences.append(f"Regrouped differently, and not compared: {', '.join(regrouped)}.")
-    return Table.of_columns(columns), outside, sentences
+    for which, run in runs.items():
+        alone = ", ".join(name for name in run.base if name not in {*both["parameter"]})
+        if alone:
+            sentences.append(f"In the {which} alone, or regrouped: {alone}.")
+    return Table.of_columns(columns), sentences

@@ -369,8 +369,8 @@ def test_what_is_called_the_same_must_be_the_same(runs: dict[str, Path], tmp_pat
     found = against(other)
     names = [row[0] for row in found.parameters.rows]
     assert not {"my2", "mx2"} & set(names)
-    assert "Regrouped differently, and not compared: my2." in found.notes
-    assert "In the first alone: mx2." in found.notes
+    assert "In the first alone, or regrouped: mx2, my2." in found.notes
+    assert "In the other alone, or regrouped: my2." in found.notes
     level = against(lambda c: c.update(interval_level=0.5))
     assert "two kinds, or there are none (gauss_markov at 0.95 and gauss_markov" in level.text()
     without = against(lambda c: c.update(interval_method=None, interval_level=None))
