@@ -17,8 +17,15 @@ from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
 from sdpid.verifier.reading import REFUSED, listed, parse, read_bytes, shown
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
-from sdpid.workflow.replay.compare import Link, told
-from sdpid.workflow.replay.numbers import PARAMETERS, RESULT, ROBOTS, TABLES, check_numbers
+from sdpid.workflow.replay.compare import (
+    PARAMETERS,
+    RESULT,
+    ROBOTS,
+    TABLES,
+    Link,
+    check_numbers,
+    told,
+)
 
 if TYPE_CHECKING:
     from sdpid.experiment.preparation.prepare import Logs

@@ -19,7 +19,7 @@ from sdpid.assurance.recipe.recipe import Recipe, RobotRecipe
 from sdpid.assurance.recipe.stated import StatedProblem
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
 from sdpid.robot.friction.terms import Coulomb
-from sdpid.workflow.replay import given as given_to_it
+from sdpid.workflow.replay import replay as module
 from sdpid.workflow.replay.compare import distance
 from sdpid.workflow.replay.replay import Replay, replay
 from tests.helpers import world
@@ -311,7 +311,7 @@ def test_a_missing_package_is_no_finding(run: Path, monkeypatch: pytest.MonkeyPa
     def refuse(*_: Any, **__: Any) -> None:
         raise MissingExtraError("h5py is not installed")
 
-    monkeypatch.setattr(given_to_it, "read_recording", refuse)
+    monkeypatch.setattr(module, "read_recording", refuse)
     with pytest.raises(MissingExtraError):
         replay(run / "results", run / "run.csv")
 

@@ -4,17 +4,37 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from contextlib import suppress
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, rotation_matrices
 from sdpid._common.tables import Table, plain
 from sdpid.errors import MissingExtraError, SdpidError
-from sdpid.verifier.reading import REFUSED, MalformedError, shown
+from sdpid.verifier.bound import Proof
+from sdpid.verifier.exact import product
+from sdpid.verifier.reading import (
+    REFUSED,
+    MalformedError,
+    items,
+    numbers,
+    parse,
+    read_bytes,
+    shown,
+)
+
+RESULT, PARAMETERS = "result.json", "parameters.json"
+TABLES = {"parameters.csv": "standard", "base_parameters.csv": "base"}
+
+# Robots, which result.json lists.
+ROBOTS = URDF, MJCF = "identified.urdf", "identified.xml"
 
 # What is made again on another processor is rounded otherwise: of honest runs costs differ by 1e-13
 # of their size, by 6e-9 where the motion excites badly. One changed sample of 15,000 makes 6e-5.
@@ -32,6 +52,10 @@ _HUGE = 1e100
 
 # Bodies follow from the parameters without a sum over rows.
 _DIGITS = 1e-12
+
+# Costs are sums of squares, computed in floating point from numbers of up to some 1e6 times their
+# size.
+_ROUNDING = Fraction(1e-9)
 
 # Ends of an interval.
 _ENDS = ("interval", "lower", "upper")
@@ -62,15 +86,13 @@ _TAG, _QUOTED, _BLANK = (
 )
 _ATTRIBUTE = re.compile(r'([a-z]+)="([^"]*)"')
 
-
 State = Literal["made again", "not made again", "not checked"]
 
 # A, rhs and floor of a cost ‖A·base − rhs‖² + floor.
 Cost: TypeAlias = tuple[Array, Array, float]
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """One link from a log to a file.
 
     Attributes
@@ -150,7 +172,7 @@ def differences(
         if type(found) is not (dict if named else list):
             yield f"{where} is {_short(found)}"
             return
-        one, two = (dict(each) if named else dict(enumerate(each)) for each in (found, wanted))
+        one, two = (dict(each if named else enumerate(each)) for each in (found, wanted))
         if list(one) != list(two):
             odd = ", ".join(shown(str(each)) for each in one.keys() ^ two.keys())
             yield f"{where} has other entries than were made again ({odd or 'their order'})"
@@ -194,13 +216,14 @@ def table_differences(
     """
     made = [["" if cell is None else str(cell) for cell in map(plain, row)] for row in wanted.rows]
     found, again = (
-        _by_name(each, without) for each in (read_table(content), [list(wanted.header), *made])
+        {name: {k: x for k, x in row.items() if k not in without} for name, row in table.items()}
+        for table in (read_table(content), _by_name([list(wanted.header), *made]))
     )
     yield from differences(found, again, of_width=of_width)
 
 
-def read_table(content: bytes) -> list[list[str]]:
-    """Return the cells of a CSV table, its header first; as many in each row, and no name twice.
+def read_table(content: bytes) -> dict[str, dict[str, Any]]:
+    """Return the cells of a CSV table by row and column, numbers as such; no name occurs twice.
 
     Raises
     ------
@@ -216,21 +239,17 @@ def read_table(content: bytes) -> list[list[str]]:
     for names in (rows[0], [row[0] for row in rows]):
         if len(set(names)) != len(names):
             raise MalformedError("two of its rows or columns have the same name")
-    return rows
+    return _by_name(rows)
 
 
-def _by_name(rows: list[list[str]], without: Container[str]) -> dict[str, dict[str, Any]]:
+def _by_name(rows: list[list[str]]) -> dict[str, dict[str, Any]]:
     """Return the cells of a table by row and column, numbers as such."""
     header, *others = rows
+    cells = ([float(cell) if _NUMBER.fullmatch(cell) else cell for cell in row] for row in others)
+    names = (row[0] for row in others)
     return {
-        row[0]: {k: _value(cell) for k, cell in zip(header, row, strict=True) if k not in without}
-        for row in others
+        name: dict(zip(header, row, strict=True)) for name, row in zip(names, cells, strict=True)
     }
-
-
-def _value(cell: str) -> str | float:
-    """Return the number that a cell holds, or else its text."""
-    return float(cell) if _NUMBER.fullmatch(cell) else cell
 
 
 def text_differences(found: str, wanted: str) -> Iterator[str]:
@@ -295,22 +314,19 @@ def _as_tensor(match: re.Match[str]) -> str:
     """Return the element of a body with its tensor: axes may come in any order and sign."""
     pairs = _ATTRIBUTE.findall(match[0])
     given = dict(pairs)
+    quaternion, moments = (given.get(key, "").split() for key in ("quat", "diaginertia"))
     # Python's numbers may have underscores, which MuJoCo refuses.
-    if len(given) != len(pairs) or "_" in given.get("quat", "") + given.get("diaginertia", ""):
+    known = all(map(_NUMBER.fullmatch, (*quaternion, *moments)))
+    if len(given) != len(pairs) or (len(quaternion), len(moments)) != (4, 3) or not known:
         return match[0]
-    try:
-        w, *v = (float(each) for each in given["quat"].split())
-        moments = np.array([float(each) for each in given["diaginertia"].split()])
-        cross = np.cross(np.eye(3), v)
-        size = w * w + np.dot(v, v)
-        turn = np.eye(3) + 2.0 * (cross.T @ cross.T - w * cross.T) / size
-        tensor = (turn * moments) @ turn.T
-    except (KeyError, ValueError, ZeroDivisionError):
+    w, x, y, z = map(float, quaternion)
+    if not 0.0 < (length := math.hypot(w, x, y, z)) < math.inf:
         return match[0]
-    body = " ".join(repr(float(each)) for each in tensor[np.triu_indices(3)])
+    turn = rotation_matrices(np.array([[x, y, z, w]]) / length)[0]
+    tensor = (turn * np.array(moments, dtype=np.float64)) @ turn.T
+    given |= {"tensor": " ".join(map(repr, tensor[np.triu_indices(3)].tolist()))}
     others = (f'{k}="{v}"' for k, v in given.items() if k not in ("quat", "diaginertia"))
-    rest = _ATTRIBUTE.sub("", match[0]).split()
-    return " ".join((*rest, *others, f'tensor="{body}"'))
+    return " ".join((*_ATTRIBUTE.sub("", match[0]).split(), *others))
 
 
 def _near(found: str, wanted: str, room: float) -> bool:
@@ -357,3 +373,93 @@ def distance(given: Cost, made: Cost) -> float:
     coordinates = axes.T / values / size[:, None]
     one, two = own @ coordinates, R @ coordinates
     return float(np.linalg.norm(one.T @ one - two.T @ two, 2))
+
+
+def check_numbers(
+    folder: Path, files: Container[str], data: Mapping[str, Any], holds: bool
+) -> list[Link]:
+    """Check the files that repeat numbers of a certificate: each to the last digit.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    files : container of str
+        The files that its manifest lists.
+    data : mapping
+        The certificate, which makes sense.
+    holds : bool
+        Whether it proves what it claims.
+    """
+    written = list[str]()
+    with suppress(OSError, *REFUSED):
+        # What is wrong is told where the file is compared; no robot that is there is of it.
+        exports = items(parse(read_bytes(folder / RESULT))["exports"], "exports")
+        written = [each["file"] for each in exports]
+    parameters: dict[str, dict[str, float] | None] = {"standard": None, "base": None}
+    if data["theta"] is not None:
+        # Base parameters are the doubles nearest to B·theta.
+        nearest = product(data["problem"]["base_matrix"], data["theta"])
+        for kind, names, values in (
+            ("standard", "theta_names", data["theta"]),
+            ("base", "base_names", nearest),
+        ):
+            parameters[kind] = dict(zip(data["origin"][names], map(float, values), strict=True))
+
+    def of_table(name: str) -> Iterator[str]:
+        found = {key: row["value"] for key, row in read_table(read_bytes(folder / name)).items()}
+        wanted = parameters[TABLES[name]]
+        return differences(
+            found, dict.fromkeys(found, "") if wanted is None else wanted, within=0.0
+        )
+
+    def of_json(name: str) -> Iterator[str]:
+        return _of_json(folder / name, data, parameters, holds)
+
+    links = list[Link]()
+    for name in (RESULT, PARAMETERS, *TABLES, *ROBOTS):
+        if name not in files:
+            if name not in ROBOTS or name in written or (folder / name).exists():
+                links.append(Link(name, "not made again", "it is a result, and not sealed"))
+        elif name not in ROBOTS:
+            check = partial(of_table if name in TABLES else of_json, name)
+            links += checked(name, check, "the numbers are the certificate's, to the last digit")
+        elif name not in written:
+            text = f"{RESULT} does not name it among what was written"
+            links.append(Link(name, "not made again", text))
+    return by_file(links)
+
+
+def _of_json(
+    path: Path, certificate: Mapping[str, Any], parameters: Mapping[str, Any], holds: bool
+) -> Iterator[str]:
+    """Yield what in a file is not as the certificate has it."""
+    data, claims, origin = parse(read_bytes(path)), certificate["claims"], certificate["origin"]
+    wanted = {"certificate": certificate["sha256"], "cost_at_most": claims["cost"]}
+    if path.name == RESULT:
+        wanted |= {key: claims[key] for key in ("lower_bound", "gap")}
+        own = {key: data[f"{key}_parameters"] for key in parameters}
+        if data["certified"] is not False and not holds:
+            yield "it says 'certified', and the certificate does not hold"
+    else:
+        wanted |= {key: origin[key] for key in ("robot", "joints", "weighting")}
+        wanted["consistency"] = certificate["problem"]["consistency"]
+        wanted["links"] = {str(k): link for k, link in enumerate(origin["links"], 1)}
+        own = {key: _values(data[key], key) for key in parameters}
+    found = {key: data[key] for key in wanted} | own
+    yield from differences(found, wanted | dict(parameters), within=0.0)
+    proof = Proof(dict(certificate))
+    if proof.theta is not None and not proof.broken:
+        off = abs(Fraction(numbers(data["cost"])) - proof.cost)
+        if off > _ROUNDING * max(proof.cost, proof.scale):
+            cost = float(proof.cost)
+            yield f"cost is {data['cost']!r}, that of the certified parameters {cost!r}"
+
+
+def _values(given: Any, key: str) -> dict[str, Any] | None:
+    """Return the values of parameters by name."""
+    if given is None:
+        return None
+    if type(given) is not dict:
+        raise MalformedError(f"{key} is no object")
+    return {name: given[name]["value"] for name in given}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -16,8 +17,9 @@ from sdpid._common.tables import changed
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import problem_dict
 from sdpid.assurance.certificate.rows_digest import rows_digest
+from sdpid.assurance.recipe.inputs import log_entry, recording_digest
 from sdpid.assurance.recipe.stated import StatedProblem, in_words
-from sdpid.errors import DataError, MissingExtraError, SdpidError
+from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError, SdpidError
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.prior.friction import with_friction_max
@@ -26,14 +28,18 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.nearest_to_prior import distance_to_reference
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.prepare import Logs, Prepared, prepare
+from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.description.catalog import bundled_robots, example_robots
+from sdpid.robot.description.urdf import without_level
+from sdpid.robot.description.xacro import is_xacro
+from sdpid.robot.description.xml import read_description
+from sdpid.robot.model.base_parameters import kinematics_digest
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import REFUSED, shown
-from sdpid.workflow.identify import with_motion_bias_of
-from sdpid.workflow.replay.compare import LIMIT, Link, State, differences, distance, told
-from sdpid.workflow.replay.given import Sealed, find_robot, log_links, read_log, several
-from sdpid.workflow.replay.numbers import URDF
-from sdpid.workflow.replay.written import Files, check_friction
+from sdpid.workflow.replay.compare import LIMIT, URDF, Link, State, differences, distance, told
+from sdpid.workflow.replay.written import Files, Sealed, check_friction
 
 # Links of what the caller gives: what cannot be read there is bad input, and no finding.
 _GIVEN = ("log", "robot")
@@ -123,10 +129,10 @@ def replay(
     MissingExtraError
         When a package is missing that the log's format needs.
     """
-    run, given = _Rerun(Sealed.read(folder)), several(logs)
+    run = _Rerun(Sealed.read(folder), logs, robot)
     steps: dict[str, Callable[[], Iterable[Link]]] = {
-        "log": lambda: run.read(given),
-        "robot": lambda: run.find(robot),
+        "log": run.read,
+        "robot": run.find,
         "samples": run.prepare,
         "problem": run.build,
         "base parameters": run.compare_base,
@@ -144,7 +150,7 @@ def replay(
                 links.append(Link(name, "not made again", wrong))
                 broken = name
             advance(1)
-    shown_links = tuple(replace(link, text=printable(link.text)) for link in links)
+    shown_links = tuple(link._replace(text=printable(link.text)) for link in links)
     return Replay(links=shown_links, distance=run.distance, gap=run.gap, roles=run.roles)
 
 
@@ -176,8 +182,11 @@ def _failure(name: str, step: Callable[[], Iterable[Link]], links: list[Link]) -
 def _judged(name: str, wrong: Iterable[str], text: str) -> Link:
     """Return a link that was made again unless something is wrong."""
     found = "; ".join(wrong)
-    state: State = "not made again" if found else "made again"
-    return Link(name, state, found or text)
+    return Link(name, _state(not found), found or text)
+
+
+def _state(same: bool) -> State:
+    return "made again" if same else "not made again"
 
 
 class _Rerun:
@@ -185,39 +194,133 @@ class _Rerun:
 
     logs: list[Recording]
     robot: RobotModel
-    of_folder: bool
     prepared: Prepared
     problem: Problem
+    # Whether the robot is that of identified.urdf.
+    of_folder = False
+    roles: tuple[str, ...] = ("log",)
+    distance: float | None = None
+    gap: float | None = None
 
-    def __init__(self, sealed: Sealed) -> None:
+    def __init__(self, sealed: Sealed, logs: Logs, robot: Any) -> None:
         self.sealed, self.recipe, self.data = sealed, sealed.recipe, sealed.data
-        self.asked = sealed.recipe.problem
-        self.roles: tuple[str, ...] = ("log",)
-        self.distance: float | None = None
-        self.gap: float | None = None
+        self.asked, self.given = sealed.recipe.problem, robot
+        alone = isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs)
+        several: Any = [logs] if alone else logs
+        self.given_logs: list[Any] = [*several]
+        for log in self.given_logs:
+            if isinstance(log, (str, os.PathLike)) and not os.path.exists(log):  # noqa: PTH110
+                raise DataError(f"{log}: there is no such file.")
 
-    def read(self, given: list[Any]) -> Iterator[Link]:
-        """Read the logs as the recipe says, and compare their SHA-256."""
-        entries = self.sealed.logs
-        if len(given) != len(entries):
+    def read(self) -> Iterator[Link]:
+        """Read the logs as the recipe says, and compare their SHA-256, each in its place."""
+        entries, reading = self.sealed.inputs("log"), self.recipe.reading
+        if len(self.given_logs) != len(entries):
             names = ", ".join(shown(each["name"] or "in memory") for each in entries)
-            raise _BrokenError(f"{len(given)} are given, the result is of {len(entries)}: {names}")
-        how = zip(given, self.recipe.reading, strict=True)
-        self.logs = [read_log(log, reading) for log, reading in how]
-        yield from log_links(self.sealed, self.logs)
+            raise _BrokenError(
+                f"{len(self.given_logs)} are given, the result is of {len(entries)}: {names}"
+            )
+        self.logs = [_read(*each) for each in zip(self.given_logs, reading, strict=True)]
+        order = [each["sha256"] for each in entries]
+        entries_of_logs = zip(self.logs, entries, reading, strict=True)
+        for number, (log, entry, how) in enumerate(entries_of_logs, 1):
+            found, sealed = log_entry(log, "log"), entry["sha256"]
+            if entry["bytes"] is None:
+                found = {**found, "bytes": None, "sha256": recording_digest(log)}
+            name = "the recording in memory" if found["name"] is None else shown(found["name"])
+            text, state = f"{name} has the SHA-256 of the manifest, {sealed}", _state(True)
+            if how:
+                text += f"; its columns are taken, scaled or left out by {_options(how)}"
+            if found["bytes"] != entry["bytes"]:
+                text += f"; but {found['bytes']} bytes, where the manifest has {entry['bytes']}"
+                state = _state(False)
+            if found["sha256"] != sealed:
+                was, state = shown(entry["name"] or "a recording in memory"), _state(False)
+                text = f"{name} has the SHA-256 {found['sha256']}, the manifest names {was} with "
+                text += sealed
+                if found["sha256"] in order:
+                    where = order.index(found["sha256"]) + 1
+                    text += f"; it is log {where} of the run, not log {number}: give them in that "
+                    text += "order"
+            yield Link("log", state, text)
 
-    def find(self, given: RobotModel | str | os.PathLike[str] | None) -> Iterator[Link]:
-        """Find the robot."""
-        robot, link, self.of_folder = find_robot(self.sealed, given)
+    def find(self) -> Iterator[Link]:
+        """Find the robot, and compare its text and kinematics with those of the manifest.
+
+        Rows depend on the kinematics alone. Without a given robot, identified.urdf has them if they
+        are, number for number, those that the manifest names; so has a robot that a catalog names.
+        """
+        recipe, given = self.recipe.robot, self.given
+        robot = given if isinstance(given, RobotModel) else None
+        name = "the given robot"
+        if given is None:
+            robot, name = self._of_folder(), f"{URDF} in the folder"
+            self.of_folder = robot is not None
+            if robot is None and recipe.catalog and recipe.source and _installed(recipe.source):
+                given = recipe.source
+        if robot is None and given is not None:
+            robot, name = load_robot(given, **recipe.arguments), shown(str(given))
         if robot is None:
-            raise _BrokenError(link.text)
+            named = "" if recipe.source is None else f" {shown(recipe.source)}"
+            how = f"{named.strip()} (--robot)" if named else "the model in Python (robot=)"
+            raise _BrokenError(f"the robot's description{named} is not in the folder: give {how}")
         if robot.source is not None and not self.of_folder:
             self.roles = ("log", "robot")
         bodies = None if self.asked is None or self.asked.prior is None else self.asked.prior.bodies
         # Those that the run's description had, unless others were given.
         own = self.of_folder and bodies is not None
         self.robot = replace(robot, prior=frozen(bodies)) if own else robot
-        yield link
+        yield self._known(robot, name)
+
+    def _of_folder(self) -> RobotModel | None:
+        """Return the robot of identified.urdf, None where its kinematics are not the manifest's."""
+        recipe, path = self.recipe.robot, self.sealed.folder / URDF
+        if recipe.kinematics is None or not path.is_file():
+            return None
+        try:
+            # No run writes xacro, and its expressions are run; the folder may be anybody's.
+            description = read_description(path)
+            if is_xacro(description):
+                return None
+            text = without_level(description.text)
+            robot = load_robot(text, root=recipe.root, gravity=recipe.gravity)
+        except ModelError:
+            return None
+        return robot if kinematics_digest(robot) == recipe.kinematics else None
+
+    def _known(self, robot: RobotModel, name: str) -> Link:
+        """Return whether a robot has the text or the kinematics of the manifest."""
+        recipe, entries = self.recipe.robot, self.sealed.inputs("robot")
+        text = None if robot.source is None else robot.source.sha256
+        sealed = entries[0]["sha256"] if entries and recipe.source is not None else None
+        kinematics, same = kinematics_digest(robot), text is not None and text == sealed
+        gravity = "({:g}, {:g}, {:g})".format(*recipe.gravity)
+        taken = f"; gravity is taken to be {gravity} m/s² in the base"
+        if recipe.xacro_args:
+            pairs = (f"{shown(k)}={shown(v)}" for k, v in sorted(recipe.xacro_args.items()))
+            taken += f"; its macros are given {', '.join(pairs)}"
+        if recipe.kinematics is None:
+            same = False
+            said = f"the recipe names no kinematics, and {name} has some: SHA-256 {kinematics}"
+        elif same:
+            said = f"{name} has the SHA-256 of the manifest, {text}{taken}"
+            if kinematics != recipe.kinematics:
+                said += (
+                    "; its kinematics have another SHA-256 than the manifest names, as they have "
+                    "where a processor rounds otherwise: rows and robots are compared with those "
+                    "read here"
+                )
+        elif same := kinematics == recipe.kinematics:
+            said = (
+                f"the kinematics of {name} are, number for number, those that the manifest names "
+                f"(SHA-256 {kinematics}){taken}"
+            )
+        else:
+            said = (
+                f"{name} is another robot: SHA-256 {text or kinematics}, the manifest names "
+                f"{shown(recipe.source or recipe.name)} with {sealed or recipe.kinematics}"
+            )
+        return Link("robot", _state(same), said)
 
     def prepare(self) -> Iterator[Link]:
         """Process the logs as the recipe says."""
@@ -393,17 +496,46 @@ class _Rerun:
             base = replace(problem.base, matrix=B)
             whole = replace(problem, base=base).with_origin(profiled=self.recipe.profiled or ())
             yield from Files(
-                sealed,
-                whole,
-                lambda each: with_motion_bias_of(each, prepared)[0],
-                described=not self.of_folder,
+                sealed=sealed, problem=whole, prepared=prepared, described=not self.of_folder
             ).check()
-        if self.of_folder and URDF in sealed.files:
+        if self.of_folder and URDF in sealed.manifest["files"]:
             text = (
                 "joints, places, limits and shapes, and what the description had in place of a "
                 "prior: none is given (--robot)"
             )
             yield Link(URDF, "not checked", text)
+
+
+def _read(log: Any, how: dict[str, Any] | None) -> Recording:
+    """Return a log as the recipe says that it is read; refuse what are no options."""
+    if isinstance(log, Recording):
+        return log
+    try:
+        recording: Recording = read_recording(log, mapping=False, **(how or {}))
+    except REFUSED as cause:
+        raise CertificateError(
+            f"manifest.json: its recipe cannot be followed: {log} is not read with "
+            f"{_options(how or {})} ({cause})."
+        ) from None
+    return recording
+
+
+def _options(how: dict[str, Any]) -> str:
+    """Return how a log is read, in words."""
+    said = []
+    for name, value in how.items():
+        if name == "gains" and isinstance(value, dict):
+            # Their errors stand in the recipe, and change no row.
+            value = {key: value.get(key) for key in ("file", "joint_names", "gains")}
+        # In full: what is cut off could take other columns, or scale them.
+        said.append(f"{name}={json.dumps(value)}")
+    return ", ".join(said)
+
+
+def _installed(name: str) -> bool:
+    """Return whether a name is that of a robot on this machine: a manifest may name any file."""
+    known = (*bundled_robots(), *example_robots())
+    return name in known or name in {each.split("/")[-1] for each in known}
 
 
 def _places(problem: Problem) -> Iterator[str]:
@@ -455,38 +587,31 @@ def _other_demands(given: Mapping[str, Any], problem: Problem) -> Iterator[str]:
 def _demanded(sealed: Sealed, stated: StatedProblem, problem: Problem) -> str:
     """Return what is asked, and what of it is not what `sdpid identify` asks of this robot."""
     robot, constraints, prior = problem.robot, stated.constraints, stated.prior
-    entry, own = sealed.robot, robot.source
-    described = entry is not None and own is not None and own.sha256 == entry["sha256"]
-    numbers = (
-        f"{stated.consistency}, margin {constraints.margin!r} kg.m2, masses from "
+    own = None if robot.source is None else robot.source.sha256
+    described = own in [entry["sha256"] for entry in sealed.inputs("robot")]
+    said = (
+        f"the recipe ({stated.consistency}, margin {constraints.margin!r} kg.m2, masses from "
         f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
         f"{constraints.theta_max!r}, of friction to {constraints.friction_max!r}"
     )
     if not constraints.friction_nonnegative:
-        numbers += ", friction may be negative"
+        said += ", friction may be negative"
     if described:
         default = with_friction_max(Constraints.of_size(robot), problem.require_rows("bounds"))
-        values = {
-            each.name: getattr(default, each.name)
+        others = ", ".join(
+            f"{each.name} {getattr(default, each.name)!r}"
             for each in fields(Constraints)
             if each.name != "others"
-        }
-        others = [
-            f"{name} {value!r}"
-            for name, value in values.items()
-            if getattr(constraints, name) != value
-        ]
-        numbers += (
-            f"; by default {', '.join(others)}" if others else ", the defaults for this robot"
+            and getattr(constraints, each.name) != getattr(default, each.name)
         )
-    said = f"the recipe ({numbers}"
+        said += f"; by default {others}" if others else ", the defaults for this robot"
     if constraints.others:
         said += f"; conditions: {in_words(constraints.others)}"
     if prior is None:
         return said + "; no prior)"
     same = described and prior.bodies is not None and np.array_equal(prior.bodies, robot.prior)
     towards = "the description's bodies" if same else "bodies that the recipe states"
-    said = f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards}"
+    said += f"; prior {prior.kind} of {prior.strength!r} nats towards {towards}"
     if not prior.friction:
         said += ", none about friction"
     if prior.alike:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,9 +17,12 @@ from sdpid._common.tables import Table, plain_dict
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS, hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
+from sdpid.assurance.recipe.recipe import Recipe
+from sdpid.errors import CertificateError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.robots.friction_files import NAMES, SCHEMA, VERSION, WRITERS, terms_data
 from sdpid.output.robots.mjcf import write_mjcf
@@ -28,11 +32,17 @@ from sdpid.output.tables.parameters_file import parameters_dict
 from sdpid.robot.description.xml import decode_xml
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
-from sdpid.verifier import certificate
+from sdpid.verifier import certificate, manifest
 from sdpid.verifier.exact import product
-from sdpid.verifier.reading import parse, read_bytes, text
+from sdpid.verifier.folder import CERTIFICATE
+from sdpid.verifier.reading import REFUSED, parse, read_bytes, text
+from sdpid.workflow.identify import with_motion_bias_of
 from sdpid.workflow.replay.compare import (
     LIMIT,
+    MJCF,
+    PARAMETERS,
+    RESULT,
+    URDF,
     Link,
     by_file,
     checked,
@@ -40,8 +50,6 @@ from sdpid.workflow.replay.compare import (
     table_differences,
     text_differences,
 )
-from sdpid.workflow.replay.given import Sealed
-from sdpid.workflow.replay.numbers import MJCF, PARAMETERS, RESULT, URDF
 
 # Descriptions of robots may be larger than proofs.
 _LARGEST = 64 * 2**20
@@ -60,6 +68,70 @@ _OF_INTERVALS = ("seconds", "solves")
 
 
 @dataclass(frozen=True, eq=False)
+class Sealed:
+    """The parts of a results folder that say how it was made.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder.
+    manifest : dict
+        Its files, and name, bytes and SHA-256 of what the run was given.
+    recipe : Recipe
+        How rows are made of the logs.
+    data : dict
+        The certificate.
+    """
+
+    folder: Path
+    manifest: dict[str, Any]
+    recipe: Recipe
+    data: dict[str, Any]
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike[str]) -> Sealed:
+        """Read manifest.json and certificate.json.
+
+        Raises
+        ------
+        CertificateError
+            When a file is missing or damaged, or the manifest has no recipe.
+        """
+        whole = Path(folder)
+        if not whole.is_dir():
+            raise CertificateError(
+                f"{folder}: is no folder; a log is checked against the whole folder that "
+                "'sdpid identify' wrote."
+            )
+        contents = []
+        for name, load in ((manifest.NAME, manifest.load), (CERTIFICATE, certificate.load)):
+            path = whole / name
+            try:
+                contents.append(load(read_bytes(path)))
+            except OSError as cause:
+                raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
+            except REFUSED as cause:
+                raise CertificateError(f"{path}: {cause}.") from None
+        listing, data = contents
+        where = whole / manifest.NAME
+        if listing["recipe"] is None:
+            raise CertificateError(
+                f"{where}: has no recipe, so that the rows cannot be made again from the log: the "
+                "run was not one of 'identify', or had friction terms of a class of its own."
+            )
+        sealed = cls(whole, listing, Recipe.from_dict(listing["recipe"]), data)
+        if (found := len(sealed.inputs("log"))) != len(sealed.recipe.reading):
+            raise CertificateError(
+                f"{where}: names {found} logs and how {len(sealed.recipe.reading)} are read."
+            )
+        return sealed
+
+    def inputs(self, role: str) -> list[dict[str, Any]]:
+        """Return name, bytes and SHA-256 of the logs in order, or of the robot's description."""
+        return [entry for entry in self.manifest["inputs"] if entry["role"] == role]
+
+
+@dataclass(frozen=True, eq=False)
 class Files:
     """The files of a folder, and what they are written again from.
 
@@ -69,8 +141,8 @@ class Files:
         The folder.
     problem : Problem
         Made again of the logs.
-    biased : callable
-        Returns the problem with what is known to move the fit beside noise, as intervals need it.
+    prepared : Prepared
+        The logs, which tell what moves the fit beside noise.
     described : bool
         Whether the robot has the bodies of the run's description, which stand for a prior where
         there is none.
@@ -78,7 +150,7 @@ class Files:
 
     sealed: Sealed
     problem: Problem
-    biased: Callable[[Problem], Problem]
+    prepared: Prepared
     described: bool
 
     @cached_property
@@ -86,7 +158,10 @@ class Files:
         """The certified parameters."""
         theta, B = self.sealed.data["theta"], self.sealed.data["problem"]["base_matrix"]
         base = frozen([float(each) for each in product(B, theta)])
-        problem = self.problem if self._method is None else self.biased(self.problem)
+        problem = self.problem
+        if self._method is not None:
+            # Intervals count what is known to move the fit beside noise.
+            problem, _ = with_motion_bias_of(problem, self.prepared)
         of_theta = Estimate.of_theta(problem, theta, method="sdp", status="optimal", message="")
         return replace(of_theta, base=base)
 
@@ -158,7 +233,7 @@ class Files:
         old = self.sealed.data["version"] < certificate.VERSION
         found, unsaid = list[Link](), self.sealed.recipe.profiled is None and old
         for name, (check, said) in checks.items():
-            if name not in self.sealed.files:
+            if name not in self.sealed.manifest["files"]:
                 continue
             if unsaid and name not in (URDF, MJCF):
                 text = "intervals: the recipe does not say which numbers of terms the data chose"
@@ -260,7 +335,7 @@ def check_friction(sealed: Sealed, first: int) -> list[Link]:
         "the parameters are the certificate's, widths, speeds and exponents the recipe's, the code "
         "is what follows from these to the byte, and it computes what the package's own terms do"
     )
-    names = [name for name in NAMES if name in sealed.files]
+    names = [name for name in NAMES if name in sealed.manifest["files"]]
     return by_file(
         link
         for name in names
