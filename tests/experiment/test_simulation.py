@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 import sdpid
 from sdpid import friction as terms
@@ -23,7 +23,7 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.kernels import linked, loops
 from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
-from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
+from sdpid.experiment.simulation.sensitivities import sensitivities
 from sdpid.friction import Coulomb
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
@@ -144,7 +144,9 @@ def test_the_loops_do_the_same_without_a_compiler(monkeypatch: pytest.MonkeyPatc
     for entries in (linked.entries, lambda: loops):
         monkeypatch.setattr(arm_module, "entries", entries)
         efforts = np.repeat(effort[:, None], 20, axis=1)
-        found.append((*arm.mass_and_bias(q, v), *arm.run(q, v, efforts, 2e-3)))
+        found.append(
+            (*arm.mass_and_bias(q, v), *arm.run(np.stack([q, v])[:, :, None], efforts, 2e-3))
+        )
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9)
 
@@ -163,7 +165,7 @@ def test_smooth_friction_converges_to_scipy_with_second_order() -> None:
     arm, errors = SimulatedArm.of(model), []
     for count in (100, 200, 400):
         push = np.tile(effort, (1, count, 1))
-        q, v, _ = arm.run(start[None, :2], start[None, 2:], push, 0.4 / count)
+        q, v = arm.run(start.reshape(2, 1, 1, 2), push, 0.4 / count)
         errors.append(np.abs(np.concatenate([q[0, -1], v[0, -1]]) - true).max())
     assert errors[0] < 1e-3
     assert 3.5 < errors[0] / errors[1] < 4.5
@@ -175,8 +177,8 @@ def test_a_sliding_mass_stops_where_it_must_and_sticks(term: Any) -> None:
     arm = SimulatedArm.of(slider((term,), [3.0]))
     # Braked by 1.5 m/s² from 0.5 m/s; then pushed by less and by more than friction holds.
     push = np.concatenate([np.zeros(100), np.full(50, 2.99), np.full(50, 4.0)])[None, :, None]
-    q, v, count = arm.run(np.zeros((1, 1)), np.full((1, 1), 0.5), push, 5e-3)
-    assert count[0] == 201
+    q, v = arm.run([[[[0.0]]], [[[0.5]]]], push, 5e-3)
+    assert np.isfinite(v).all()
     assert q[0, 100, 0] == pytest.approx(0.5**2 / (2.0 * 1.5), abs=2e-5)
     assert np.ptp(q[0, 100:151]) == 0.0
     assert (v[0, 70:151] == 0.0).all()
@@ -191,7 +193,7 @@ def test_sign_friction_is_the_limit_of_narrow_smooth_signs() -> None:
     ends = []
     for kind in (terms.Coulomb(), terms.Coulomb(width=1e-4), terms.Coulomb(dead_zone=1e-6)):
         arm = SimulatedArm.of(slider((kind, "viscous"), [3.0, 1.0]))
-        ends.append(arm.run(np.zeros((1, 1)), np.zeros((1, 1)), push, 5e-3)[0][0, :, 0])
+        ends.append(arm.run(np.zeros((2, 1, 1, 1)), push, 5e-3)[0, 0, :, 0])
     assert np.ptp(ends[0]) > 0.05
     np.testing.assert_allclose(ends[1], ends[0], atol=5e-4)
     np.testing.assert_allclose(ends[2], ends[0], atol=1e-4)
@@ -204,7 +206,7 @@ def test_a_motor_of_two_joints_sticks_as_one() -> None:
     model = model_of(robot, (terms.Coupling(*names),), [0.0, 0.0, 5.0], bodies)
     arm = SimulatedArm.of(model)
     push = np.tile([0.5, -0.5], (1, 100, 1))
-    _, v, _ = arm.run(np.zeros((1, 2)), np.zeros((1, 2)), push, 5e-3)
+    _, v = arm.run(np.zeros((2, 1, 1, 2)), push, 5e-3)
     assert abs(v[0, -1, 0]) > 0.1
     np.testing.assert_allclose(v[0].sum(axis=1), 0.0, atol=1e-8)
 
@@ -212,22 +214,21 @@ def test_a_motor_of_two_joints_sticks_as_one() -> None:
 def test_one_free_joint_moves_as_if_the_others_were_simulated() -> None:
     model = rubbing(3)
     arm, rng = SimulatedArm.of(model), np.random.default_rng(1)
-    q, v = rng.normal(size=(2, 1, 3))
+    start = rng.normal(size=(2, 1, 1, 3))
     effort = np.tile(rng.normal(size=3), (1, 100, 1))
-    all_free = arm.run(q, v, effort, 2e-3)
-    one = arm.run(q, v, effort, 2e-3, free=[False, True, False], record=all_free[:2])
+    all_free = arm.run(start, effort, 2e-3)
+    one = arm.run(all_free, effort, 2e-3, free=[False, True, False])
     np.testing.assert_allclose(one[0], all_free[0], atol=3e-4)
 
 
 def test_a_motion_that_diverges_says_when() -> None:
     bodies = -random_links(np.random.default_rng(4), 2)
     model = model_of(planar_arm(), ("viscous",), [1.0, 1.0], bodies)
-    q, v, count = SimulatedArm.of(model).run(
-        np.ones((2, 2)), np.array([[0.0, 0.0], [np.pi, 2e3]]), np.ones((2, 400, 2)), 5e-3
-    )
+    start = np.array([np.ones((2, 1, 2)), [[[0.0, 0.0]], [[np.pi, 2e3]]]])
+    q, v = SimulatedArm.of(model).run(start, np.ones((2, 400, 2)), 5e-3)
+    count = np.isfinite(q).all(axis=2).sum(axis=1)
     assert count[1] == 0
     assert 0 < count[0] < 401
-    assert np.isfinite(q[0, : count[0]]).all()
     assert np.isnan(v[0, count[0] :]).all()
 
 
@@ -704,18 +705,13 @@ def test_they_are_the_differences_of_simulated_motions(terms: Any, law: Any, lim
     model = model_of(robot, terms, np.full(count, 0.4))
     base, theta = structural_base(robot, model.terms), model.theta
     moved = simulated(model, law)
-    slopes = law.slopes(TOLD[:1], TOLD[:1], TOLD[:1], TOLD[:1], None, 0.0 * TOLD[:1])
-    stiffness, damping = (np.broadcast_to(each, (len(TOLD), 2, 2)) for each in slopes)
-    loop = ControlledMotion(
-        time=moved.time,
-        position=moved.position,
-        velocity=moved.velocity,
-        effort=moved.effort,
-        stiffness=stiffness,
-        damping=damping,
-        integral=law.gains.integral,
+    told = np.gradient(TOLD, TIME, axis=0)
+    integral = cumulative_trapezoid(TOLD - moved.position, TIME, axis=0, initial=0.0)
+    states = (moved.position, moved.velocity, TOLD, told, 0.0 * TOLD, integral)
+    found = sensitivities(model, base, law, TIME, states)
+    np.testing.assert_array_equal(
+        sensitivities(model, base, law, TIME, states, every=3), found[::3]
     )
-    found = sensitivities(model, base, loop)
     for k, place in enumerate(base.kept):
         step = np.zeros_like(theta)
         step[place] = 1e-4

@@ -17,7 +17,7 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import DesiredMotion, Motion, simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.fit_controller import fit_controller
-from sdpid.experiment.simulation.sensitivities import ControlledMotion, sensitivities
+from sdpid.experiment.simulation.sensitivities import sensitivities
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -293,21 +293,11 @@ class ClosedLoop:
             integral = cumulative_trapezoid(error, moved.time, axis=0, initial=0.0)
             states = (moved.position, moved.velocity, *told.swapaxes(0, 1), integral)
             given = [each[few] for each in states]
-            stiffness, damping = self.controller.slopes(*given)
-            loop = ControlledMotion(
-                time=moved.time[few],
-                position=given[0],
-                velocity=given[1],
-                # The effort of these states: a held one is that of the last period.
-                effort=self.controller.effort(*given),
-                stiffness=stiffness,
-                damping=damping,
-                integral=np.zeros(log.n) if self.integral_gain is None else self.integral_gain,
-            )
-            at = np.arange(0, count, path[1]) if stride == 1 else None
-            values = sensitivities(model, base, loop, at=at)
+            every = path[1] if stride == 1 else 1
+            time = moved.time[few]
+            values = sensitivities(model, base, self.controller, time, given, every=every)
             if stride > 1:
-                values = make_interp_spline(loop.time, values)(moved.time)
+                values = make_interp_spline(time, values)(moved.time)
             # Columns in a piece: filtering goes through each on its own.
             found.append(np.ascontiguousarray(np.moveaxis(values, 2, 0)))
         columns = [self.twin.positions([each[k] for each in found]) for k in range(base.count)]

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.kernels import layout
-from sdpid.experiment.simulation.kernels.friction import KINDS
 from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
+from sdpid.experiment.simulation.kernels.links import KINDS
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm, Tilt
 from sdpid.robot.friction.term import simulated_curves
@@ -72,9 +72,6 @@ class SimulatedArm:
                 packs[at] = np.array(robot.prior if term.bodies is None else term.bodies)
             if isinstance(term, Tilt):
                 gravity[layout.TILTED] = coefficients[own] @ term.change(robot.gravity)
-        if np.array_equal(packs[layout.TILTED], bodies):
-            gravity[layout.OWN] += gravity[layout.TILTED]
-            packs[layout.TILTED] = np.zeros_like(bodies)
         friction = _friction(terms, coefficients)
         arrays = Robot(
             tree=_packed([tree.kind, tree.parent, tree.column[own_v]]),
@@ -98,102 +95,70 @@ class SimulatedArm:
         """Number of joints."""
         return self.model.robot.n
 
-    def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return mass matrices (S, n, n) and biases (S, n): Coriolis, gravity, offsets.
 
         Parameters
         ----------
-        q, v : array_like, shape (S, n)
+        q, v : ndarray, shape (S, n)
             Positions and velocities.
         """
-        q, v = self._states(q, v)
+        q, v = self._taken("position", q, len(q)), self._taken("velocity", v, len(q))
         M, h = np.empty((len(q), self.n, self.n)), np.empty((len(q), self.n))
         entries().many_dynamics(self.arrays, memory_for(self.arrays), q, v, M, h)
         return M, h
 
-    def acceleration(self, q: ArrayLike, v: ArrayLike, effort: ArrayLike) -> Array:
+    def acceleration(self, q: Array, v: Array, effort: Array) -> Array:
         """Return accelerations (S, n) under efforts; joints at rest stay while friction holds them.
 
         Parameters
         ----------
-        q, v, effort : array_like, shape (S, n)
+        q, v, effort : ndarray, shape (S, n)
             States and efforts.
         """
-        q, v, effort = self._states(q, v, effort)
-        out = np.empty_like(q)
-        none = np.zeros(self.n, dtype=np.bool_)
-        memory = memory_for(self.arrays)
-        entries().many_accelerations(self.arrays, memory, q, v, effort, none, out)
+        q, v = self._taken("position", q, len(q)), self._taken("velocity", v, len(q))
+        effort, out = self._taken("effort", effort, len(q)), np.empty_like(q)
+        entries().many_accelerations(self.arrays, memory_for(self.arrays), q, v, effort, out)
         return out
 
     def run(
-        self,
-        q: ArrayLike,
-        v: ArrayLike,
-        effort: ArrayLike,
-        dt: float,
-        *,
-        free: ArrayLike | None = None,
-        record: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array, Any]:
-        """Return the motion of S segments under given efforts.
+        self, states: ArrayLike, effort: Array, dt: float, *, free: ArrayLike | None = None
+    ) -> Array:
+        """Return positions and velocities (2, S, T + 1, n) of S segments under given efforts.
+
+        They are those at the ends of the steps, NaN after a segment diverged: a speed is not finite
+        or beyond 1000 rad/s (m/s).
 
         Parameters
         ----------
-        q, v : array_like, shape (S, n)
-            Where the segments start.
-        effort : array_like, shape (S, T, n)
+        states : array_like, shape (2, S, 1, n)
+            Positions and velocities where the segments start; with `free` (2, S, T + 1, n): those
+            that the other joints follow.
+        effort : ndarray, shape (S, T, n)
             Mean efforts over each of T steps.
         dt : float
             Length of a step, s.
         free : array_like of bool, shape (n,) or (S, n), optional
             Joints that move by the equations of motion, by default all.
-        record : tuple of 2 ndarrays, shape (S, T + 1, n), optional
-            Positions and velocities that the other joints follow.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (S, T + 1, n)
-            States at the ends of the steps; NaN after a segment diverged.
-        count : ndarray of int, shape (S,)
-            States of each segment before it diverged: T + 1 where it did not. A segment has
-            diverged when a speed is not finite or beyond 1000 rad/s (m/s).
         """
-        q, v = self._states(q, v)
-        efforts = np.require(real_array(effort, "effort", ndim=3), np.float64, _COMPILED_FOR)
-        S, T = efforts.shape[:2]
-        if efforts.shape != (len(q), T, self.n):
-            raise DataError(
-                f"effort: shape {efforts.shape}, expected ({len(q)}, steps, {self.n}): one row a "
-                "step of each segment."
-            )
-        fixed = np.zeros((S, self.n), dtype=np.bool_)
-        given = np.zeros((2, 0, 0, self.n))
-        if free is not None:
-            fixed = fixed | ~np.asarray(free, dtype=np.bool_)
-            if record is None or np.asarray(record).shape != (2, S, T + 1, self.n):
-                raise DataError(
-                    f"record: shape {np.asarray(record).shape}, expected {(2, S, T + 1, self.n)}: "
-                    "positions and velocities that the joints follow which are not free."
-                )
-            given = np.require(record, np.float64, _COMPILED_FOR)
-        out, count = np.full((2, S, T + 1, self.n), np.nan), np.zeros(S, dtype=np.int64)
+        S, T = effort.shape[:2]
+        effort = self._taken("effort", effort, S, T)
+        states = self._taken("states", states, 2, S, 1 if free is None else T + 1)
+        fixed = np.zeros((S, self.n), dtype=np.bool_) | (free is not None and ~np.asarray(free))
+        out = np.full((2, S, T + 1, self.n), np.nan)
         memory = memory_for(self.arrays)
-        entries().open_loop(self.arrays, memory, q, v, efforts, float(dt), fixed, given, out, count)
-        return out[0], out[1], count
+        entries().open_loop(self.arrays, memory, states, effort, float(dt), fixed, out)
+        return out
 
-    def _states(self, *arrays: ArrayLike) -> list[Array]:
-        """Return arrays (S, n) as the compiled loops take them."""
-        names = ("position", "velocity", "effort")
-        found: list[Array] = []
-        for values, name in zip(arrays, names, strict=False):
-            array = real_array(values, name, ndim=2)
-            if array.shape[1] != self.n or (found and len(array) != len(found[0])):
-                raise DataError(
-                    f"{name}: shape {array.shape}, expected one row a state and {self.n} columns."
-                )
-            found.append(np.require(array, np.float64, _COMPILED_FOR))
-        return found
+    def _taken(self, name: str, values: Any, *shape: int) -> Array:
+        """Return numbers of every joint as the compiled loops take them."""
+        array = real_array(values, name, ndim=len(shape) + 1)
+        if array.shape != (*shape, self.n):
+            raise DataError(
+                f"{name}: shape {array.shape}, expected {(*shape, self.n)}: one row a state, one "
+                "column a joint."
+            )
+        return np.require(array, np.float64, _COMPILED_FOR)
 
 
 def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +17,7 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import Controller, JointLaw
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
-from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS, NEAR
+from sdpid.experiment.simulation.kernels.loops import NEAR
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -62,36 +61,31 @@ class DesiredMotion:
             found = reference
         elif isinstance(reference, Trajectory):
             rate = _positive(rate_hz or reference.rate_hz, "rate_hz", "rate in Hz")
-            q, v, a = reference.sample()
-            own = np.arange(len(q)) / reference.rate_hz
-            curve = SampledCurve(time=own, position=q, velocity=v, acceleration=a)
-            time = np.arange(int(np.floor(own[-1] * rate * (1.0 + 1e-12))) + 1) / rate
-            found = cls(time=time, curve=curve)
+            own = np.arange(reference.n_samples) / reference.rate_hz
+            times = np.arange(int(np.floor(own[-1] * rate * (1.0 + 1e-12))) + 1) / rate
+            found = cls(time=times, curve=_curve(own, *reference.sample()))
         elif isinstance(reference, Recording):
-            position = getattr(reference, "reference", None)
-            if position is None:
+            if reference.reference is None:
                 raise DataError(
                     "reference: the recording has no commanded positions; give the trajectory, or "
                     "read the log with its columns of commanded positions."
                 )
             own = np.asarray(reference.time) - reference.time[0]
-            found = cls(time=own, curve=SampledCurve(time=own, position=np.asarray(position)))
+            found = cls(time=own, curve=_curve(own, reference.reference))
         else:
-            parts = reference if isinstance(reference, tuple) else (reference,)
+            states = reference if isinstance(reference, tuple) else (reference,)
             if rate_hz is None:
                 raise DataError(
                     "rate_hz: missing; an array of positions needs the rate of its rows."
                 )
-            if len(parts) not in (1, 3):
+            if len(states) not in (1, 3):
                 raise DataError(
-                    f"reference: {len(parts)} arrays; give positions, or positions, velocities and "
-                    "accelerations."
+                    f"reference: {len(states)} arrays; give positions, or positions, velocities "
+                    "and accelerations."
                 )
-            states = [real_array(x, "reference", ndim=2) for x in parts]
+            states = tuple(real_array(x, "reference", ndim=2) for x in states)
             own = np.arange(len(states[0])) / _positive(rate_hz, "rate_hz", "rate in Hz")
-            names = ("position", "velocity", "acceleration")
-            curve = SampledCurve(time=own, **dict(zip(names, states, strict=False)))
-            found = cls(time=own, curve=curve)
+            found = cls(time=own, curve=_curve(own, *states))
         if found.curve.n != n:
             raise DataError(
                 f"reference: {found.curve.n} joints, the robot has {n}; give one column a joint."
@@ -100,18 +94,20 @@ class DesiredMotion:
 
     def at(self, time: Array) -> Array:
         """Return positions, velocities and accelerations (T, 3, n); held at the end."""
+        from scipy.interpolate import BPoly
+
         inside = np.clip(time, 0.0, self.curve.duration)
-        found = np.stack([each(inside) for each in self._derivatives], axis=1)
+        pieces = BPoly(self.curve.control_points, self.curve.breaks)
+        found = np.stack([pieces(inside, order) for order in range(3)], axis=1)
         found[time > self.curve.duration, 1:] = 0.0
         return found
 
-    @cached_property
-    def _derivatives(self) -> list[Any]:
-        """The motion as piecewise polynomials, and its first two derivatives."""
-        from scipy.interpolate import BPoly
 
-        curve = BPoly(self.curve.control_points, self.curve.breaks)
-        return [curve, curve.derivative(1), curve.derivative(2)]
+def _curve(time: Array, *states: Any) -> SampledCurve:
+    """Return the curve through positions, or those with velocities and accelerations."""
+    return SampledCurve(
+        time=time, **dict(zip(("position", "velocity", "acceleration"), states, strict=False))
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -279,9 +275,13 @@ def simulate_closed_loop(
     if not every:
         told = 0.5 * (told[:-1] + told[1:])
     out = np.zeros((5, len(times), n))
-    run = told, noise, times, steps, every, dt, differenced
-    move = _compiled if isinstance(controller, JointLaw) else _python
-    count = move(arm, controller, run, states, out)
+    run = told, noise, times, steps, every, dt, differenced, np.ascontiguousarray(states), out
+    if isinstance(controller, JointLaw):
+        own = arm.arrays if controller.arm is None else controller.arm.arrays
+        law = controller.arm is not None, np.array(controller.gains), own
+        count = entries().closed_loop(arm.arrays, law, memory_for(arm.arrays, own), *run)
+    else:
+        count = _python(arm, controller, *run)
     q, v, held, measured, integral = (x[:count] for x in out)
     effort = held
     if not every:
@@ -298,33 +298,25 @@ def simulate_closed_loop(
     )
 
 
-# What a loop takes beside the robot and the controller, in the order of the compiled one: desired
-# motion, noise, sample times, number of steps, steps of a held effort, step, whether the controller
-# takes velocities from differences.
-_Run: TypeAlias = tuple[Array, Array, Array, int, int, float, bool]
+def _python(
+    arm: SimulatedArm,
+    controller: Controller,
+    desired: Array,
+    noise: Array,
+    times: Array,
+    steps: int,
+    every: int,
+    dt: float,
+    differenced: bool,
+    start: Array,
+    out: Array,
+) -> int:
+    """Run a controller of the user's, whose effort is held from step to step.
 
-
-def _compiled(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
-    """Run the compiled loop; return how many samples there are before the motion diverged."""
-    gains, model = controller.gains, controller.arm
-    law = (
-        JOINT_GAINS if model is None else INVERSE_DYNAMICS,
-        np.array([gains.proportional, gains.derivative, gains.integral, gains.feedforward]),
-        np.array(gains.limit),
-    )
-    own = arm if model is None else model
-    memory, fixed = memory_for(arm.arrays, own.arrays), np.zeros(arm.n, dtype=np.bool_)
-    count: int = entries().closed_loop(
-        arm.arrays, law, own.arrays, memory, *run, fixed, np.ascontiguousarray(start), out
-    )
-    return count
-
-
-def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Array) -> int:
-    """Run a controller of the user's, whose effort is held from step to step."""
-    desired, noise, times, steps, every, dt, differenced = run
+    Arguments are those of the compiled loop.
+    """
     every = max(every, 1)
-    q, v = start[0][None].copy(), start[1][None].copy()
+    q, v = start[:, None]
     integral, before = np.zeros_like(q), q
     sample = 0
     for step in range(steps):
@@ -336,8 +328,7 @@ def _python(arm: SimulatedArm, controller: Any, run: _Run, start: Array, out: Ar
             before, error = measured, told[:, 0] - measured
             states = (measured, speed, *told.swapaxes(0, 1), integral)
             effort = controller.effort(*states)
-        moved = arm.run(q, v, effort[:, None], dt)
-        q1, v1 = moved[0][:, 1], moved[1][:, 1]
+        q1, v1 = arm.run(np.stack([q, v])[:, :, None], effort[:, None], dt)[:, :, 1]
         if not np.isfinite(v1).all():
             return sample
         while sample < len(times) and times[sample] < (step + 1 - NEAR) * dt:

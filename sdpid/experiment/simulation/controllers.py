@@ -132,17 +132,15 @@ class JointLaw(Controller):
     def gains(self) -> LoopGains:
         """Gains of the law, before a model turns accelerations into efforts."""
         own = self._settings
-        if "velocity_gain" in own:
-            kd, kp = own["velocity_gain"], own["velocity_gain"] * own["proportional_gain"]
-        else:
-            kd, kp = own["kd"], own["kp"]
-        n, limit = len(kp), own.get("effort_limit")
+        kd = own["velocity_gain"] if "velocity_gain" in own else own["kd"]
+        kp = kd * own["proportional_gain"] if "velocity_gain" in own else own["kp"]
+        zero, limit = np.zeros(len(kp)), own["effort_limit"]
         return LoopGains(
             proportional=kp,
             derivative=kd,
-            integral=own.get("ki", np.zeros(n)),
-            feedforward=np.full(n, float(own.get("feedforward", True))),
-            limit=np.full(n, np.inf) if limit is None else limit,
+            integral=own.get("ki", zero),
+            feedforward=zero + own.get("feedforward", True),
+            limit=zero + np.inf if limit is None else limit,
         )
 
     @property

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, is_number
-from sdpid._common.tables import Shown, Table, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.motion import motion_frequency
@@ -97,7 +97,7 @@ class FittedController(Shown):
     reasons: tuple[str, ...]
     controller: Controller | None
 
-    _facts = ("kind", "usable", "_worst_deviation, %", "feedforward", "delay, s", "_doubts")
+    _facts = ("kind", "usable", "feedforward", "delay, s")
 
     @property
     def usable(self) -> bool:
@@ -137,19 +137,9 @@ class FittedController(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        values = {**vars(self), "gains": dict(self.gains), "deviations": dict(self.deviations)}
+        values = {**vars(self), "usable": self.usable}
         del values["controller"]
-        found: dict[str, Any] = plain({**values, "usable": self.usable})
-        return found
-
-    @property
-    def _worst_deviation(self) -> float:
-        """The largest deviation of a gain but the integral's, in percent."""
-        return 100.0 * max(float(x.max()) for name, x in self.deviations.items() if name != "ki")
-
-    @property
-    def _doubts(self) -> str | None:
-        return "; ".join(self.reasons) or None
+        return plain_dict(values)
 
     def _tables(self) -> Iterator[Table]:
         yield self.table()
@@ -225,7 +215,7 @@ def fit_controller(
     others = [signals["integral"]] if kind == "pid" else []
     feedforward, reasons = _feedforward(signals, [off, told, -seen, *others])
     columns = [off, told - seen if feedforward else -seen, *others]
-    fit = _LawFit.of(signals, columns)
+    fit = _law_fit(signals, columns)
     gains, deviations = _named(fit, kind)
     reasons += _doubts(fit, gains, deviations, recording.names)
     if kind != "pid":
@@ -254,7 +244,7 @@ def _feedforward(signals: dict[str, Array], columns: list[Array]) -> tuple[bool,
 
     Either velocity has a weight of its own: equal ones with it, or none for the commanded one.
     """
-    fit = _LawFit.of(signals, columns)
+    fit = _law_fit(signals, columns)
     (told, seen), C = fit.weights[:, 1:3].T, fit.covariances
     of_difference = C[:, 1, 1] + C[:, 2, 2] - 2.0 * C[:, 1, 2]
     # Efforts of zero show neither, and without an error.
@@ -296,7 +286,7 @@ def _doubts(
             f"the law explains {1.0 - fit.left[left]:.1%} of what moves {names[left]}, limit "
             f"{_LEAST_EXPLAINED:.0%}: it is another controller, or the efforts have other parts"
         )
-    for name in gains.keys() - {"ki"}:
+    for name in [each for each in gains if each != "ki"]:
         values, worst = gains[name], int(np.argmax(deviations[name]))
         if not values.min() > 0.0:
             j = int(np.argmin(values))
@@ -313,7 +303,7 @@ def _missing_integral(
     signals: dict[str, Array], columns: list[Array], fit: _LawFit, names: tuple[str, ...]
 ) -> list[str]:
     """Return that the law lacks an integral, where it does."""
-    more = _LawFit.of(signals, [*columns, signals["integral"]])
+    more = _law_fit(signals, [*columns, signals["integral"]])
     taken = np.where(fit.left > _LEFT, 1.0 - more.left / np.maximum(fit.left, 1e-300), 0.0)
     j = int(np.argmax(taken))
     if taken[j] < _INTEGRAL:
@@ -324,8 +314,7 @@ def _missing_integral(
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class _LawFit:
+class _LawFit(NamedTuple):
     """A law of n joints with m weights: least squares, and one delay of the efforts."""
 
     weights: Array
@@ -333,28 +322,26 @@ class _LawFit:
     left: Array
     delay: float
 
-    @classmethod
-    def of(cls, signals: dict[str, Array], columns: list[Array]) -> _LawFit:
-        """Fit the weights of columns (K, n) and a constant to the efforts."""
-        table = np.stack([*columns, np.ones_like(columns[0])], axis=-1).transpose(1, 0, 2)
-        efforts, rates = signals["effort"].T, signals["effort_rate"].T
-        delay, variance = _delay(table, efforts, rates)
-        if delay**2 <= _SURE**2 * variance or abs(delay) > _LONGEST:
-            delay, variance = 0.0, 0.0
-        found = [
-            _solved(*each, delay, variance) for each in zip(table, efforts, rates, strict=True)
-        ]
-        weights, covariances, left = (np.stack([each[k] for each in found]) for k in range(3))
-        return cls(weights, covariances, left, delay)
+
+def _law_fit(signals: dict[str, Array], columns: list[Array]) -> _LawFit:
+    """Fit the weights of columns (K, n) and a constant to the efforts."""
+    table = np.stack([*columns, np.ones_like(columns[0])], axis=-1).transpose(1, 0, 2)
+    joints = list(zip(table, signals["effort"].T, signals["effort_rate"].T, strict=True))
+    delay, variance = _delay(joints)
+    if delay**2 <= _SURE**2 * variance or abs(delay) > _LONGEST:
+        delay, variance = 0.0, 0.0
+    found = [_solved(*each, delay, variance) for each in joints]
+    weights, covariances, left = map(np.stack, zip(*found, strict=True))
+    return _LawFit(weights, covariances, left, delay)
 
 
-def _delay(table: Array, efforts: Array, rates: Array) -> tuple[float, float]:
+def _delay(joints: list[tuple[Array, Array, Array]]) -> tuple[float, float]:
     """Return by how much efforts are later than the law, and the variance of that.
 
     The effort at t + d, to first order in d, follows from the columns at t.
     """
     moves = []
-    for X, y, rate in zip(table, efforts, rates, strict=True):
+    for X, y, rate in joints:
         rest, move = (each - X @ np.linalg.lstsq(X, each)[0] for each in (y, rate))
         weight = 1.0 / max(float(np.mean(rest**2)), 1e-12 * float(np.mean(y**2)), 1e-300)
         moves.append((weight, rest, move))

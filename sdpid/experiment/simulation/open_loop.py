@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -123,13 +122,11 @@ def simulate_stretches(
     size = max(1, _BYTES // (40 * n * steps))
     for begin in range(0, len(first), size):
         own = slice(begin, begin + size)
-        states = first[own, None] + np.arange(steps + 1)
-        q, v = track.position[states], track.velocity[states]
-        loose: dict[str, Any] = {}
-        if not free[own].all():
-            loose = {"free": free[own], "record": (q, v)}
-        found = arm.run(q[:, 0], v[:, 0], track.effort[states[:, :-1]], track.step, **loose)
-        position, velocity = found[0], found[1]
+        rows = first[own, None] + np.arange(steps + 1)
+        loose = None if free[own].all() else free[own]
+        states = np.stack([track.position[rows], track.velocity[rows]])
+        states = states[:, :, :1] if loose is None else states
+        position, velocity = arm.run(states, track.effort[rows[:, :-1]], track.step, free=loose)
         with np.errstate(invalid="ignore"):
             # Not a number is not below the limit either.
             lost = ~(np.abs(velocity).max(axis=2) < limit)

@@ -14,13 +14,13 @@ saltation matrix [leine2004]_. A joint that friction holds does not change at al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
+from sdpid.experiment.simulation.controllers import Controller, inverse_dynamics_slopes
 from sdpid.robot.friction.term import SampledMotion as FrictionMotion
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -36,35 +36,16 @@ _NUDGE = 1e-6
 _CHUNK = 1024
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ControlledMotion:
-    """What acts along a motion: its states, and how the controller answers them.
-
-    Attributes
-    ----------
-    time : ndarray, shape (N,)
-        Instants in s, close enough together to follow the controlled arm.
-    position, velocity, effort : ndarray, shape (N, n)
-        The motion, and the controller's effort.
-    stiffness, damping : ndarray, shape (N, n, n)
-        Derivatives of the controller's effort by position and velocity.
-    integral : ndarray, shape (n,)
-        Minus the effort per integrated position, in N·m/(rad·s): the gain ki of a PID controller.
-    """
-
-    time: Array
-    position: Array
-    velocity: Array
-    effort: Array
-    stiffness: Array
-    damping: Array
-    integral: Array
-
-
 def sensitivities(
-    model: RobotDynamics, base: BaseParameters, loop: ControlledMotion, *, at: Indices | None = None
+    model: RobotDynamics,
+    base: BaseParameters,
+    controller: Controller,
+    time: Array,
+    states: Sequence[Array],
+    *,
+    every: int = 1,
 ) -> Array:
-    """Return the derivative of the positions by the base parameters, (N, n, b).
+    """Return the derivative of the positions by the base parameters, (N / every, n, b).
 
     The motion starts from the same state whatever the parameters are.
 
@@ -74,53 +55,53 @@ def sensitivities(
         The robot that moved.
     base : BaseParameters
         Its base parameters, b.
-    loop : ControlledMotion
-        Its motion, and its controller.
-    at : ndarray of int, optional
-        Rising numbers of the instants to return; by default all.
+    controller : Controller
+        What moved it.
+    time : ndarray, shape (N,)
+        Instants in s, close enough together to follow the controlled arm.
+    states : sequence of 6 ndarrays, shape (N, n)
+        What the controller's effort depends on, in the order of its arguments.
+    every : int, optional
+        Of how many instants one is returned, from the first on; by default all.
     """
     arm = SimulatedArm.of(model)
-    count, n = loop.position.shape
-    wanted = np.arange(count) if at is None else at
-    out = np.empty((len(wanted), n, base.count))
+    jumps = _jumps(arm)
+    (count, n), gains = states[0].shape, getattr(controller, "gains", None)
+    integral = np.zeros(n) if gains is None else gains.integral
+    # The effort of these states: a held one is that of the last period.
+    acting = (*states[:2], controller.effort(*states), *controller.slopes(*states))
+    out = np.zeros((len(time[::every]), n, base.count))
     state = np.zeros((4 * n, base.count))
-    jumps = _jumps(model)
-    M, _, _, Y, v, a = _linearized(arm, base, loop, slice(0, 1), jumps)
+    M, _, _, Y, v, a = _linearized(arm, base, [each[:1] for each in acting], jumps)
     # At rest the arm changes first in its accelerations.
     held = (v[0] == 0.0) & (a[0] == 0.0)
     M[0, held], Y[0, held] = 0.0, 0.0
     M[0, held, held] = 1.0
     state[2 * n : 3 * n] = -np.linalg.solve(M[0], Y[0])
-    row = 0
-    if len(wanted) and wanted[0] == 0:
-        out[0] = 0.0
-        row = 1
     for start in range(0, count - 1, _CHUNK):
-        part = slice(start, min(start + _CHUNK, count - 1) + 1)
-        linear = _linearized(arm, base, loop, part, jumps)
-        steps = np.diff(loop.time[part])
-        transition, forced = _transitions(linear, steps, loop.integral, jumps)
-        for k in range(len(steps)):
-            state = transition[k] @ state + forced[k]
-            if row < len(wanted) and wanted[row] == start + k + 1:
+        part = slice(start, start + _CHUNK + 1)
+        linear = _linearized(arm, base, [each[part] for each in acting], jumps)
+        steps = np.diff(time[part])
+        for k, (T, G) in enumerate(zip(*_transitions(linear, steps, integral, jumps), strict=True)):
+            state = T @ state + G
+            row, between = divmod(start + k + 1, every)
+            if not between:
                 out[row] = state[:n]
-                row += 1
     return out
 
 
 def _linearized(
-    arm: SimulatedArm, base: BaseParameters, loop: ControlledMotion, part: slice, jumps: Array
+    arm: SimulatedArm, base: BaseParameters, acting: Sequence[Array], jumps: Array
 ) -> tuple[Array, ...]:
     """Return M, C, K, Y of M·S'' + C·S' + K·S + ki·∫S = −Y at instants, velocity, acceleration."""
-    q, v, effort = loop.position[part], loop.velocity[part], loop.effort[part]
-    model = arm.model
+    q, v, effort, stiffness, damping = acting
     # A joint that sticks keeps a velocity of rounding.
     v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
     a = arm.acceleration(q, v, effort)
     M, _ = arm.mass_and_bias(q, v)
-    by_position, by_velocity = inverse_dynamics_slopes(model, q, v, a)
-    C = by_velocity + _friction_slopes(model, v) - loop.damping[part]
-    return M, C, by_position - loop.stiffness[part], base_regressor(model, base, q, v, a), v, a
+    by_position, by_velocity = inverse_dynamics_slopes(arm.model, q, v, a)
+    C = by_velocity + _friction_slopes(arm.model, v) - damping
+    return M, C, by_position - stiffness, base_regressor(arm.model, base, q, v, a), v, a
 
 
 def _transitions(
@@ -212,12 +193,8 @@ def _friction_slopes(model: RobotDynamics, v: Array) -> Array:
     return slopes
 
 
-def _jumps(model: RobotDynamics) -> Array:
+def _jumps(arm: SimulatedArm) -> Array:
     """Return by how much each joint's friction jumps at zero velocity, (n,), N·m."""
-    n, found = model.robot.n, []
-    for nudge in (_NUDGE**2, 2.0 * _NUDGE**2):
-        moved = nudge * np.eye(n)
-        found.append(np.diagonal(model.friction(moved) - model.friction(-moved)))
-    # What grows with the velocity, however steeply, is none.
-    jumps = 2.0 * found[0] - found[1]
-    return np.asarray(np.where(jumps > 0.5 * found[0], np.maximum(jumps, 0.0), 0.0))
+    (joint, other), (speed, low, high, _) = arm.arrays.contacts.T, arm.arrays.jumps.T
+    here = (other < 0) & (speed == 0.0)
+    return np.asarray(np.bincount(joint[here], high[here] - low[here], arm.n), dtype=np.float64)

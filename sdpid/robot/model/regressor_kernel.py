@@ -13,7 +13,8 @@ import logging
 import math
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -264,24 +265,32 @@ def compiled_loop(function: Any, *nothing: Any) -> Callable[..., None] | None:
     options = {"fastmath": {"contract", "nsz", "reassoc"}, "error_model": "numpy"}
     for helper in (joint_at, turned_back):
         numba.extending.register_jitable(forceinline=True, **options)(helper)
-    timer = threading.Timer(_PATIENCE, _say)
-    timer.daemon = True
-    timer.start()
     quick: Callable[..., None]
-    try:
-        # Beside the module or, where that is not writable, in the user's cache folder.
-        quick = numba.njit(cache=True, nogil=True, **options)(function)
-        quick(*nothing)
-    except (OSError, RuntimeError):  # neither is writable, or the disk is full
-        quick = numba.njit(nogil=True, **options)(function)
-        quick(*nothing)
-    finally:
-        timer.cancel()
+    with announced("a loop"):
+        try:
+            # Beside the module or, where that is not writable, in the user's cache folder.
+            quick = numba.njit(cache=True, nogil=True, **options)(function)
+            quick(*nothing)
+        except (OSError, RuntimeError):  # neither is writable, or the disk is full
+            quick = numba.njit(nogil=True, **options)(function)
+            quick(*nothing)
     return quick
 
 
-def _say() -> None:
-    note = "compiling a loop for this machine; this takes seconds, once"
+@contextmanager
+def announced(what: str) -> Iterator[None]:
+    """Tell the user that something is being compiled where that takes long."""
+    timer = threading.Timer(_PATIENCE, _say, [what])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _say(what: str) -> None:
+    note = f"compiling {what} for this machine; this takes seconds, once"
     logging.getLogger(__name__).info(note)
     if sys.stderr.isatty():
         print(f"sdpid: {note}", file=sys.stderr)

@@ -232,7 +232,7 @@ def test_long_compilation_is_announced(
     caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with caplog.at_level(logging.INFO, "sdpid"):
-        kernels._say()
+        kernels._say("a loop")
     assert "once" in caplog.text
     assert capsys.readouterr().err == ""  # no terminal
 

@@ -15,19 +15,19 @@ OWN, TILTED, LOADING = 0, 1, 2
 # Matrices (n, n) of a robot: inertia of its drives, effort per velocity.
 DRIVES, VISCOUS = 0, 1
 
-# Matrices (n, n) of the memory: masses, those of a tilt or a load, slopes of friction, damping and
-# the controller's share of it.
+# Matrices (n, n) of the memory: masses, those of a load, slopes of friction, damping and the
+# controller's share of it.
 MASSES, MASSES2, SLOPES, SLOPES1, DAMPING, FEEDBACK = range(6)
 
 # Vectors (n,) of the memory: change of the velocities, friction, friction after it, velocities
 # after it; biases; position and velocity amid a step, effort less bias, load.
-CHANGE, SMOOTH, SMOOTH1, TRIAL, BIAS, BIAS2, BIAS3, MIDDLE, RATE, PUSH, CARRIED = range(11)
+CHANGE, SMOOTH, SMOOTH1, TRIAL, BIAS, BIAS2, MIDDLE, RATE, PUSH, CARRIED = range(10)
 
 # Those of a run: state, acceleration, state after a step, state as seen and its noise, integral of
 # the error, error, effort, what was seen before, and accelerations of joints that are not free.
-NOW, SPEED, ACCELERATION, NEXT, NEXT_SPEED, SIGHT, SIGHT_SPEED, SEEN = range(11, 19)
-INTEGRAL, ERROR, EFFORT, BEFORE, GIVEN = range(19, 24)
-VECTORS, MATRICES = 24, 6
+NOW, SPEED, ACCELERATION, NEXT, NEXT_SPEED, SIGHT, SIGHT_SPEED, SEEN = range(10, 18)
+INTEGRAL, ERROR, EFFORT, BEFORE, GIVEN = range(18, 23)
+VECTORS, MATRICES = 23, 6
 
 
 class Robot(NamedTuple):
@@ -96,8 +96,10 @@ class Memory(NamedTuple):
     scratch, force : ndarray, shape (4, 3), (6,)
     system : ndarray, shape (n + J, n + J + 1)
         Equations that are solved.
-    vectors : ndarray, shape (24, n)
+    vectors : ndarray, shape (23, n)
     matrices : ndarray, shape (6, n, n)
+    fixed : ndarray of bool, shape (n,)
+        Joints whose accelerations are given.
     states : ndarray of int, shape (2, J)
         Whether contacts slip, and where to, and whether they are at their jump.
     bounds : ndarray, shape (J, 2)
@@ -113,16 +115,17 @@ class Memory(NamedTuple):
     system: Any
     vectors: Any
     matrices: Any
+    fixed: Any
     states: Any
     bounds: Any
 
 
-def memory_for(*robots: Robot) -> Memory:
-    """Return memory that suffices for each of some robots with as many joints."""
-    L = max(robot.tree.shape[1] for robot in robots)
-    J = max(len(robot.contacts) for robot in robots)
-    n = len(robots[0].constant)
-    return Memory(
+def memory_for(robot: Robot, *others: Robot) -> Memory:
+    """Return memory for a robot that no controller damps; others have as many joints."""
+    L = max(each.tree.shape[1] for each in (robot, *others))
+    J = max(len(each.contacts) for each in (robot, *others))
+    n = len(robot.constant)
+    memory = Memory(
         rotations=np.zeros((L + 1, 3, 3)),
         places=np.zeros((L + 1, 3)),
         links=np.zeros((4, L + 1, 6)),
@@ -132,6 +135,9 @@ def memory_for(*robots: Robot) -> Memory:
         system=np.zeros((n + J, n + J + 1)),
         vectors=np.zeros((VECTORS, n)),
         matrices=np.zeros((MATRICES, n, n)),
+        fixed=np.zeros(n, dtype=np.bool_),
         states=np.zeros((2, J), dtype=np.int64),
         bounds=np.zeros((J, 2)),
     )
+    memory.matrices[DAMPING] = robot.matrices[VISCOUS]
+    return memory

@@ -6,24 +6,20 @@ import functools
 import hashlib
 import inspect
 import itertools
-import logging
-import sys
-import threading
 from collections.abc import Callable
+from contextlib import nullcontext
 from types import FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from sdpid.experiment.simulation.kernels import friction, links, loops, solve
+from sdpid.experiment.simulation.kernels import links, loops, solve
+from sdpid.robot.model.regressor_kernel import announced
 
-_MODULES: tuple[ModuleType, ...] = (links, friction, solve, loops)
+_MODULES: tuple[ModuleType, ...] = (links, solve, loops)
 
 # What is called from outside, and kept on the disk.
 _ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")
-
-# Compiling for longer than this is worth a line, s.
-_PATIENCE = 1.0
 
 
 @functools.cache
@@ -70,21 +66,7 @@ def _announced(function: Callable[..., Any]) -> Callable[..., Any]:
     calls = itertools.count()
 
     def call(*arguments: Any) -> Any:
-        if next(calls):
+        with nullcontext() if next(calls) else announced("the simulation"):
             return function(*arguments)
-        timer = threading.Timer(_PATIENCE, _say)
-        timer.daemon = True
-        timer.start()
-        try:
-            return function(*arguments)
-        finally:
-            timer.cancel()
 
     return call
-
-
-def _say() -> None:
-    note = "compiling the simulation for this machine; this takes seconds, once"
-    logging.getLogger(__name__).info(note)
-    if sys.stderr.isatty():
-        print(f"sdpid: {note}", file=sys.stderr)

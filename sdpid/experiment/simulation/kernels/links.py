@@ -1,8 +1,8 @@
-"""Mass matrix and bias of a tree of links at a state, written for a compiler.
+"""Mass matrix, bias and friction of a tree of links at a state, written for a compiler.
 
 All is in the axes of the base and about its origin: bodies that hang together add, and nothing is
 turned from link to link. Row 0 is the base, row i + 1 link i. Six numbers are an angular part and a
-linear one.
+linear one. Friction is that between its jumps: curves of the velocity, and their slopes.
 """
 
 from __future__ import annotations
@@ -10,10 +10,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import layout as slot
 
 PRISMATIC = 1
+
+# Kinds of smooth curves, as terms name them.
+KINDS = ("tanh", "root", "peak", "smooth_peak", "line")
+TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = range(5)
 
 # Where a body's ten numbers have its inertia matrix.
 PACKED = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
@@ -85,23 +91,24 @@ def place_body(body: Array, R: Array, P: Array, T: Array, out: Array) -> None:
         out[1 + k] += mass * P[k]
 
 
-def links_at(
-    robot: Any, bodies: Array, gravity: Array, q: Array, v: Array, memory: Any, M: Array, h: Array
-) -> None:
+def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, h: Array) -> None:
     """Write the mass matrix and the bias of some bodies: Coriolis, centrifugal, gravity."""
     parent, column, angles = robot.tree[1], robot.tree[2], robot.angles
     R, P, C, force = memory.rotations, memory.places, memory.bodies, memory.force
     S, V, A, F = memory.links[0], memory.links[1], memory.links[2], memory.links[3]
+    tilted = robot.tilted and which == slot.OWN
     for i in range(len(q)):
         h[i] = 0.0
         for j in range(len(q)):
             M[i, j] = 0.0
     for k in range(3):
-        R[0, k, k], A[0, 3 + k] = 1.0, -gravity[k]
+        R[0, k, k], A[0, 3 + k] = 1.0, -robot.gravity[which, k]
+        # The base has no joint and no body: their rows have those of a tilt.
+        S[0, 3 + k] = -robot.gravity[slot.TILTED, k]
     for i in range(len(parent)):
         p, c, own = parent[i] + 1, column[i], i + 1
         place_link(robot, i, angles[0, i] * q[c] + angles[1, i], memory, S[own])
-        place_body(bodies[i], R[own], P[own], memory.scratch, C[own])
+        place_body(robot.bodies[which, i], R[own], P[own], memory.scratch, C[own])
         for k in range(6):
             V[own, k] = V[p, k] + S[own, k] * v[c]
             A[own, k] = 0.0
@@ -116,6 +123,12 @@ def links_at(
         add_cross(F[own], 0, V[own], 0, force, 0)
         add_cross(F[own], 0, V[own], 3, force, 3)
         add_cross(F[own], 3, V[own], 0, force, 3)
+        if tilted:
+            # What another body weighs more under a gravity that is tilted.
+            place_body(robot.bodies[slot.TILTED, i], R[own], P[own], memory.scratch, C[0])
+            momentum_of(C[0], S[0], force)
+            for k in range(6):
+                F[own, k] += force[k]
     for own in range(len(parent), 0, -1):
         p, c = parent[own - 1] + 1, column[own - 1]
         # What accelerates all that hangs on this joint.
@@ -137,28 +150,85 @@ def links_at(
 
 def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
     """Write mass matrix and bias, drives and offsets included, and those of what carries load."""
-    M, M2 = memory.matrices[slot.MASSES], memory.matrices[slot.MASSES2]
-    h, h2, h3 = (
-        memory.vectors[slot.BIAS],
-        memory.vectors[slot.BIAS2],
-        memory.vectors[slot.BIAS3],
-    )
-    n = len(q)
-    links_at(robot, robot.bodies[slot.OWN], robot.gravity[slot.OWN], q, v, memory, M, h)
-    if robot.tilted:
-        # What other bodies weigh more under a gravity that is tilted.
-        for i in range(n):
-            h2[i] = 0.0
-        links_at(
-            robot, robot.bodies[slot.TILTED], robot.gravity[slot.TILTED], q, h2, memory, M2, h3
-        )
-        for i in range(n):
-            h[i] += h3[i]
-    for i in range(n):
+    M, h = memory.matrices[slot.MASSES], memory.vectors[slot.BIAS]
+    M2, h2 = memory.matrices[slot.MASSES2], memory.vectors[slot.BIAS2]
+    links_at(robot, slot.OWN, q, v, memory, M, h)
+    for i in range(len(q)):
         h[i] += robot.constant[i]
-        for j in range(n):
+        for j in range(len(q)):
             M[i, j] += robot.matrices[slot.DRIVES, i, j]
     if robot.loaded:
-        links_at(
-            robot, robot.bodies[slot.LOADING], robot.gravity[slot.LOADING], q, v, memory, M2, h2
+        links_at(robot, slot.LOADING, q, v, memory, M2, h2)
+
+
+def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: float) -> Any:
+    """Return value and slope of a curve of friction, without its jumps."""
+    sign, speed = np.sign(x), abs(x)
+    if side * sign < 0.0:
+        return 0.0, 0.0
+    if kind == TANH:
+        if speed < b:
+            return 0.0, 0.0
+        y = math.tanh(speed / w)
+        return c * sign * (y - math.tanh(b / w)), c * (1.0 - y * y) / w
+    if kind == ROOT:
+        root = math.sqrt(speed)
+        return c * sign * root, 0.5 * c / max(root, 1e-3)
+    if kind == LINE:
+        # A slope between the speeds b and w, constant beyond.
+        if speed < b:
+            return 0.0, 0.0
+        return c * sign * (min(speed, w) - b), c if speed < w else 0.0
+    ratio = min(speed / a, 1e3)
+    power = math.exp(b * math.log(ratio)) if ratio > 0.0 else 0.0
+    peak = math.exp(-min(power, 700.0))
+    slope = -b / a * peak * power / max(ratio, 1e-3)
+    if kind == PEAK_REST:
+        return c * sign * (peak - 1.0), c * slope
+    y = math.tanh(speed / w)
+    return c * sign * peak * y, c * (slope * y + peak * (1.0 - y * y) / w)
+
+
+def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
+    """Write the smooth part of friction and its slopes; viscous friction is not in it."""
+    which, curves, load = robot.which, robot.curves, robot.load
+    n = len(v)
+    for i in range(n):
+        F[i] = 0.0
+        for j in range(n):
+            S[i, j] = 0.0
+    for p in range(len(which)):
+        j, k = which[p, 0], which[p, 1]
+        x = v[j] + (v[k] if k >= 0 else 0.0)
+        value, slope = curve_at(
+            which[p, 2], which[p, 3], curves[p, 0], curves[p, 1], curves[p, 2], curves[p, 3], x
         )
+        F[j] += value
+        S[j, j] += slope
+        if k >= 0:
+            F[k] += value
+            S[k, k] += slope
+            S[j, k] += slope
+            S[k, j] += slope
+    if robot.loaded:
+        for j in range(n):
+            size, share = load[j, 0] * carried[j], load[j, 1]
+            if share > 0.0:
+                y = math.tanh(v[j] / load[j, 2])
+                F[j] += size * share * y
+                S[j, j] += size * share * (1.0 - y * y) / load[j, 2]
+            if load[j, 3] > 0.0:
+                y = math.tanh(v[j] / load[j, 3])
+                F[j] += size * (1.0 - share) * y
+                S[j, j] += size * (1.0 - share) * (1.0 - y * y) / load[j, 3]
+
+
+def bounds_at(robot: Any, carried: Array, bounds: Array) -> None:
+    """Write the least and the largest effort of each jump of friction."""
+    contacts, values, load = robot.contacts, robot.jumps, robot.load
+    for k in range(len(contacts)):
+        extra = 0.0
+        if values[k, 3] > 0.0:
+            j = contacts[k, 0]
+            extra = load[j, 0] * (1.0 - load[j, 1]) * carried[j]
+        bounds[k, 0], bounds[k, 1] = values[k, 1] - extra, values[k, 2] + extra

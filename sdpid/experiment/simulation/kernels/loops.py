@@ -4,53 +4,38 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import layout as slot
-from sdpid.experiment.simulation.kernels.friction import bounds_at, sign_of, smooth_at
-from sdpid.experiment.simulation.kernels.links import dynamics_at
+from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
 from sdpid.experiment.simulation.kernels.solve import (
     LOAD_ROUNDS,
     carry_load,
     change_over,
     has_diverged,
     is_settled,
+    speed_at,
     step_of,
 )
 
 # A time (s) in which no velocity changes: accelerations are changes over it.
 INSTANT = 1e-15
 
-# Laws of control.
-JOINT_GAINS, INVERSE_DYNAMICS = 0, 1
-
 # Samples this near to a step's end, as a share of the step, belong to the next one.
 NEAR = 1e-6
 
 
-def law_at(
-    law: Any,
-    inverse: Any,
-    q: Array,
-    v: Array,
-    desired: Array,
-    integral: Array,
-    memory: Any,
-    effort: Array,
-    slope: Array,
-    error: Array,
-) -> None:
+def law_at(law: Any, memory: Any, desired: Array, integral: Array) -> None:
     """Write a controller's effort but for its feedback of velocity, the gains of that, and errors.
 
     At the limit of the effort the error is zero: its integral rests.
     """
-    kind, gains, limit = law
+    has_model, gains, model = law
     vectors, M, S = memory.vectors, memory.matrices[slot.MASSES], memory.matrices[slot.SLOPES]
-    h, u, F, carried = (
-        vectors[slot.BIAS],
-        vectors[slot.TRIAL],
-        vectors[slot.SMOOTH],
-        vectors[slot.CARRIED],
-    )
+    q, v, u = vectors[slot.SIGHT], vectors[slot.SIGHT_SPEED], vectors[slot.TRIAL]
+    F, carried = vectors[slot.SMOOTH], vectors[slot.CARRIED]
+    effort, error, slope = vectors[slot.EFFORT], vectors[slot.ERROR], memory.matrices[slot.FEEDBACK]
     n = len(q)
     for i in range(n):
         carried[i] = 0.0
@@ -60,29 +45,27 @@ def law_at(
         for j in range(n):
             slope[i, j] = gains[1, i] if i == j else 0.0
         effort[i] = u[i]
-    if kind == INVERSE_DYNAMICS:
-        contacts, values = inverse.contacts, inverse.jumps
-        dynamics_at(inverse, q, v, memory)
-        smooth_at(inverse, carried, desired[1], F, S)
+    if has_model:
+        dynamics_at(model, q, v, memory)
+        smooth_at(model, carried, desired[1], F, S)
         for i in range(n):
-            effort[i] = h[i] + F[i]
+            effort[i] = vectors[slot.BIAS, i] + F[i]
             for j in range(n):
                 effort[i] += M[i, j] * (desired[2, j] + u[j])
-                effort[i] += inverse.matrices[slot.VISCOUS, i, j] * desired[1, j]
+                effort[i] += model.matrices[slot.VISCOUS, i, j] * desired[1, j]
                 slope[i, j] = M[i, j] * gains[1, j]
-        for k in range(len(contacts)):
-            i, j = contacts[k, 0], contacts[k, 1]
-            sign = sign_of(desired[1, i] + (desired[1, j] if j >= 0 else 0.0) - values[k, 0])
-            force = 0.5 * (1.0 + sign) * values[k, 2] + 0.5 * (1.0 - sign) * values[k, 1]
-            effort[i] += force
-            if j >= 0:
-                effort[j] += force
+        for k in range(len(model.contacts)):
+            sign = np.sign(speed_at(model, k, desired[1]) - model.jumps[k, 0])
+            force = 0.5 * (1.0 + sign) * model.jumps[k, 2] + 0.5 * (1.0 - sign) * model.jumps[k, 1]
+            for joint in model.contacts[k]:
+                if joint >= 0:
+                    effort[joint] += force
     for i in range(n):
-        total = effort[i]
+        total, limit = effort[i], gains[4, i]
         for j in range(n):
             total -= slope[i, j] * v[j]
-        if abs(total) > limit[i]:
-            effort[i], error[i] = (limit[i] if total > 0.0 else -limit[i]), 0.0
+        if abs(total) > limit:
+            effort[i], error[i] = (limit if total > 0.0 else -limit), 0.0
             for j in range(n):
                 slope[i, j] = 0.0
 
@@ -90,7 +73,6 @@ def law_at(
 def closed_loop(
     robot: Any,
     law: Any,
-    inverse: Any,
     memory: Any,
     desired: Array,
     noise: Array,
@@ -99,31 +81,23 @@ def closed_loop(
     every: int,
     dt: float,
     differenced: bool,
-    fixed: Any,
     start: Array,
     out: Array,
 ) -> int:
     """Write positions, velocities, held efforts, measured positions and integrals at sample times.
 
     With `every` steps of effort held, `desired` has one row for each time of control; without, the
-    mean of both ends of each step. No joint is `fixed`, (n,). Return how many samples were written
-    before the motion diverged.
+    mean of both ends of each step. Return how many samples were written before the motion diverged.
     """
     vectors, V = memory.vectors, robot.matrices[slot.VISCOUS]
     q, v, a = vectors[slot.NOW], vectors[slot.SPEED], vectors[slot.ACCELERATION]
-    q1, v1, given = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.GIVEN]
+    q1, v1, effort = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.EFFORT]
     qm, vm, seen = vectors[slot.SIGHT], vectors[slot.SIGHT_SPEED], vectors[slot.SEEN]
     integral, error, before = vectors[slot.INTEGRAL], vectors[slot.ERROR], vectors[slot.BEFORE]
-    effort, D, slope = (
-        vectors[slot.EFFORT],
-        memory.matrices[slot.DAMPING],
-        memory.matrices[slot.FEEDBACK],
-    )
+    D, slope = memory.matrices[slot.DAMPING], memory.matrices[slot.FEEDBACK]
     n, sample = len(q), 0
     for i in range(n):
         q[i], v[i] = start[0, i], start[1, i]
-        for j in range(n):
-            D[i, j] = V[i, j]
     for step in range(steps):
         if every == 0:
             for i in range(n):
@@ -131,7 +105,7 @@ def closed_loop(
                 qm[i] = q[i] + 0.5 * dt * (v[i] + 0.5 * dt * a[i])
                 vm[i] = v[i] + 0.5 * dt * a[i]
                 before[i] = integral[i] + 0.5 * dt * (desired[step, 0, i] - qm[i])
-            law_at(law, inverse, qm, vm, desired[step], before, memory, effort, slope, error)
+            law_at(law, memory, desired[step], before)
             for i in range(n):
                 for j in range(n):
                     D[i, j] = V[i, j] + slope[i, j]
@@ -143,11 +117,11 @@ def closed_loop(
                 if differenced and row > 0:
                     vm[i] = (qm[i] - before[i]) / (dt * every)
                 before[i] = qm[i]
-            law_at(law, inverse, qm, vm, desired[row], integral, memory, effort, slope, error)
+            law_at(law, memory, desired[row], integral)
             for i in range(n):
                 for j in range(n):
                     effort[i] -= slope[i, j] * vm[j]
-        step_of(robot, q, v, a, step > 0, effort, D, dt, fixed, given, memory, q1, v1)
+        step_of(robot, step > 0, dt, memory)
         if has_diverged(v1):
             return sample
         while sample < len(times) and times[sample] < (step + 1 - NEAR) * dt:
@@ -172,49 +146,38 @@ def closed_loop(
 
 
 def open_loop(
-    robot: Any,
-    memory: Any,
-    q: Array,
-    v: Array,
-    effort: Array,
-    dt: float,
-    fixed: Any,
-    record: Array,
-    out: Array,
-    count: Any,
+    robot: Any, memory: Any, states: Array, effort: Array, dt: float, fixed: Any, out: Array
 ) -> None:
     """Write positions and velocities (2, S, T + 1, n) of S segments under efforts (S, T, n).
 
-    Joints that are `fixed`, (S, n), follow the record (2, S, T + 1, n). `count` gets the states of
-    each segment before it diverged.
+    Segments start in the first of the states (2, S, 1 or T + 1, n), and joints that are `fixed`,
+    (S, n), follow them.
     """
-    vectors, D = memory.vectors, robot.matrices[slot.VISCOUS]
-    q0, v0, a = vectors[slot.NOW], vectors[slot.SPEED], vectors[slot.ACCELERATION]
-    q1, v1, given = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.GIVEN]
-    n = len(q0)
-    for s in range(len(q)):
+    vectors, held, given = memory.vectors, memory.fixed, memory.vectors[slot.GIVEN]
+    q, v = vectors[slot.NOW], vectors[slot.SPEED]
+    q1, v1 = vectors[slot.NEXT], vectors[slot.NEXT_SPEED]
+    n = len(q)
+    for s in range(len(effort)):
         for i in range(n):
-            q1[i], v1[i] = q[s, i], v[s, i]
+            held[i], q1[i], v1[i] = fixed[s, i], states[0, s, 0, i], states[1, s, 0, i]
         for k in range(effort.shape[1] + 1):
-            count[s] = k
             if has_diverged(v1):
                 break
             for i in range(n):
-                q0[i], v0[i] = q1[i], v1[i]
+                q[i], v[i] = q1[i], v1[i]
                 out[0, s, k, i], out[1, s, k, i] = q1[i], v1[i]
-            count[s] = k + 1
             if k == effort.shape[1]:
                 break
             for i in range(n):
-                if fixed[s, i]:
-                    v0[i] = record[1, s, k, i]
-                    given[i] = (record[1, s, k + 1, i] - v0[i]) / dt
-                    q0[i] = 0.5 * (record[0, s, k, i] + record[0, s, k + 1, i] - dt * v0[i])
-            push = effort[s, k]
-            step_of(robot, q0, v0, a, k > 0, push, D, dt, fixed[s], given, memory, q1, v1)
+                vectors[slot.EFFORT, i] = effort[s, k, i]
+                if held[i]:
+                    v[i] = states[1, s, k, i]
+                    given[i] = (states[1, s, k + 1, i] - v[i]) / dt
+                    q[i] = 0.5 * (states[0, s, k, i] + states[0, s, k + 1, i] - dt * v[i])
+            step_of(robot, k > 0, dt, memory)
             for i in range(n):
-                if fixed[s, i]:
-                    q1[i], v1[i] = record[0, s, k + 1, i], record[1, s, k + 1, i]
+                if held[i]:
+                    q1[i], v1[i] = states[0, s, k + 1, i], states[1, s, k + 1, i]
 
 
 def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Array) -> None:
@@ -229,21 +192,20 @@ def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Arra
 
 
 def many_accelerations(
-    robot: Any, memory: Any, q: Array, v: Array, effort: Array, fixed: Any, out: Array
+    robot: Any, memory: Any, q: Array, v: Array, effort: Array, out: Array
 ) -> None:
     """Write accelerations of many states; joints at rest stay there where friction holds them."""
-    vectors, D, S = memory.vectors, robot.matrices[slot.VISCOUS], memory.matrices[slot.SLOPES]
-    h, g, carried = vectors[slot.BIAS], vectors[slot.PUSH], vectors[slot.CARRIED]
-    dv, F, given = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.GIVEN]
+    vectors, S = memory.vectors, memory.matrices[slot.SLOPES]
+    carried, F = vectors[slot.CARRIED], vectors[slot.SMOOTH]
     for k in range(len(q)):
         dynamics_at(robot, q[k], v[k], memory)
         for i in range(q.shape[1]):
-            g[i] = effort[k, i] - h[i]
+            vectors[slot.PUSH, i] = effort[k, i] - vectors[slot.BIAS, i]
             out[k, i] = 0.0
         for _ in range(LOAD_ROUNDS if robot.loaded else 1):
             carry_load(robot, memory, out[k])
             bounds_at(robot, carried, memory.bounds)
             smooth_at(robot, carried, v[k], F, S)
-            change_over(robot, D, v[k], INSTANT, fixed, given, memory)
-            if is_settled(dv, INSTANT, out[k]):
+            change_over(robot, v[k], INSTANT, memory)
+            if is_settled(vectors[slot.CHANGE], INSTANT, out[k]):
                 break

@@ -15,8 +15,7 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import layout as slot
-from sdpid.experiment.simulation.kernels.friction import bounds_at, smooth_at
-from sdpid.experiment.simulation.kernels.links import dynamics_at
+from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
 
 # No joint of a working robot moves this fast (rad/s or m/s): what does has diverged.
 RUNAWAY = 1e3
@@ -68,8 +67,6 @@ def weight_of(z: float) -> float:
     """Return the weight of the end of a step that is exact for one joint with slope z."""
     if abs(z) < 0.1:
         return 0.5 + z / 12.0 - z**3 / 720.0
-    if z > 40.0:
-        return 1.0 - 1.0 / z
     z = max(z, -1.0)
     return 1.0 / (1.0 - math.exp(-z)) - 1.0 / z
 
@@ -105,9 +102,13 @@ def carry_load(robot: Any, memory: Any, a: Array) -> None:
             carried[i] = abs(total)
 
 
-def change_over(
-    robot: Any, D: Array, v: Array, dt: float, fixed: Any, given: Array, memory: Any
-) -> None:
+def speed_at(robot: Any, k: int, v: Array) -> Any:
+    """Return the velocity of a contact, from its joints' own."""
+    i, j = robot.contacts[k, 0], robot.contacts[k, 1]
+    return v[i] + (v[j] if j >= 0 else 0.0)
+
+
+def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
     """Write the change of velocities over a time in which nothing reaches a jump of friction.
 
     Masses, effort less bias, friction and its slopes are read from the memory, and the change is
@@ -115,15 +116,15 @@ def change_over(
     Each contact has a row of the system, in which its impulse is found.
     """
     vectors, matrices, V = memory.vectors, memory.matrices, robot.matrices[slot.VISCOUS]
-    K, M, S = memory.system, matrices[slot.MASSES], matrices[slot.SLOPES]
+    K, M, S, D = memory.system, matrices[slot.MASSES], matrices[slot.SLOPES], matrices[slot.DAMPING]
     dv, F, g = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.PUSH]
     mode, at, bounds = memory.states[0], memory.states[1], memory.bounds
-    contacts, values = robot.contacts, robot.jumps
+    contacts, values, fixed = robot.contacts, robot.jumps, memory.fixed
     n, count = len(v), len(contacts)
     size, moves = n + count, dt > AT_JUMP
     for k in range(count):
         i, j = contacts[k, 0], contacts[k, 1]
-        apart = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
+        apart = speed_at(robot, k, v) - values[k, 0]
         held = fixed[i] and (j < 0 or fixed[j])
         near = abs(apart) <= AT_JUMP
         at[k] = 1 if near and bounds[k, 0] < bounds[k, 1] and not held else 0
@@ -134,7 +135,7 @@ def change_over(
                 K[i, j] = 0.0
         for i in range(n):
             if fixed[i]:
-                K[i, i], K[i, size] = 1.0, dt * given[i]
+                K[i, i], K[i, size] = 1.0, dt * vectors[slot.GIVEN, i]
                 continue
             weight = dt * weight_of(dt * (V[i, i] + S[i, i]) / M[i, i])
             gain = dt * weight_of_feedback(dt * (D[i, i] - V[i, i]) / M[i, i])
@@ -144,24 +145,24 @@ def change_over(
                 K[i, j] = M[i, j] + weight * (V[i, j] + S[i, j]) + gain * (D[i, j] - V[i, j])
             K[i, size] = dt * total
         for k in range(count):
-            i, j, row = contacts[k, 0], contacts[k, 1], n + k
-            sticks = at[k] and mode[k] == 0
+            row, sticks = n + k, at[k] and mode[k] == 0
             force = 0.5 * (bounds[k, 0] + bounds[k, 1])
             if mode[k] != 0:
                 force = bounds[k, 1] if mode[k] > 0 else bounds[k, 0]
             K[row, row], K[row, size] = 1.0, dt * force
             if sticks:
-                apart = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
+                i = contacts[k, 0]
                 K[row, row] = -COMPLIANCE / abs(M[i, i])
-                K[row, size] = -apart if moves else 0.0
-            for end in range(2):
-                joint = contacts[k, end]
+                K[row, size] = values[k, 0] - speed_at(robot, k, v) if moves else 0.0
+            for joint in contacts[k]:
                 if joint >= 0 and sticks:
                     K[row, joint] = 1.0
                 if joint >= 0 and not fixed[joint]:
                     K[joint, row] = 1.0 if sticks else 0.0
                     K[joint, size] -= 0.0 if sticks else dt * force
         solve_in_place(K, size)
+        for i in range(n):
+            dv[i] = K[i, size]
         # The stuck contact that is held worst lets go; one that let go to the wrong side sticks.
         worst, changed, side = 0.0, -1, 0
         for k in range(count):
@@ -171,15 +172,11 @@ def change_over(
             if at[k] and mode[k] == 0 and far > least:
                 worst, changed, side = far, k, 1 if over > 0.0 else -1
         for k in range(count if changed < 0 else 0):
-            i, j = contacts[k, 0], contacts[k, 1]
-            moved = K[i, size] + (K[j, size] if j >= 0 else 0.0)
-            if at[k] and moved * mode[k] < 0.0:
+            if at[k] and speed_at(robot, k, dv) * mode[k] < 0.0:
                 changed = k
         if changed < 0:
             break
         mode[changed] = side
-    for i in range(n):
-        dv[i] = K[i, size]
     for k in range(count):
         i = contacts[k, 0]
         if at[k] and mode[k] == 0 and contacts[k, 1] < 0:
@@ -189,12 +186,10 @@ def change_over(
 
 def reached_at(robot: Any, v: Array, dv: Array) -> Any:
     """Return the share of a change of velocities at which a contact reaches its jump, and which."""
-    contacts, values = robot.contacts, robot.jumps
     share, reached = 1.0, -1
-    for k in range(len(contacts)):
-        i, j = contacts[k, 0], contacts[k, 1]
-        before = v[i] + (v[j] if j >= 0 else 0.0) - values[k, 0]
-        after = before + dv[i] + (dv[j] if j >= 0 else 0.0)
+    for k in range(len(robot.contacts)):
+        before = speed_at(robot, k, v) - robot.jumps[k, 0]
+        after = before + speed_at(robot, k, dv)
         if abs(before) > AT_JUMP and before * after < 0.0 and before / (before - after) < share:
             share, reached = before / (before - after), k
     return share, reached
@@ -219,12 +214,11 @@ def is_curved(robot: Any, v: Array, share: float, part: float, memory: Any) -> b
     return missed > CURVED * largest + AT_JUMP
 
 
-def advance(
-    robot: Any, D: Array, v: Array, dt: float, fixed: Any, given: Array, memory: Any, end: Array
-) -> None:
+def advance(robot: Any, dt: float, memory: Any) -> None:
     """Write the velocities after a time with the memory's mass matrix and effort."""
     vectors = memory.vectors
-    dv, F, carried = vectors[slot.CHANGE], vectors[slot.SMOOTH], vectors[slot.CARRIED]
+    v, end, dv = vectors[slot.SPEED], vectors[slot.NEXT_SPEED], vectors[slot.CHANGE]
+    F, carried = vectors[slot.SMOOTH], vectors[slot.CARRIED]
     bounds_at(robot, carried, memory.bounds)
     for i in range(len(v)):
         end[i] = v[i]
@@ -233,7 +227,7 @@ def advance(
         last = count == PARTS - 1
         part = left if last else min(part, left)
         smooth_at(robot, carried, end, F, memory.matrices[slot.SLOPES])
-        change_over(robot, D, end, part, fixed, given, memory)
+        change_over(robot, end, part, memory)
         share, reached = 1.0, -1
         if not last:
             share, reached = reached_at(robot, end, dv)
@@ -251,28 +245,16 @@ def advance(
         part *= 2.0
 
 
-def step_of(
-    robot: Any,
-    q: Array,
-    v: Array,
-    a: Array,
-    known: bool,
-    effort: Array,
-    D: Array,
-    dt: float,
-    fixed: Any,
-    given: Array,
-    memory: Any,
-    q1: Array,
-    v1: Array,
-) -> None:
-    """Write positions and velocities after a step, and into `a` its mean accelerations.
+def step_of(robot: Any, known: bool, dt: float, memory: Any) -> None:
+    """Write the next positions and velocities, and the mean accelerations until then.
 
-    `a` holds those of the step before where they are `known`.
+    State, effort, damping and what is given of joints that are not free stand in the memory. The
+    accelerations there are those of the step before where they are `known`.
     """
-    vectors = memory.vectors
-    h, g, dv = vectors[slot.BIAS], vectors[slot.PUSH], vectors[slot.CHANGE]
-    qm, vm = vectors[slot.MIDDLE], vectors[slot.RATE]
+    vectors, fixed, given = memory.vectors, memory.fixed, memory.vectors[slot.GIVEN]
+    q, v, a = vectors[slot.NOW], vectors[slot.SPEED], vectors[slot.ACCELERATION]
+    q1, v1, dv = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.CHANGE]
+    qm, vm, g = vectors[slot.MIDDLE], vectors[slot.RATE], vectors[slot.PUSH]
     n = len(q)
     for i in range(n):
         qm[i] = q[i] + 0.5 * dt * v[i]
@@ -282,10 +264,10 @@ def step_of(
             vm[i] = v[i] + 0.5 * dt * (given[i] if fixed[i] else a[i])
         dynamics_at(robot, qm, vm, memory)
         for i in range(n):
-            g[i] = effort[i] - h[i]
+            g[i] = vectors[slot.EFFORT, i] - vectors[slot.BIAS, i]
         for _ in range(LOAD_ROUNDS if robot.loaded else 1):
             carry_load(robot, memory, a)
-            advance(robot, D, v, dt, fixed, given, memory, v1)
+            advance(robot, dt, memory)
             for i in range(n):
                 dv[i] = v1[i] - v[i]
             if is_settled(dv, dt, a):
@@ -297,6 +279,6 @@ def step_of(
 def has_diverged(v: Array) -> bool:
     """Return whether a velocity is no number, or beyond what any robot has."""
     slow = True
-    for i in range(len(v)):
-        slow = slow and abs(v[i]) < RUNAWAY
+    for speed in v:
+        slow = slow and abs(speed) < RUNAWAY
     return not slow
