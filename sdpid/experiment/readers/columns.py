@@ -1,9 +1,10 @@
-"""Find the quantities of a log by the usual names, or by those that are given."""
+"""The named arrays of a log, and the quantities among them by the usual names or by given ones."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,23 +14,31 @@ from numpy.typing import NDArray
 
 from sdpid._common.files import printable
 from sdpid.errors import DataError
-from sdpid.experiment.readers.names import FLOATING, QUANTITIES, SINGLE, UNITS, split_unit
-from sdpid.experiment.readers.table import LogTable, NoNumbersError
-from sdpid.experiment.recording.recording import CHANNELS
+from sdpid.experiment.readers.names import (
+    CURRENT,
+    FLOATING,
+    QUANTITIES,
+    SINGLE,
+    UNITS,
+    Quantity,
+    split_unit,
+)
 from sdpid.experiment.recording.stored import StoredArray, check_memory
 
-# How a column of a joint is called, in the order in which it is looked for: numbers win over
-# words, so that q_1 is not mixed with q_target_1, nor tau_J_1 with tau.
+# How names are made of a key, which is a name of the quantity, and of what they are: a folder, the
+# number or the name of a joint, or a foot; and a part. Numbers win over words, so that q_1 is not
+# mixed with q_target_1, nor tau_J_1 with tau.
+_BETWEEN = r"[_./\s\[-]*"
 _STYLES = {
-    "numbered": r"{key}[_./\s-]?\[?(\d+)\]?",
-    "labeled": r"{key}[_./\s-](.+)",
-    "suffixed": r"(?:.*/)?(.+?)[_./\s-]{key}",
+    "array": r"(?:(?P<of>.*)/)?{key}",
+    "numbered": r"{key}[_./\s-]?\[?(?P<of>\d+)\]?",
+    "labeled": r"{key}[_./\s-](?P<of>.+)",
+    "suffixed": r"(?:.*/)?(?P<of>.+?)[_./\s-]{key}",
+    "parts": rf"{{key}}(?P<of>){_BETWEEN}q?(?P<part>{{parts}})\]?",
+    "axes": rf"{{key}}(?:[_\s-](?P<of>world|base))?{_BETWEEN}(?P<part>{{parts}})\]?",
+    "feet": rf"{{key}}{_BETWEEN}(?P<of>.+?){_BETWEEN}(?P<part>{{parts}})\]?",
 }
-# Names that any quantity may have; the unit beside them tells which: Joint 1 [deg].
-_BARE = ("joint", "axis", "j", "a")
-# Words that say of which quantity a command is by their unit only: command_1 [deg].
-_BARE_COMMANDS = ("desired", "commanded", "command", "cmd", "target", "setpoint")
-# Names of commanded quantities, which are not what the robot did.
+# Words in labels of what is not what the robot did.
 _COMMANDED = re.compile(
     r"(?:^|[_./\s-])(?:target|desired|des|cmd|command|commanded|ref|reference|setpoint|goal|err|error)"
     r"(?:$|[_./\s\d-])"
@@ -37,21 +46,16 @@ _COMMANDED = re.compile(
     r"|(?:^|[_./])d[_./]?\[?\d+\]?$",
     re.IGNORECASE,
 )
-# Those of differences, and of a derivative: q_d beside q_dd.
-_NO_REFERENCE = re.compile(r"(?:^|[_./\s-])(?:err|error|goal)(?:$|[_./\s\d-])", re.IGNORECASE)
+# A second derivative: beside it q_d is the first.
 _DERIVATIVE = re.compile(r"(?:^|.*[_./\s-])q_?dd(?:ot)?(?:[_./\s\[-]?\d+\]?)?", re.IGNORECASE)
-_DESIRED = re.compile(r"(?:^|[_./\s-])q_d(?:$|[_./\s\[-])", re.IGNORECASE)
 # Effort is often logged as a current, which is no torque before it is scaled.
-_CURRENTS = ("current", "actual_current", "motor_current", "currents", "curr", "cur", "i")
 _CURRENT = re.compile(
     r"(?:.*[_./])?(?:(?:current|curr|cur|amps?|i)s?(?:[_./\[]?\d+\]?)?|current_.+)", re.IGNORECASE
 )
-# What stands between a quantity of a base, a foot and a part.
-_BETWEEN = r"[_./\s\[-]*"
-_FRAMES = ("world", "base")
 # Words that tell another quantity from a foot that is named behind ``contact_``.
 _OTHERS = re.compile(r"(?:forces?|wrench(?:es)?|states?|torques?|moments?)(?:[_./\s-].*)?", re.I)
-# Words in the names of what turns and is no base.
+# Names of quaternions, and words in the names of what turns and is no base.
+_TURNS = rf"(.*(?:quat|orient).*?){_BETWEEN}q?([xyzw])\]?"
 _NO_BASE = re.compile(
     r"tcp|tool|eef?\b|ee_|tip|flange|hand|grip|object|target|desired|cmd|camera", re.I
 )
@@ -60,12 +64,51 @@ _SLICE = re.compile(r"(.+)\[(\d+):(\d+)\]")
 # At most this many names, of at most this many letters, are listed in a message.
 _LISTED, _LETTERS = 40, 60
 
-# The columns of joints: label -> name. A label is the joint's name, or its number.
-_Group = dict[str, str]
-# The name of an array or of columns, the labels that columns carry, and the unit that is implied.
-_Found = tuple[str | list[str], tuple[str, ...] | None, str | None]
-# A name that is looked for, and the unit that it implies.
-_Key = tuple[str, str | None]
+# Columns by what they are of: a joint, its number, a folder or a foot; None for nothing.
+_Group = dict[Any, str]
+# The name of an array, or of columns; what these are of, and the unit that is implied.
+Found = tuple[list[str], tuple[str, ...] | None, str | None]
+
+
+class NoNumbersError(DataError):
+    """A name of a log stands for something else than numbers or text."""
+
+
+def row_number(sample: int) -> str:
+    """Return where a sample stands, rows counted from 1."""
+    return f"row {sample + 1}"
+
+
+@dataclass(frozen=True)
+class LogTable:
+    """The named arrays of a log file, each read when it is needed.
+
+    Attributes
+    ----------
+    arrays : mapping
+        Names, and how to read what they name. Parts of a path are separated by ``/``. Only what is
+        wanted is read, so an array that cannot be used does no harm to the rest.
+    place : callable
+        Says where sample k, counted from 0, stands in the file; for messages.
+    unnamed : bool
+        Whether columns have numbers from 1 instead of names.
+    columns : callable, optional
+        Reads several plain columns at once, as a table.
+    plain : frozenset of str
+        Names that are known to be columns of numbers.
+    units : mapping
+        Units that are known for some names.
+    stated : mapping
+        What the file says of ``base``, ``imu`` and ``contacts``.
+    """
+
+    arrays: Mapping[str, Callable[[], NDArray[Any]]]
+    place: Callable[[int], str] = row_number
+    unnamed: bool = False
+    columns: Callable[[Sequence[str]], NDArray[Any]] | None = None
+    plain: frozenset[str] = frozenset()
+    units: Mapping[str, str] = field(default_factory=dict)
+    stated: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Columns:
@@ -107,8 +150,8 @@ class Columns:
         self._plain = {name: part for name, (part, _) in split.items()}
         self._units = {name: unit for name, (_, unit) in split.items() if unit is not None}
         self._units |= table.units
-        self.used: dict[str, tuple[str, ...]] = {}
-        self.implied: dict[str, str | list[str]] = {}
+        self.used: dict[str, Sequence[str]] = {}
+        self.implied: dict[str, Any] = {}
 
     def read(
         self, quantity: str, names: Sequence[str] | None = None
@@ -137,20 +180,15 @@ class Columns:
             ends = tuple(name.rstrip("])")[-1:].lower() for name in given)
             parts = quantity == "base_orientation" and sorted(ends) == ["w", "x", "y", "z"]
             return self.load(quantity, list(given)), ends if parts else None
-        keys: list[_Key] = _keys(quantity) if given is None else [(given, None)]
-        found = self._found(quantity, keys, names, explicit=given is not None)
+        found = next(self.finds(quantity, names), None)
         if found is None and given is not None:
             of_joints = quantity not in (*SINGLE, *FLOATING)
             more = f", nor are columns '{given}_<joint>'" if of_joints else ""
             raise self._absent(quantity, f"'{given}'", more)
         if found is None:
-            found = self._found_by_unit(quantity, names)
-        if found is None:
             return None, None
         columns, labels, unit = found
         table = self.load(quantity, columns, unit)
-        if quantity not in SINGLE and table.ndim == 1:
-            table = table[:, None]
         if quantity == "position" and table.ndim > 1:
             self._joints = set(labels or names or ()), table.shape[1]
         return table, labels
@@ -179,33 +217,8 @@ class Columns:
             names = np.char.decode(names, "utf-8", "replace")
         return tuple(printable(str(name)) for name in np.atleast_1d(names).ravel())
 
-    def commands(self, names: Sequence[str] | None) -> list[_Found]:
-        """Return all that may be references by the usual names."""
-        plain = self._candidates("reference")
-        texts = " ".join(plain.values()).lower()
-        derived = any(_DERIVATIVE.fullmatch(text) for text in self._plain.values())
-        found: dict[frozenset[str], _Found] = {}
-        for key, unit in _keys("reference") if plain else ():
-            if (derived and key == "q_d") or any(word not in texts for word in key.split("_")):
-                continue
-            if places := self._places(key, "reference"):
-                found |= {frozenset([place]): (place, None, unit) for place in places}
-                continue
-            for style in _STYLES:
-                group = _group(style, plain, key, names)
-                if group and self._fits(group) and all(map(self._is_column, group.values())):
-                    found.setdefault(frozenset(group.values()), _of_group(group, unit))
-        said = {name: text for name, text in plain.items() if name in self._units}
-        for key in _BARE_COMMANDS:
-            if (group := _group("numbered", said, key, names)) and self._fits(group):
-                found.setdefault(frozenset(group.values()), _of_group(group, None))
-        return list(found.values())
-
-    def load(
-        self, quantity: str, columns: str | list[str], unit: str | None = None
-    ) -> NDArray[Any]:
-        """Read an array of a name, or columns into one array, one after the other."""
-        keys = [columns] if isinstance(columns, str) else columns
+    def load(self, quantity: str, keys: list[str], unit: str | None = None) -> NDArray[Any]:
+        """Read the array of one name, or columns into one array, one after the other."""
         absent = [key for key in keys if key not in self._arrays]
         if absent or not keys:
             raise self._absent(quantity, ", ".join(absent) or "nothing")
@@ -215,24 +228,25 @@ class Columns:
             plain = next(iter(UNITS[quantity]))
             same = units[0] if len(set(units)) == 1 else None
             self.implied[quantity] = same or [each or plain for each in units]
-        if isinstance(columns, str) or (quantity in SINGLE and len(keys) == 1):
-            return self._checked(quantity, keys[0])
-        if self._table.columns is not None and self._table.plain.issuperset(keys):
+        single = quantity in SINGLE
+        if self._table.columns and self._table.plain.issuperset(keys) and not single:
             return self._table.columns(keys)
-        table: NDArray[Any] | None = None
+        if len(keys) == 1:
+            array = self._checked(quantity, keys[0])
+            return array[:, None] if array.ndim == 1 and not single else array
+        table: NDArray[Any] = np.empty((0, len(keys)))
         for j, key in enumerate(keys):
             column = self._checked(quantity, key)
             if column.ndim == 2 and 1 in column.shape:
                 column = column.ravel()
-            if column.ndim != 1 or (table is not None and column.shape != table.shape[:1]):
+            if column.ndim != 1 or (j and len(column) != len(table)):
                 raise DataError(
                     f"{self._file}: columns: '{key}' has shape {column.shape}, expected one "
-                    f"column{'' if table is None else f' of {len(table)} rows'}."
+                    f"column{f' of {len(table)} rows' if j else ''}."
                 )
-            table = np.empty((column.size, len(keys))) if table is None else table
+            table = table if j else np.empty((len(column), len(keys)))
             table[:, j] = column
             self._cache.pop(key, None)
-        assert table is not None
         return table
 
     def forget(self, quantity: str) -> None:
@@ -242,9 +256,10 @@ class Columns:
 
     def quaternions(self) -> tuple[str, list[str]] | None:
         """Return what columns are called that may be quaternions, and the names of x to w."""
-        columns = self._like("base_orientation", rf"(.*(?:quat|orient).*?){_BETWEEN}q?([xyzw])\]?")
-        for label in dict.fromkeys(label for label, _ in columns):
-            parts = {part.lower(): name for (of, part), name in columns.items() if of == label}
+        found: dict[str, dict[str, str]] = {}
+        for match, name in self._like("base_orientation", _TURNS):
+            found.setdefault(match[1], {}).setdefault(match[2].lower(), name)
+        for label, parts in found.items():
             if len(parts) == 4 and not _NO_BASE.search(label):
                 return label, [parts[part] for part in "xyzw"]
         return None
@@ -278,89 +293,123 @@ class Columns:
             f"Name it with columns={{'{quantity}': ...}}, or in a mapping beside the log.{hint}"
         )
 
-    def _found(
-        self, quantity: str, keys: list[_Key], names: Sequence[str] | None, explicit: bool = False
-    ) -> _Found | None:
-        """Look for arrays of a name, then for columns that are named so and by joint or part."""
-        for key, unit in keys:
-            for frame in _FRAMES if quantity.endswith("_velocity") else ():
-                if columns := self._parts(quantity, f"{key}_{frame}"):
-                    return columns, (frame,), None
-            places = self._places(key, quantity)
-            if len(places) == 1:
-                return places[0], None, unit
-            if places:
-                parents = [place.split("/")[-2] if "/" in place else "" for place in places]
-                several = quantity in SINGLE or len(set(parents)) < len(parents)
-                if several or any(self._array(place).ndim != 1 for place in places):
-                    raise DataError(
-                        f"{self._file}: {quantity} is there more than once: {_list(places)}; "
-                        f"name the one to read with columns={{'{quantity}': '{places[0]}'}}."
-                    )
-                return _of_group(_ordered(dict(zip(parents, places, strict=True)), names), unit)
-            if quantity.startswith("contact") and (feet := self._feet(quantity, key)):
-                return feet
-            if quantity in FLOATING and (columns := self._parts(quantity, key)):
-                return columns, QUANTITIES[quantity].parts, None
-        if quantity in SINGLE or quantity in FLOATING:
-            return None
-        # Names with a unit are looked for first, or `deg` in position_deg would be a joint.
-        keys = sorted(keys, key=lambda entry: entry[1] is None)
-        plain = self._candidates(quantity)
-        styles = list(_STYLES)
+    def finds(self, quantity: str, names: Sequence[str] | None) -> Iterator[Found]:
+        """Yield all that may be a quantity: arrays, then columns that are named by joint or part.
+
+        Columns are in the order of the joints. Last come those that are known by their unit only,
+        and currents where they can be scaled.
+        """
+        given = self.given.get(quantity)
+        if given in self._arrays:
+            yield [given], None, None
+            return
+        row = Quantity((given,), bare=()) if given is not None else QUANTITIES[quantity]
+        if given is None and any(map(_DERIVATIVE.fullmatch, self._plain.values())):
+            row = replace(row, names=tuple(name for name in row.names if name != "q_d"))
+        array: Found | None = None
+        for array in self._arrays_called(quantity, row, names):
+            yield array
+        if array is not None:
+            return
+        if quantity in FLOATING:
+            yield from self._of_base(quantity, row)
+        elif quantity not in SINGLE:
+            yield from self._of_joints(quantity, row, names, explicit=given is not None)
+            if row.bare:
+                yield from self._of_joints(quantity, replace(row, names=()), names)
+        if quantity == "effort" and given is None and self._scaled:
+            yield from self._arrays_called(quantity, CURRENT, names)
+            yield from self._of_joints(quantity, CURRENT, names)
+
+    def _arrays_called(
+        self, quantity: str, row: Quantity, names: Sequence[str] | None
+    ) -> Iterator[Found]:
+        """Yield arrays of a name, or those of one value a sample that each joint's folder has."""
+        for unit, group in self._groups("array", quantity, row):
+            places = list(group.values())
+            if "" in group or len(group) == 1:
+                yield [group.get("", places[0])], None, unit
+                continue
+            parents = [folder.rpartition("/")[2] for folder in group]
+            several = quantity in SINGLE or len(set(parents)) < len(parents)
+            if several or any(self._array(place).ndim != 1 for place in places):
+                raise DataError(
+                    f"{self._file}: {quantity} is there more than once: {_list(places)}; "
+                    f"name the one to read with columns={{'{quantity}': '{places[0]}'}}."
+                )
+            yield _ordered(dict(zip(parents, places, strict=True)), names, unit)
+
+    def _of_base(self, quantity: str, row: Quantity) -> Iterator[Found]:
+        """Yield the columns of all parts: of a base, whose axes may be named, or of every foot."""
+        parts = QUANTITIES[quantity].parts
+        velocity, feet = quantity.endswith("_velocity"), quantity.startswith("contact")
+        style = "axes" if velocity else "feet" if feet else "parts"
+        for _, group in self._groups(style, quantity, replace(row, parts=parts)):
+            found = dict.fromkeys(of for of, _ in group if not _OTHERS.fullmatch(of))
+            # The world's axes go before the base's, and these before unnamed ones.
+            for each in [[*found]] if feet else [[of] for of in sorted(found, reverse=True)]:
+                wanted = [(of, part) for of in each for part in parts or ("",)]
+                if wanted and group.keys() >= set(wanted):
+                    labels = parts if quantity == "base_orientation" else tuple(filter(None, each))
+                    yield [group[one] for one in wanted], labels or None, None
+
+    def _of_joints(
+        self, quantity: str, row: Quantity, names: Sequence[str] | None, explicit: bool = False
+    ) -> Iterator[Found]:
+        """Yield the columns of joints, by their numbers or names."""
+        styles = ["numbered", "labeled", "suffixed"]
         if names is not None and not all(name.isdigit() for name in names):
             styles = ["labeled", "numbered", "suffixed"]
-        for style in styles:
-            if style == "suffixed":
-                # Of two endings the longer one leaves the joint's name: joint_1_actual_position.
-                keys = sorted(keys, key=lambda entry: -len(entry[0]))
-            believed = explicit or style == "numbered"
-            for key, unit in keys:
-                group = _group(style, plain, key, names, explicit)
-                if not believed:
-                    group = {k: name for k, name in group.items() if self._is_column(name)}
+        for style in styles if row.names else ["numbered"]:
+            believed = explicit or (style == "numbered" and quantity != "reference")
+            for unit, group in self._groups(style, quantity, row):
+                for label, name in list(group.items()):
+                    commanded = style != "numbered" and _COMMANDED.search(label)
+                    others = commanded and not explicit and label not in (names or ())
+                    if others or not (believed or self._is_column(name)):
+                        del group[label]
                 if group and (believed or self._fits(group)):
-                    return _of_group(group, unit)
-        return None
+                    yield _ordered(group, names, unit, by_number=style != "labeled")
 
-    def _found_by_unit(self, quantity: str, names: Sequence[str] | None) -> _Found | None:
-        """Look for columns known by their unit only, and for currents where they can be scaled."""
-        if quantity not in CHANNELS:
-            return None
-        plain = {n: p for n, p in self._candidates(quantity).items() if n in self._units}
-        for key in _BARE:
-            if group := _group("numbered", plain, key, names):
-                return _of_group(group, None)
-        if quantity != "effort" or not self._scaled:
-            return None
-        found = self._found("effort", [(key, "A") for key in _CURRENTS], names)
-        return found or self._found("effort", [(f"{key}_ma", "mA") for key in _CURRENTS], names)
+    def _groups(
+        self, style: str, quantity: str, row: Quantity
+    ) -> Iterator[tuple[str | None, _Group]]:
+        """Yield the columns of each name of a quantity by what they are of, and their unit."""
+        keys = row.names or row.bare
+        spelled = "|".join(map(_spelled, sorted(keys, key=len, reverse=True)))
+        endings = "|".join(filter(None, row.endings)) or "(?!)"
+        key = rf"(?P<key>{spelled})(?:[_\s-](?P<unit>{endings}))?"
+        groups: dict[tuple[str, str], _Group] = {}
+        pattern = _STYLES[style].format(key=key, parts="|".join(row.parts))
+        for match, name in self._like(quantity, pattern):
+            at, of = match.groupdict(""), match["of"] or ""
+            key, unit = re.sub(r"[\s-]", "_", at["key"]).lower(), at["unit"].lower()
+            if not row.names and name not in self._units:
+                continue
+            label: Any = str(int(of)) if style == "numbered" else of
+            label = (of, at["part"].lower()) if "part" in at else label
+            group = groups.setdefault((key, unit), {})
+            group[label] = name if name in row.names else group.get(label, name)
+        order = {key.lower(): k for k, key in enumerate(keys)}
 
-    def _like(self, quantity: str, pattern: str) -> dict[tuple[str, ...], str]:
-        """Return by what the groups of a pattern stand for, and of nothing that was read."""
-        return _like(self._candidates(quantity), pattern)
+        def rank(entry: tuple[str, str]) -> tuple[bool, int]:
+            # Of arrays those without a unit go first. Else those with, or `deg` in position_deg
+            # would be a joint; and of two endings the longer one leaves the joint's name.
+            plain = bool(entry[1]) == (style == "array")
+            return plain, -len("_".join(entry)) if style == "suffixed" else order.get(entry[0], 0)
 
-    def _parts(self, quantity: str, key: str) -> list[str]:
-        """Return the columns ``key_x``, ``key_y`` and so on, if all are there."""
-        parts = QUANTITIES[quantity].parts
-        sign = "q?" if quantity == "base_orientation" else ""
-        pattern = rf"{_spelled(key)}{_BETWEEN}{sign}({'|'.join(parts)})\]?"
-        found = {part.lower(): name for (part,), name in self._like(quantity, pattern).items()}
-        return [found[part] for part in parts] if set(found) == set(parts) else []
+        for entry in sorted(groups, key=rank):
+            yield row.endings.get(entry[1]), groups[entry]
 
-    def _feet(self, quantity: str, key: str) -> _Found | None:
-        """Return the columns ``key_foot``, or ``key_foot_x`` and so on, of every foot."""
-        parts = QUANTITIES[quantity].parts
-        end = rf"{_BETWEEN}({'|'.join(parts)})\]?" if parts else r"()\]?"
-        columns = self._like(quantity, rf"{_spelled(key)}{_BETWEEN}(.+?){end}")
-        found = {
-            (f, part.lower()): n for (f, part), n in columns.items() if not _OTHERS.fullmatch(f)
-        }
-        feet = tuple(dict.fromkeys(foot for foot, _ in found))
-        wanted = [(foot, part) for foot in feet for part in parts or ("",)]
-        if not feet or any(each not in found for each in wanted):
-            return None
-        return [found[each] for each in wanted], feet, None
+    def _like(self, quantity: str, pattern: str) -> Iterator[tuple[re.Match[str], str]]:
+        """Yield names that fit a pattern, or do behind their last /, but those of other units."""
+        compiled, known = re.compile(pattern, re.IGNORECASE), UNITS.get(quantity, ())
+        once = quantity == "reference" or quantity in FLOATING
+        taken = {name for names in self.used.values() for name in names if once}
+        for name, text in self._plain.items():
+            match = compiled.fullmatch(text) or compiled.fullmatch(text.rpartition("/")[2])
+            if match and name not in taken and self._units.get(name) in (None, *known):
+                yield match, name
 
     def _fits(self, group: _Group) -> bool:
         """Tell whether columns have labels of the joints whose positions were read."""
@@ -368,32 +417,6 @@ class Columns:
             return True
         labels, count = self._joints
         return bool(labels & set(group)) if labels else len(group) == count > 1
-
-    def _places(self, key: str, quantity: str) -> list[str]:
-        """Return the names whose last part is `key`, however it is spelled."""
-        if key in self._arrays:
-            return [key]
-        plain = self._candidates(quantity)
-        pattern = re.compile(_spelled(key), re.IGNORECASE)
-        top = [name for name in plain if pattern.fullmatch(plain[name])]
-        ends = [name for name in plain if pattern.fullmatch(plain[name].rpartition("/")[2])]
-        return top[:1] or ends
-
-    def _candidates(self, quantity: str) -> dict[str, str]:
-        """Return names and how they are looked for, but those in units of other quantities."""
-        known = UNITS.get(quantity, ())
-        found = {n: p for n, p in self._plain.items() if self._units.get(n) in (None, *known)}
-        if quantity == "reference" or quantity in FLOATING:
-            taken = {name for names in self.used.values() for name in names}
-            found = {name: plain for name, plain in found.items() if name not in taken}
-        if quantity == "reference":
-            return {
-                name: plain
-                for name, plain in found.items()
-                if (_COMMANDED.search(plain) or _DESIRED.search(plain))
-                and not _NO_REFERENCE.search(plain)
-            }
-        return found
 
     def _array(self, name: str) -> NDArray[Any]:
         """Read an array once."""
@@ -439,13 +462,6 @@ def _spelled(key: str) -> str:
     return r"[_\s-]".join(re.escape(word) for word in key.split("_"))
 
 
-def _keys(quantity: str) -> list[_Key]:
-    """Return the usual names, plain ones first, with the units that they imply."""
-    row = QUANTITIES[quantity]
-    ended = [(f"{key}_{end}", u) for key in row.names for end, u in row.endings.items()]
-    return [*((key, None) for key in row.names), *ended]
-
-
 def _list(names: Iterable[str]) -> str:
     """Return names for a message, the first ones if there are many."""
     every = [name if len(name) <= _LETTERS else f"{name[:_LETTERS]}..." for name in names]
@@ -453,47 +469,15 @@ def _list(names: Iterable[str]) -> str:
     return (", ".join(every[:_LISTED]) or "nothing") + more
 
 
-def _like(plain: Mapping[str, str], pattern: str) -> dict[tuple[str, ...], str]:
-    """Return names by what the groups of a pattern stand for, in them or behind their last /."""
-    compiled = re.compile(pattern, re.IGNORECASE)
-    found: dict[tuple[str, ...], str] = {}
-    for name, text in plain.items():
-        match = compiled.fullmatch(text) or compiled.fullmatch(text.rpartition("/")[2])
-        if match is not None:
-            found.setdefault(match.groups(), name)
-    return found
-
-
-def _of_group(group: _Group, unit: str | None) -> _Found:
-    """Return what was found by the labels of columns."""
-    return list(group.values()), tuple(group), unit
-
-
-def _group(
-    style: str,
-    plain: Mapping[str, str],
-    key: str,
-    names: Sequence[str] | None,
-    explicit: bool = False,
-) -> _Group:
-    """Return the columns that are named by `key` and by joint, in the order of the joints."""
-    found = {
-        label: name
-        for (label,), name in _like(plain, _STYLES[style].format(key=_spelled(key))).items()
-    }
-    if style == "numbered":
-        found = {str(int(label)): name for label, name in found.items()}
-    elif not explicit:
-        wanted = names or ()
-        found = {k: n for k, n in found.items() if k in wanted or not _COMMANDED.search(k)}
-    return _ordered(found, names, by_number=style != "labeled")
-
-
-def _ordered(group: _Group, names: Sequence[str] | None, by_number: bool = True) -> _Group:
+def _ordered(
+    group: _Group, names: Sequence[str] | None, unit: str | None, by_number: bool = True
+) -> Found:
     """Return columns in the order of the names wanted, else as numbered at their ends."""
-    if names is not None and all(name in group for name in names):
-        return {name: group[name] for name in names}
     split = [re.fullmatch(r"(.*?)(\d+)", label) for label in group]
     parts = [(int(part[2]), label) for part, label in zip(split, group, strict=True) if part]
     alike = len(parts) == len(group) and len({part[1] for part in split if part}) == 1
-    return {label: group[label] for _, label in sorted(parts)} if by_number and alike else group
+    if names is not None and all(name in group for name in names):
+        group = {name: group[name] for name in names}
+    elif by_number and alike:
+        group = {label: group[label] for _, label in sorted(parts)}
+    return list(group.values()), tuple(group), unit

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ from sdpid.experiment.readers.missing import mend_missing
 from sdpid.experiment.readers.names import UNITS, is_current
 from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection
+from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import transformed
 from sdpid.experiment.recording.timestamps import guess_time_unit
@@ -35,14 +34,12 @@ _Tables = dict[str, NDArray[Any]]
 
 
 def convert(
-    file: Path, found: Selection, arguments: Arguments, place: Callable[[int], str]
+    found: Selection, arguments: Arguments, place: Callable[[int], str]
 ) -> tuple[Recording, dict[str, str]]:
     """Return the recording, and for each quantity what it was read from, in words.
 
     Parameters
     ----------
-    file : Path
-        For messages.
     found : Selection
         What the log holds.
     arguments : Arguments
@@ -59,28 +56,33 @@ def convert(
     held = arguments.base.get("held")
     if held is not None and "base_orientation" in found.tables:
         raise DataError(
-            f"{file}: base.held: the base was held at '{held}', and the log has the motion of one; "
+            f"base.held: the base was held at '{held}', and the log has the motion of one; "
             "leave it out with columns={'base_orientation': None}, or leave held out."
         )
-    found, first_row = _some_rows(file, found, arguments.rows)
+    tables, stamps, first_row = dict(found.tables), found.single["time"], 0
+    if arguments.rows is not None:
+        first_row, last = arguments.rows[0] - 1, arguments.rows[1]
+        if last > (count := len(tables["position"])):
+            raise DataError(f"rows: asks for row {last}, the log has {count}.")
+        tables = {name: table[first_row:last] for name, table in tables.items()}
+        stamps = None if stamps is None else stamps.reshape(-1)[first_row:last]
     motors, units = arguments.motors, {**found.units, **arguments.units}
     if "position" in units:
         # Where nothing is said of references, they are as positions are.
         units = {"reference": units["position"], **units}
-    scale = _effort_scale(file, found, arguments, units)
+    scale = _effort_scale(found, arguments, units)
     labels = None if found.names is None else tuple(found.names)
-    count = found.tables["position"].shape[1]
-    names, order = _joint_order(file, labels, arguments.joint_names, count)
+    count = tables["position"].shape[1]
+    names, order = _joint_order(labels, arguments.joint_names, count)
     # Motors may be coupled, so joints are picked behind them; else before, since joints that are
     # not wanted may lack values.
     first = order if motors is None else None
-    columns = {name: _column_names(found, name, first) for name in found.tables}
-    tables = _picked(file, found.tables, first)
-    time, sources = _time(file, found, arguments, len(tables["position"]))
+    columns = {name: _column_names(found, name, first) for name in tables}
+    tables = _picked(tables, first)
+    time, of_time = _time(stamps, found, arguments, len(tables["position"]))
     shown = labels if first is None else names
     tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
     tables, mended = mend_missing(
-        file,
         {"time": time[:, None], **tables},
         {"time": ["time"], **columns},
         lambda k: place(k + first_row),
@@ -89,21 +91,26 @@ def convert(
     time = tables.pop("time")[:, 0]
     for name, table in tables.items():
         tables[name] = in_si(name, table, units, first if name in CHANNELS else None)
-    if motors is not None:
-        for name in set(CHANNELS) & set(tables):
+        if motors is not None and name in CHANNELS:
             tables[name] = transformed(tables[name], partial(motors.to_joints, name))
-        tables = _picked(file, tables, order)
+    if motors is not None:
+        tables = _picked(tables, order)
     if scale is not None:
-        if arguments.effort_scale is None and order is not None and scale.size > max(order):
-            scale = scale[order]
-        tables["effort"] = _torques(file, tables["effort"], scale)
+        if arguments.effort_scale is None:
+            scale = _one_each(scale, order)
+        if scale.shape != (count := tables["effort"].shape[1],) or not scale.all():
+            raise DataError(
+                f"effort_scale: is {scale.tolist()}, expected {count} non-zero factors, "
+                "one for each joint."
+            )
+        tables["effort"] = transformed(tables["effort"], lambda values: values * scale)
     stated: dict[str, Any] = {name: tables[name] for name in CHANNELS if name in tables}
     for name in ("period", "start", "periods"):
         given = getattr(arguments, name)
-        stated[name] = found.numbers.get(name) if given is None else given
+        stated[name] = found.single[name] if given is None else given
     if isinstance(stated["periods"], float) and stated["periods"].is_integer():
         stated["periods"] = int(stated["periods"])  # `Recording` refuses the rest.
-    notes = [f"time: {sources['time']}"] if _INFERRED in sources.get("time", "") else []
+    notes = [f"time: {of_time}"] if _INFERRED in of_time else []
     each = {n: [u] if isinstance(u, str) else sorted(set(u)) for n, u in units.items()}
     converted = [
         f"{name} in {'/'.join(own)}"
@@ -112,22 +119,20 @@ def convert(
     ]
     if converted:
         notes.append(f"units: {', '.join(converted)}, converted")
-    try:
-        recording = Recording(
-            time=time,
-            joint_names=names,
-            notes=tuple(notes),
-            currents=arguments.amperes,
-            base=base_of(file, found, tables),
-            contacts=contacts_of(file, found, tables, arguments),
-            **stated,
-        )
-        if arguments.gains is not None:
-            recording = scaled(recording, arguments.gains)
-    except DataError as cause:
-        text = str(cause).removeprefix(f"{file}: ")
-        raise DataError(f"{file}: {text}") from None
-    sources = {**_sources(found, units, arguments), **sources}
+    recording = Recording(
+        time=time,
+        joint_names=names,
+        notes=tuple(notes),
+        currents=arguments.amperes,
+        base=base_of(found, tables),
+        contacts=contacts_of(found, tables, arguments),
+        **stated,
+    )
+    if arguments.gains is not None:
+        recording = scaled(recording, arguments.gains)
+    sources = _sources(found, units, motors)
+    if of_time:
+        sources["time"] = of_time
     if recording.gains is not None:
         sources["gains"] = recording.gains.in_words
     if mended is not None:
@@ -139,63 +144,40 @@ def convert(
     return recording, sources
 
 
-def _some_rows(file: Path, found: Selection, rows: tuple[int, int] | None) -> tuple[Selection, int]:
-    """Return the wanted rows of all that was found, and the number of the first, from 0."""
-    if rows is None:
-        return found, 0
-    count, part = len(found.tables["position"]), slice(rows[0] - 1, rows[1])
-    if rows[1] > count:
-        raise DataError(f"{file}: rows: asks for row {rows[1]}, the log has {count}.")
-    tables = {name: table[part] for name, table in found.tables.items()}
-    time = None if found.time is None else found.time.reshape(-1)[part]
-    return replace(found, tables=tables, time=time), part.start
-
-
 def _effort_scale(
-    file: Path, found: Selection, arguments: Arguments, units: Mapping[str, Any]
+    found: Selection, arguments: Arguments, units: Mapping[str, Any]
 ) -> NDArray[np.float64] | None:
     """Return the factors from the unit of effort to N.m; None where there are none."""
     given, motors, unit = arguments.effort_scale, arguments.motors, units.get("effort")
-    given = found.numbers.get("effort_scale") if given is None else given
+    given = found.single["effort_scale"] if given is None else given
     asked = "currents=True is" if arguments.currents else "gains are"
     if arguments.amperes and unit is not None and not is_current(unit):
-        raise DataError(f"{file}: {asked} for currents in A, but the unit of the effort is {unit}.")
+        raise DataError(f"{asked} for currents in A, but the unit of the effort is {unit}.")
     if arguments.amperes and motors is not None and motors.torque_constants is not None:
         raise DataError(
-            f"{file}: {asked} for currents, and torque_constants of motors make torques of them "
+            f"{asked} for currents, and torque_constants of motors make torques of them "
             "already; leave one out."
         )
     if given is None:
         if is_current(unit) and not arguments.scaled:
-            raise DataError(f"{file}: {IN_AMPERES}")
+            raise DataError(IN_AMPERES)
         return None
     if motors is not None and "effort" in motors.applies_to:
         raise DataError(
-            f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
+            "effort_scale is of the joints' side, but motors says that efforts are of "
             "the motors'; give torque_constants in motors instead."
         )
     if arguments.amperes and not only_signs(given):
         raise DataError(
-            f"{file}: effort_scale makes torques of currents, and "
+            f"effort_scale makes torques of currents, and "
             f"{'currents are wanted' if arguments.currents else 'so do gains'}; leave it out. Only "
             "signs, 1 and -1, are taken beside gains."
         )
-    return np.atleast_1d(real_array(given, f"{file}: effort_scale", ndim=np.ndim(given)))
-
-
-def _torques(file: Path, efforts: NDArray[Any], scale: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return efforts times their factors to N.m."""
-    count = efforts.shape[1]
-    if scale.shape != (count,) or not scale.all():
-        raise DataError(
-            f"{file}: effort_scale: is {scale.tolist()}, expected {count} non-zero factors, one "
-            "for each joint."
-        )
-    return transformed(efforts, lambda values: values * scale)
+    return np.atleast_1d(real_array(given, "effort_scale", ndim=np.ndim(given)))
 
 
 def _joint_order(
-    file: Path, labels: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
+    labels: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
 ) -> tuple[tuple[str, ...] | None, list[int] | None]:
     """Return the joints' names, and which columns to take where some are picked by name."""
     if wanted is None or labels is None or wanted == labels:
@@ -205,13 +187,13 @@ def _joint_order(
         return wanted, None
     if common != set(wanted) or len(labels) != n:
         raise DataError(
-            f"{file}: joint_names are {', '.join(wanted)}, the file has {', '.join(labels)} for "
+            f"joint_names are {', '.join(wanted)}, the file has {', '.join(labels)} for "
             f"{n} columns; give names that are all in the file, or a new one for each column."
         )
     return wanted, [labels.index(name) for name in wanted]
 
 
-def _picked(file: Path, tables: _Tables, order: list[int] | None) -> _Tables:
+def _picked(tables: _Tables, order: list[int] | None) -> _Tables:
     """Return tables with some columns of those of joints."""
     picked = dict(tables)
     for name in CHANNELS if order is not None else ():
@@ -219,7 +201,7 @@ def _picked(file: Path, tables: _Tables, order: list[int] | None) -> _Tables:
             continue
         if (count := tables[name].shape[1]) <= max(order or ()):
             raise DataError(
-                f"{file}: {name} has {count} columns, too few for column {max(order or ()) + 1}."
+                f"{name} has {count} columns, too few for column {max(order or ()) + 1}."
             )
         picked[name] = transformed(tables[name], lambda rows: rows[:, order])
     return picked
@@ -253,9 +235,11 @@ def _column_names(found: Selection, quantity: str, order: list[int] | None) -> l
     return used if order is None else [used[j] for j in order]
 
 
-def _sources(found: Selection, units: Mapping[str, Any], arguments: Arguments) -> dict[str, str]:
+def _sources(
+    found: Selection, units: Mapping[str, Any], motors: MotorSide | None
+) -> dict[str, str]:
     """Return for each quantity what it was read from, in words."""
-    motors, sources = arguments.motors, {}
+    sources = {}
     for quantity, names in found.used.items():
         text = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
         unit = units.get(quantity)
@@ -264,6 +248,11 @@ def _sources(found: Selection, units: Mapping[str, Any], arguments: Arguments) -
             text += ", motor side"
         sources[quantity] = text
     return sources | {quantity: f"left out: {why}" for quantity, why in found.left_out.items()}
+
+
+def _one_each(values: NDArray[Any], order: list[int] | None) -> NDArray[Any]:
+    """Return those of picked columns where there is a value for every column of the file."""
+    return values if order is None or len(values) <= max(order) else values[order]
 
 
 def _factor(quantity: str, unit: str) -> float:
@@ -285,8 +274,7 @@ def in_si(
     each = [unit] if isinstance(unit, str) else list(unit)
     factors = np.array([_factor(quantity, one) for one in each])
     if not isinstance(unit, str):
-        if order is not None and len(factors) > max(order):
-            factors = factors[order]
+        factors = _one_each(factors, order)
         if len(factors) != values.shape[1]:
             raise DataError(
                 f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
@@ -305,33 +293,34 @@ def in_seconds(time: NDArray[Any]) -> NDArray[Any]:
 
 
 def _time(
-    file: Path, found: Selection, arguments: Arguments, count: int
-) -> tuple[NDArray[Any], dict[str, str]]:
+    time: NDArray[Any] | None,
+    found: Selection,
+    arguments: Arguments,
+    count: int,
+) -> tuple[NDArray[Any], str]:
     """Return the time stamps in s, and where they come from if that is not plain."""
-    time = found.time
     if time is None:
-        rate = found.rate if arguments.rate_hz is None else arguments.rate_hz
+        rate = found.single["rate"] if arguments.rate_hz is None else arguments.rate_hz
         if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < np.inf:
-            raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
-        return np.arange(count) / float(rate), {"time": f"sample rate, {rate:g} Hz"}
+            raise DataError(f"the sample rate is {rate!r}, expected one positive number.")
+        return np.arange(count) / float(rate), f"sample rate, {rate:g} Hz"
     if time.ndim == 2 and 1 in time.shape:
         time = time.ravel()
     if time.ndim != 1:
-        raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
+        raise DataError(f"time: has the shape {time.shape}, expected one stamp a sample.")
     if time.dtype.kind in "Mm":
-        return in_seconds(time), {}
+        return in_seconds(time), ""
     if time.dtype.kind not in "fiu":
-        raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
+        raise DataError(f"time: holds {time.dtype}, expected numbers.")
     if time.dtype.kind == "f":
         time = time.astype(np.float64, copy=False)
-    unit, note = arguments.units.get("time", found.units.get("time")), {}
+    unit, note = arguments.units.get("time", found.units.get("time")), ""
     if unit is None:
         unit = guess_time_unit(time)
-        said = f"{found.used['time'][0]}, {_INFERRED} {unit} by the steps of its numbers"
-        note = {} if unit == "s" else {"time": said}
+        note = f"{found.used['time'][0]}, {_INFERRED} {unit} by the steps of its numbers"
     factor = _factor("time", unit)
     if unit == "s":
-        return time, note
+        return time, ""
     if time.size and time[0] * factor > _SINCE_1970:
         time = time - time[0]
     return time * factor, note

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ _Tables = dict[str, NDArray[Any]]
 
 
 def mend_missing(
-    file: Path,
     tables: _Tables,
     names: Mapping[str, Sequence[str]],
     place: Callable[[int], str],
@@ -38,8 +36,6 @@ def mend_missing(
 
     Parameters
     ----------
-    file : Path
-        For messages.
     tables : dict of (N, n) ndarrays
         The quantities, and the stamps as ``time``.
     names : mapping of sequences of str
@@ -62,15 +58,14 @@ def mend_missing(
     # Of tables of different lengths the recording says which is wrong.
     if len(set(map(len, tables.values()))) > 1 or all(map(sound, tables.values())):
         return tables, None
-    for quantity, table in tables.items():
-        bad = np.isinf(table) | (np.abs(table) > _LARGEST)
-        if bad.any():
-            raise _bad_value(file, quantity, table, bad, names, place)
+    huge = {name: np.isinf(table) | (np.abs(table) > _LARGEST) for name, table in tables.items()}
     lacking = {quantity: np.isnan(table) for quantity, table in tables.items()}
     rows = np.logical_or.reduce([lacks.any(axis=1) for lacks in lacking.values()])
-    if how == "refuse" or (how == "interpolate" and lacking["time"].any()):
-        first = next(name for name, lacks in lacking.items() if lacks.any())
-        raise _bad_value(file, first, tables[first], lacking[first], names, place)
+    refused = how == "refuse" or (how == "interpolate" and lacking["time"].any())
+    for masks in (huge, lacking) if refused else (huge,):
+        for quantity, bad in masks.items():
+            if bad.any():
+                raise _bad_value(quantity, tables[quantity], bad, names[quantity], place)
     count = f"{np.count_nonzero(rows)} of {rows.size} samples"
     if how == "drop":
         return {name: table[~rows] for name, table in tables.items()}, f"{count} dropped"
@@ -78,14 +73,14 @@ def mend_missing(
     for quantity, table in tables.items():
         if quantity in FLOATING and lacking[quantity].any():
             raise DataError(
-                f"{file}: {quantity} lacks values, and missing='interpolate' fills only what "
+                f"{quantity} lacks values, and missing='interpolate' fills only what "
                 "belongs to joints; read it with missing='drop'."
             )
         filled[quantity] = table = np.array(table, dtype=np.float64)
         time = filled["time"][:, 0]
         for j in map(int, np.flatnonzero(lacking[quantity].any(axis=0))):
             lacks = lacking[quantity][:, j]
-            _check_gaps(file, lacks, names[quantity][j], place)
+            _check_gaps(lacks, names[quantity][j], place)
             table[lacks, j] = np.interp(time[lacks], time[~lacks], table[~lacks, j])
     return filled, f"interpolated in {count}"
 
@@ -99,37 +94,36 @@ def sound(table: NDArray[Any]) -> bool:
 
 
 def _bad_value(
-    file: Path,
     quantity: str,
     table: NDArray[Any],
     bad: NDArray[Any],
-    names: Mapping[str, Sequence[str]],
+    names: Sequence[str],
     place: Callable[[int], str],
 ) -> DataError:
     """Return the error that names the first of some bad values."""
     row, column = (int(k) for k in np.argwhere(bad)[0])
-    name, value = names[quantity][column], float(table[row, column])
+    name, value = names[column], float(table[row, column])
     count = int(np.count_nonzero(bad[:, column]))
-    where = f"{file}: {place(row)}: {quantity}: '{name}'"
+    where = f"{place(row)}: {quantity}: '{name}'"
     if not np.isnan(value):
         what = "not finite" if np.isinf(value) else f"more than {LARGEST:g}, which no robot has"
         return DataError(f"{where} is {value:.3g}, {what}; repair that sample, or name its unit.")
     if count == len(table):
         remedy = _REMEDIES.get(quantity, f"name another column for the {quantity} with columns=")
-        return DataError(f"{file}: {quantity}: '{name}' has no value in any row; {remedy}.")
+        return DataError(f"{quantity}: '{name}' has no value in any row; {remedy}.")
     return DataError(
         f"{where} has no value (NaN), as in {count} of {len(table)} rows; repair the file, or read "
         "it with missing='drop' or missing='interpolate'."
     )
 
 
-def _check_gaps(file: Path, lacks: NDArray[Any], name: str, place: Callable[[int], str]) -> None:
+def _check_gaps(lacks: NDArray[Any], name: str, place: Callable[[int], str]) -> None:
     """Refuse gaps that are too long to interpolate, or that reach an end of the log."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lacks, [False]]).astype(np.int8)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         if end - begin > _LONGEST_GAP or begin == 0 or end == lacks.size:
             raise DataError(
-                f"{file}: '{name}' has no value in {end - begin} samples from {place(int(begin))} "
+                f"'{name}' has no value in {end - begin} samples from {place(int(begin))} "
                 f"on; at most {_LONGEST_GAP} between two values are interpolated. Read it with "
                 "missing='drop', or cut the log there."
             )

@@ -19,12 +19,20 @@ _CURRENTS = {"A": 1.0, "mA": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3}
 _TURNING = {"rad/s": 1.0, "deg/s": _DEGREE}
 _XYZ = ("x", "y", "z")
-_POSITIONS = ("q", "position", "positions", "pos", "joint_position", "joint_positions", "angle")
+_POSITIONS = ["q", "position", "positions", "pos", "joint_position", "joint_positions", "angle"]
 # Words of positions that are commanded, and not what the robot did.
-_COMMANDS = (
-    *("reference", "ref", "desired", "des", "commanded", "command", "cmd", "target"),
+_COMMANDS = [
+    "reference",
+    "ref",
+    "desired",
+    "des",
+    "commanded",
+    "command",
+    "cmd",
+    "target",
     "setpoint",
-)
+]
+_IN_ANGLES = {"deg": "deg", "rad": "rad"}
 
 
 @dataclass(frozen=True)
@@ -37,58 +45,50 @@ class Quantity:
         In the order in which they are looked for.
     units : mapping
         Factors to SI.
-    endings : mapping
-        Units by how they are spelled at the end of names, as in ``time_ms`` or ``position_deg_1``.
     parts : tuple of str
         The parts of a sample of a base, of contacts those of each.
+    endings : mapping
+        Units by how they are spelled at the end of names, as in ``time_ms`` or ``position_deg_1``;
+        by "" the one of names without.
+    bare : tuple of str
+        Names of columns of joints that tell the quantity by their unit only: ``Joint 1 [deg]``.
     """
 
     names: tuple[str, ...]
     units: Mapping[str, float] = field(default_factory=dict)
-    endings: Mapping[str, str] = field(default_factory=dict)
     parts: tuple[str, ...] = ()
+    endings: Mapping[str, str] = field(default_factory=dict)
+    bare: tuple[str, ...] = ("joint", "axis", "j", "a")
 
 
-def _q(names: str, units: Mapping[str, float], parts: Sequence[str] = ()) -> Quantity:
-    """Return a quantity of a base or of contacts."""
-    return Quantity(tuple(names.split()), units, parts=tuple(parts))
+def _q(names: str, units: Mapping[str, float], *parts: str, **endings: str) -> Quantity:
+    """Return a quantity by its names, units, parts, and units at the end of names."""
+    return Quantity(tuple(names.split()), units, parts, endings)
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "time": Quantity(
-        ("time", "t", "timestamp", "time_s", "stamp", "times", "__time", "elapsed_time"),
+    "time": _q(
+        "time t timestamp time_s stamp times __time elapsed_time",
         {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-        {"ms": "ms", "us": "us", "ns": "ns", "sec": "s"},
+        **{"ms": "ms", "us": "us", "ns": "ns", "sec": "s"},
     ),
-    "position": Quantity(
-        (
-            *("position", "q", "positions", "pos", "joint_position", "joint_positions"),
-            *("actual_q", "actual_position", "measured_position", "position_measured"),
-            *("q_measured", "angle"),
-        ),
+    "position": _q(
+        "position q positions pos joint_position joint_positions actual_q actual_position "
+        "measured_position position_measured q_measured angle",
         _ANGLES,
-        {"deg": "deg", "rad": "rad"},
+        **_IN_ANGLES,
     ),
-    "effort": Quantity(
-        (
-            *("effort", "tau", "torque", "efforts", "torques", "joint_effort", "joint_torque"),
-            *("joint_torques", "tau_j", "tau_measured", "actual_torque", "measured_torque"),
-            *("torque_measured", "eff", "trq"),
-        ),
+    "effort": _q(
+        "effort tau torque efforts torques joint_effort joint_torque joint_torques tau_j "
+        "tau_measured actual_torque measured_torque torque_measured eff trq",
         {"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0, **_CURRENTS},
-        {"nm": "N.m", "mnm": "mN.m"},
+        **{"nm": "N.m", "mnm": "mN.m"},
     ),
-    "velocity": Quantity(
-        (
-            *("velocity", "dq", "qd", "velocities", "vel", "qdot", "joint_velocity"),
-            *("joint_velocities", "actual_qd", "actual_velocity", "measured_velocity"),
-            *("velocity_measured", "dq_measured", "qd_measured", "speed"),
-        ),
+    "velocity": _q(
+        "velocity dq qd velocities vel qdot joint_velocity joint_velocities actual_qd "
+        "actual_velocity measured_velocity velocity_measured dq_measured qd_measured speed",
         {**_TURNING, "rpm": 2.0 * np.pi / 60.0, "m/s": 1.0, "mm/s": 1e-3},
-        {
-            **{"deg_s": "deg/s", "rad_s": "rad/s", "degs": "deg/s", "rads": "rad/s"},
-            "rpm": "rpm",
-        },
+        **{"deg_s": "deg/s", "rad_s": "rad/s", "degs": "deg/s", "rads": "rad/s", "rpm": "rpm"},
     ),
     # What is commanded may be a velocity or a torque as well: the name must say position.
     "reference": Quantity(
@@ -98,34 +98,39 @@ QUANTITIES: dict[str, Quantity] = {
             *("q_d", "reference"),
         ),
         _ANGLES,
-        {"deg": "deg", "rad": "rad"},
+        endings=_IN_ANGLES,
+        bare=("desired", "commanded", "command", "cmd", "target", "setpoint"),
     ),
-    "joint_names": Quantity(("joint_names", "names")),
-    "rate": Quantity(("fs", "rate_hz", "rate", "sample_rate")),
-    "period": Quantity(("period",)),
-    "start": Quantity(("start",)),
-    "periods": Quantity(("periods",)),
-    "effort_scale": Quantity(("effort_scale",)),
-    "base_orientation": _q("base_orientation base_quaternion base_quat", {"1": 1.0}, (*_XYZ, "w")),
-    "base_position": _q("base_position base_pos", {"m": 1.0, "mm": 1e-3}, _XYZ),
+    "joint_names": _q("joint_names names", {}),
+    "rate": _q("fs rate_hz rate sample_rate", {}),
+    "period": _q("period", {}),
+    "start": _q("start", {}),
+    "periods": _q("periods", {}),
+    "effort_scale": _q("effort_scale", {}),
+    "base_orientation": _q("base_orientation base_quaternion base_quat", {"1": 1.0}, *_XYZ, "w"),
+    "base_position": _q("base_position base_pos", {"m": 1.0, "mm": 1e-3}, *_XYZ),
     "base_linear_velocity": _q(
-        "base_linear_velocity base_lin_vel base_velocity", {"m/s": 1.0, "mm/s": 1e-3}, _XYZ
+        "base_linear_velocity base_lin_vel base_velocity", {"m/s": 1.0, "mm/s": 1e-3}, *_XYZ
     ),
-    "base_angular_velocity": _q("base_angular_velocity base_ang_vel", _TURNING, _XYZ),
-    "gyroscope": _q("gyroscope gyro imu_gyroscope imu_gyro imu_angular_velocity", _TURNING, _XYZ),
+    "base_angular_velocity": _q("base_angular_velocity base_ang_vel", _TURNING, *_XYZ),
+    "gyroscope": _q("gyroscope gyro imu_gyroscope imu_gyro imu_angular_velocity", _TURNING, *_XYZ),
     "accelerometer": _q(
         "accelerometer accel imu_accelerometer imu_accel imu_acceleration imu_linear_acceleration",
         {"m/s²": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "g": _GRAVITY, "mg": 1e-3 * _GRAVITY},
-        _XYZ,
+        *_XYZ,
     ),
     "contact": _q("contact contacts contact_state foot_contact foot_contacts", {"1": 1.0}),
     "contact_force": _q(
-        "contact_force contact_forces foot_force foot_forces", {"N": 1.0, "kN": 1e3}, _XYZ
+        "contact_force contact_forces foot_force foot_forces", {"N": 1.0, "kN": 1e3}, *_XYZ
     ),
     "contact_wrench": _q(
-        "contact_wrench contact_wrenches", {"N": 1.0}, ("fx", "fy", "fz", "mx", "my", "mz")
+        "contact_wrench contact_wrenches", {"N": 1.0}, "fx", "fy", "fz", "mx", "my", "mz"
     ),
 }
+# Efforts that are currents, where those can be scaled.
+CURRENT = _q(
+    "current actual_current motor_current currents curr cur i", {}, **{"": "A", "ma": "mA"}
+)
 UNITS = {name: row.units for name, row in QUANTITIES.items() if row.units}
 # Of a floating base and its contacts, the orientation first.
 FLOATING = tuple(QUANTITIES)[list(QUANTITIES).index("base_orientation") :]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from inspect import Parameter, Signature
 from pathlib import Path
@@ -12,18 +13,18 @@ from typing import Any, TypeAlias, overload
 from sdpid._common.files import Source, unchanged
 from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
+from sdpid.experiment.readers.columns import row_number
 from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats.loaders import (
     BY_SUFFIX,
+    FRAMES,
     MATRICES,
     Format,
-    load_frame,
     suffix_of,
 )
 from sdpid.experiment.readers.formats.text_file import is_folder_of_matrices
 from sdpid.experiment.readers.mapping import Arguments, checked, complete_arguments
 from sdpid.experiment.readers.selection import Selection, select
-from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
 
 # A file, or a data frame of pandas or polars.
@@ -188,33 +189,41 @@ def read_described(
     DataError
         As `read_recording`; also when an argument is not known.
     """
-    if is_frame(path):
-        file = Path("data frame")
-        arguments, mapped = complete_arguments(None, mapping, how)
-        found = select(file, load_frame(path), arguments)
-        recording, sources = convert(file, found, arguments, row_number)
-        return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+    frame = is_frame(path)
     try:
-        file = Path(path)
+        file = Path("data frame" if frame else path)
     except TypeError:
         raise DataError(
             f"read_recording: is given {type(path).__name__}, expected the path of a log, a data "
             "frame, or a list of paths."
         ) from None
-    arguments, mapped = complete_arguments(file, mapping, how)
-    kind = _format(file)
+    arguments, mapped = complete_arguments(None if frame else file, mapping, how)
     place: Callable[[int], str] = row_number
-    choices = _choices(file, kind, arguments, stored)
-    with unchanged(file):
+    with _named(file), unchanged(file):
+        kind = FRAMES if frame else _format(file)
+        choices = _choices(
+            kind, "a data frame" if frame else f"a file {suffix_of(file)}", arguments, stored
+        )
         if kind.sandboxed:
             plain = (str(file), choices, arguments.to_dict())
             found = Selection(**run_in_sandbox(_plain_selection, *plain, subject=str(file)))
         else:
-            table = kind.load(file, **choices)
+            table = kind.load(path if frame else file, **choices)
             found, place = select(file, table, arguments), table.place
-        recording, sources = convert(file, found, arguments, place)
-        recording = with_source(recording, Source.of(file, arguments.to_dict()))
+        recording, sources = convert(found, arguments, place)
+        if not frame:
+            recording = with_source(recording, Source.of(file, arguments.to_dict()))
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+
+
+@contextmanager
+def _named(file: Path) -> Iterator[None]:
+    """Name the file that is refused, where the message does not begin with it."""
+    try:
+        yield
+    except DataError as cause:
+        named = str(cause).startswith(str(file))
+        raise DataError(str(cause) if named else f"{file}: {cause}") from None
 
 
 def _plain_selection(path: str, choices: dict[str, Any], how: dict[str, Any]) -> dict[str, Any]:
@@ -228,7 +237,7 @@ def is_frame(source: Any) -> bool:
     return hasattr(source, "columns") and not isinstance(source, (str, os.PathLike))
 
 
-def _choices(file: Path, kind: Format, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
+def _choices(kind: Format, this: str, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
     """Return the arguments that only the loader of one format takes."""
     said = {"base": arguments.base.get("topic"), "imu": arguments.imu.get("topic")}
     offered = {
@@ -238,11 +247,11 @@ def _choices(file: Path, kind: Format, arguments: Arguments, stored: bool | None
         "stored": stored,
     }
     if arguments.topic is not None and "topic" not in kind.choices:
-        raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix_of(file)}.")
+        raise DataError(f"topic is for ROS bags; this is {this}.")
     if stored and "stored" not in kind.choices:
         raise DataError(
-            f"{file}: stored=True keeps the values of Parquet files on disk; this is a file "
-            f"{suffix_of(file)}. Write it as Parquet (Recording.to_parquet), or leave stored out."
+            f"stored=True keeps the values of Parquet files on disk; this is {this}. Write it as "
+            "Parquet (Recording.to_parquet), or leave stored out."
         )
     return {name: offered[name] for name in kind.choices}
 
@@ -255,14 +264,13 @@ def _format(file: Path) -> Format:
         if is_folder_of_matrices(file):
             return MATRICES
         raise DataError(
-            f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag, and without text "
-            "files (.dat, .txt, .csv, .tsv) that could be matrices."
+            "is a folder without metadata.yaml, so it is no ROS 2 bag, and without text files "
+            "(.dat, .txt, .csv, .tsv) that could be matrices."
         )
     suffix = suffix_of(file)
     if suffix not in BY_SUFFIX:
         known = ", ".join((*sorted(BY_SUFFIX), "folder"))
-        raise DataError(f"{file}: format '{suffix}' is not known; supported are {known}.")
+        raise DataError(f"format '{suffix}' is not known; supported are {known}.")
     if not file.is_file():
-        what = "is no regular file" if file.exists() else "there is no such file"
-        raise DataError(f"{file}: {what}.")
+        raise DataError("is no regular file." if file.exists() else "there is no such file.")
     return BY_SUFFIX[suffix]

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.columns import Columns
+from sdpid.experiment.readers.columns import Columns, Found, LogTable
 from sdpid.experiment.readers.mapping import SETTINGS, Arguments
 from sdpid.experiment.readers.missing import sound
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES
-from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.recording.recording import CHANNELS
 
 # ``q_d`` is the desired position in some logs and the derivative in others. What a controller
@@ -40,12 +39,9 @@ class Selection:
         the frame of a velocity's axes, or feet.
     names : sequence of str or None
         Names of the joints in the order of the columns.
-    time : (N,) ndarray or None
-        Stamps.
-    rate : float or None
-        Samples a second, where there are no stamps.
-    numbers : dict
-        What the file says of ``period``, ``start``, ``periods`` and ``effort_scale``.
+    single : dict
+        Stamps as ``time``, or else samples a second as ``rate``; and ``period``, ``start``,
+        ``periods`` and ``effort_scale``, None for what the file does not say.
     used : dict
         The names that each quantity was read from.
     units : dict
@@ -59,9 +55,7 @@ class Selection:
     tables: dict[str, NDArray[Any]] = field(default_factory=dict)
     labels: dict[str, Sequence[str]] = field(default_factory=dict)
     names: Sequence[str] | None = None
-    time: NDArray[Any] | None = None
-    rate: float | None = None
-    numbers: dict[str, Any] = field(default_factory=dict)
+    single: dict[str, Any] = field(default_factory=dict)
     used: dict[str, Sequence[str]] = field(default_factory=dict)
     units: dict[str, Any] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
@@ -85,23 +79,24 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
     DataError
         When a quantity is not found, is ambiguous, or holds no numbers.
     """
-    log, found = Columns(file, table, how.columns, scaled=how.scaled), Selection()
+    log = Columns(file, table, how.columns, scaled=how.scaled)
+    found = Selection(used=log.used, units=log.implied)
     found.said = {key: {**table.stated.get(key, {}), **how.floating[key]} for key in SETTINGS}
     stored = log.names()
     for quantity in CHANNELS:
         joints = found.labels.get("position", how.joint_names or stored)
         if quantity == "reference" and quantity not in how.columns:
             _add_reference(log, found, joints)
-        elif not _add(file, log, found, quantity, joints) and quantity in ("position", "effort"):
+        elif not _add(log, found, quantity, joints) and quantity in ("position", "effort"):
             raise log.missing(quantity)
-    _align(file, found, CHANNELS)
+    _align(found, CHANNELS)
     found.names = found.labels.get("position")
     if found.names is None or all(name.isdigit() for name in found.names):
         # Numbers are no names; arrays, and numbered columns, follow the stored names.
         found.names = stored
     for name in ("period", "start", "periods"):
         number = log.number(name)
-        found.numbers[name] = None if number is None else number.item()
+        found.single[name] = None if number is None else number.item()
     count = found.tables["position"].shape[1] if stored is None else len(stored)
     scale = log.number("effort_scale", count)
     if scale is not None:
@@ -109,22 +104,18 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
         if stored is not None and set(found.names or ()) <= set(stored) and found.names != stored:
             # Columns were picked by name: the factors follow them.
             scale = scale[[stored.index(name) for name in found.names or ()]]
-    found.numbers["effort_scale"] = scale
-    found.time, _ = log.read("time")
-    rate = None if found.time is not None else log.number("rate")
-    if rate is not None:
-        if rate.dtype.kind not in "fiu" or not 0.0 < rate.item() < np.inf:
-            raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
-        found.rate = float(rate.item())
-    elif found.time is None and how.rate_hz is None:
-        raise log.missing("time")
-    _add_floating(file, log, found, how)
-    found.used, found.units = dict(log.used), dict(log.implied)
+    found.single["effort_scale"] = scale
+    found.single["time"], _ = log.read("time")
+    if found.single["time"] is None:
+        rate = log.number("rate")
+        if rate is None and how.rate_hz is None:
+            raise log.missing("time")
+        found.single["rate"] = None if rate is None else rate.item()
+    _add_floating(log, found, how)
     return found
 
 
 def _add(
-    file: Path,
     log: Columns,
     found: Selection,
     quantity: str,
@@ -137,26 +128,24 @@ def _add(
     if array.ndim == 3 and quantity in FLOATING:
         array = array.reshape(len(array), -1)
     if array.ndim != 2:
-        raise DataError(
-            f"{file}: {quantity}: has the shape {array.shape}, expected samples × columns."
-        )
+        raise DataError(f"{quantity}: has the shape {array.shape}, expected samples × columns.")
     found.tables[quantity] = array
     if labels is not None:
         found.labels[quantity] = labels
     return True
 
 
-def _align(file: Path, found: Selection, quantities: Sequence[str]) -> None:
+def _align(found: Selection, quantities: Sequence[str]) -> None:
     """Bring columns that carry labels into the order of those of the first quantity."""
     first = found.labels.get(quantities[0])
     for quantity in quantities:
-        label = found.labels.get(quantity)
+        label = found.labels.get(quantity, first)
         if first is None or label is None or label == first:
             continue
         if set(label) != set(first):
             of = "feet" if quantity in FLOATING else "joints"
             raise DataError(
-                f"{file}: the columns of {quantity} are of {of} {', '.join(label)}, those of "
+                f"the columns of {quantity} are of {of} {', '.join(label)}, those of "
                 f"{quantities[0]} of {of} {', '.join(first)}; give columns=."
             )
         table, order = found.tables[quantity], [label.index(name) for name in first]
@@ -170,20 +159,21 @@ def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None)
 
     A log is never refused for a reference that nobody asked for.
     """
+    commands: dict[frozenset[str], Found] = {}
     try:
-        commands = log.commands(joints)
-        first = [name if isinstance(name, str) else name[0] for name, _, _ in commands]
+        for command in log.finds("reference", joints):
+            commands.setdefault(frozenset(command[0]), command)
+        first = [columns[0] for columns, _, _ in commands.values()]
         if len(commands) != 1:
             why = f"it could be {' or '.join(first)}; name one with columns= (--column)"
             found.left_out |= {"reference": why} if commands else {}
             return
-        columns, labels, unit = commands[0]
+        ((columns, labels, unit),) = commands.values()
         table = log.load("reference", columns, unit)
     except DataError as cause:
         found.left_out["reference"] = str(cause)
         log.forget("reference")
         return
-    table = table[:, None] if table.ndim == 1 else table
     position, of_positions = found.tables["position"], found.labels.get("position")
     if table.shape != position.shape:
         why = f"it has the shape {table.shape}, positions {position.shape}"
@@ -211,15 +201,15 @@ def _followed(table: NDArray[Any], position: NDArray[Any]) -> bool:
     return sound(measured) and bool(np.mean(off**2) < _FOLLOWED**2 * np.mean(measured.var(axis=0)))
 
 
-def _add_floating(file: Path, log: Columns, found: Selection, how: Arguments) -> None:
+def _add_floating(log: Columns, found: Selection, how: Arguments) -> None:
     """Add the quantities of a base and its contacts; nothing where there is no orientation."""
     first = FLOATING[0]
-    if not _add(file, log, found, first):
+    if not _add(log, found, first):
         asked = [name for name in FLOATING if how.columns.get(name) is not None]
         asked += sorted(name for name, value in how.floating.items() if value)
         if asked and first not in how.columns:
             raise DataError(
-                f"{file}: {', '.join(asked)} is given, but {first} is missing: none of "
+                f"{', '.join(asked)} is given, but {first} is missing: none of "
                 f"{', '.join(QUANTITIES[first].names)} is there. Name it with "
                 f"columns={{'{first}': ...}}."
             )
@@ -230,7 +220,7 @@ def _add_floating(file: Path, log: Columns, found: Selection, how: Arguments) ->
                 f"columns={{'{first}': {label!r}}} (--column {first}={label})"
             )
         return
-    there = [quantity for quantity in FLOATING[1:] if _add(file, log, found, quantity)]
+    there = [quantity for quantity in FLOATING[1:] if _add(log, found, quantity)]
     # Velocities whose axes nobody says are left out: they are not needed, and never guessed. The
     # base refuses by name what was asked for.
     for quantity in [] if found.said["base"].get("velocity_frame") else there:
@@ -243,4 +233,4 @@ def _add_floating(file: Path, log: Columns, found: Selection, how: Arguments) ->
             log.forget(quantity)
     feet = [name for name in there if name.startswith("contact") and name in found.labels]
     if feet:
-        _align(file, found, feet)
+        _align(found, feet)

@@ -12,10 +12,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.columns import Columns
+from sdpid.experiment.readers.columns import Columns, LogTable
 from sdpid.experiment.readers.conversion import in_seconds, in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
-from sdpid.experiment.readers.table import LogTable
 from sdpid.experiment.trajectory.curve import rests_at_ends
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory

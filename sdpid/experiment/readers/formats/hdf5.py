@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.table import LogTable, NoNumbersError
+from sdpid.experiment.readers.columns import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_claim
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from sdpid._common.extras import require
 from sdpid.errors import DataError
+from sdpid.experiment.readers.columns import LogTable, NoNumbersError
 from sdpid.experiment.readers.formats.hdf5 import load_hdf5, load_mat
 from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
 from sdpid.experiment.readers.formats.text_file import load_matrices, load_text
-from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_claim
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
@@ -90,7 +90,7 @@ def load_frame(frame: Any) -> LogTable:
         if name is not None:
             arrays[str(name)] = partial(_frame_column, index, name)
     if len(set(frame.columns)) < len(frame.columns):
-        raise DataError("data frame: has several columns of one name.")
+        raise DataError("has several columns of one name.")
     for name in frame.columns:
         arrays[str(name)] = partial(_frame_column, frame[name], name)
     return LogTable(arrays)
@@ -144,7 +144,7 @@ class Format:
     moves: bool = False
 
 
-MATRICES = Format(load_matrices, ())
+MATRICES, FRAMES = Format(load_matrices, ()), Format(load_frame, ())
 # A new format is one function and one row here.
 FORMATS = (
     Format(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.readers.table import LogTable
+from sdpid.experiment.readers.columns import LogTable
 
 _STATES = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from sdpid._common.files import printable
 from sdpid._common.sandbox import memory_limit
 from sdpid.errors import DataError
+from sdpid.experiment.readers.columns import LogTable, NoNumbersError
 from sdpid.experiment.readers.names import unit_of
-from sdpid.experiment.readers.table import LogTable, NoNumbersError
 from sdpid.experiment.recording.stored import check_memory
 
 # A line is not longer than this.
