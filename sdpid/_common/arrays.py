@@ -84,6 +84,16 @@ def real_array(
     return array
 
 
+def shaped(
+    values: Any, name: str, shape: tuple[int, ...], what: str = "", *, infinite: bool = False
+) -> Array:
+    """Return a read-only array of a shape, see `real_array`; `what` says what stands where."""
+    array = real_array(values, name, ndim=len(shape), infinite=infinite)
+    if array.shape != shape:
+        raise DataError(f"{name}: has shape {array.shape}, expected {shape}{what}.")
+    return frozen(array)
+
+
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a real number, of any type but bool."""
     return isinstance(value, Real) and not isinstance(value, bool | np.bool_)

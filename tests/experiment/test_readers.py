@@ -611,7 +611,7 @@ def test_a_recording_keeps_its_reference(tmp_path: Path, stored: bool):
         time=SLOW, position=MOVED, effort=TORQUE, reference=REF, joint_names=("lift", "elbow")
     )
     assert repr(log) == "Recording(300 samples, 2 joints, 100 Hz, with reference)"
-    assert "commanded positions" in log._repr_html_()
+    assert "with reference" in log._repr_html_()
     log.to_csv(tmp_path / "log.csv")
     log.to_parquet(tmp_path / "log.parquet")
     np.testing.assert_array_equal(read_recording(tmp_path / "log.csv").reference, REF)

@@ -130,7 +130,7 @@ def test_stored_arrays_are_as_others(data: st.DataObject):
     part = data.draw(st.integers(1, 45))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stored, "ROWS", part)
-        table = stored.store(size, width, stored.blocks(values, part))
+        table = stored.store(size, width, stored.blocks(values))
         assert table.mapped
         assert not table.flags.writeable
         np.testing.assert_array_equal(table, values)

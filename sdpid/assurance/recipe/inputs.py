@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
-from sdpid.experiment.recording.columns import base_columns, base_metadata
+from sdpid.experiment.recording.columns import base_metadata
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.base_parameters import kinematics_digest
@@ -63,12 +63,12 @@ def recording_digest(log: Recording) -> str:
     """
     stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
     stated["joints"] = plain(log.joint_names)
-    stated |= plain(dict(base_metadata(log.base, log.contacts)))
+    stated |= base_metadata(log.base, log.contacts)
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
-    tables = {name: getattr(log, name) for name in ("time", *CHANNELS)}
-    if log.reference is None:
-        del tables["reference"]
-    tables |= base_columns(log.base, log.contacts)
+    quantities = CHANNELS[:-1] if log.reference is None else CHANNELS
+    tables = {name: getattr(log, name) for name in ("time", *quantities)}
+    for floating in (log.base, log.contacts):
+        tables |= {} if floating is None else floating.columns()
     for name, values in tables.items():
         shape = None if values is None else list(values.shape)
         digest.update(f"\n{name} {shape}\n".encode())

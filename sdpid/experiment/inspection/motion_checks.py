@@ -11,10 +11,10 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
+from sdpid.experiment.recording.gaps import MAX_GAP_STEPS
 from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units, velocity_fit
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import ROWS
-from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
 
 KINDS.update(
     time_stamps=refuse("{why}", final=True),

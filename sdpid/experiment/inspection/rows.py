@@ -11,9 +11,9 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import correlated
 from sdpid.experiment.processing.motion import motion_frequency
+from sdpid.experiment.recording.gaps import Grid, make_grid
 from sdpid.experiment.recording.plausible import moving
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
 # Rows that are compared: 300 tell every kind of wrong log that 600 do, on 17 real recordings.
 _ROWS = 300

@@ -13,7 +13,7 @@ from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.pipeline import Pipeline, near
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating import Contacts
-from sdpid.experiment.recording.uniform_grid import Grid
+from sdpid.experiment.recording.gaps import Grid
 
 
 def feet_of(

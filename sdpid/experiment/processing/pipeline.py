@@ -23,9 +23,9 @@ from sdpid.experiment.processing.filters import (
 )
 from sdpid.experiment.processing.samples import WideVelocity
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.gaps import Grid, make_grid
 from sdpid.experiment.recording.plausible import AT_REST
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
 # Without periods the signals beyond the ends are guessed; the guess decays exponentially.
 # On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of

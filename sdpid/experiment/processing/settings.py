@@ -18,8 +18,8 @@ from sdpid.experiment.processing.filters import (
     low_pass,
     stencil,
 )
+from sdpid.experiment.recording.gaps import Timing
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.uniform_grid import Timing
 
 # What accelerations of a floating base are from.
 BaseSource = Literal["auto", "imu", "twist", "pose"]
@@ -170,7 +170,7 @@ class Processing(Settings):
         of the filter's slowest mode. Records with periods lose nothing.
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see
-        `sdpid.experiment.recording.uniform_grid.make_grid`.
+        `sdpid.experiment.recording.gaps.make_grid`.
     filter : {"butterworth", "finite"}
         Type of the low-pass filter. Recordings with a floating base need ``"finite"``, which sees
         order / (2 cutoff_hz) to either side and nothing beyond.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sdpid.errors import DataError
 from sdpid.experiment.readers.names import FLOATING
-from sdpid.experiment.recording.recording import LARGEST
+from sdpid.experiment.recording.floating import LARGEST
 
 # Linear interpolation over more samples than this would invent motion.
 _LONGEST_GAP = 10

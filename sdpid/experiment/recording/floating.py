@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
+from itertools import product
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
@@ -16,12 +17,19 @@ from sdpid._common.arrays import (
     frozen_view,
     real_array,
     rotation_matrices,
+    shaped,
 )
 from sdpid._common.files import printable
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
+from sdpid.experiment.recording.stored import StoredArray
 
 T = TypeVar("T", bound="Sampled")
+
+XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
+XYZW = (*XYZ, "w")
+# Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
+LARGEST = 1e12
 
 # A rotation matrix typed with three digits is off by this much; a larger error is another matrix.
 # So is the norm of a unit quaternion.
@@ -39,30 +47,34 @@ _CLOSED_SHARE, _STRONG = 0.03, 0.99
 ContactKind = Literal["point", "line", "plane"]
 
 
-def samples(tail: tuple[int | None, ...], what: str) -> dict[str, Any]:
-    """Return the metadata of a field of samples (N, ...), checked by `Sampled`.
+def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool = False) -> Any:
+    """Return a field of samples (N, ...), by which they are checked, taken, written and counted.
 
     Parameters
     ----------
-    tail : tuple of (int or None)
-        The shape of one sample; None is the number of frames. Without one, flags of each frame.
+    column : str
+        What the names of its columns begin with, formatted with the object as ``self``.
+    *axes : str or tuple of str
+        Names along each axis behind the first, or the attribute that has them. Joined by
+        underscores, they end the names of the columns.
     what : str
         What the columns are, for the message.
+    needed : bool
+        Whether it has no default, which is None else.
     """
-    return {"samples": (tail, what)}
+    default: Any = MISSING if needed else None
+    return field(default=default, metadata={"samples": (column, axes, what)})
 
 
-class Sampled:
+class Sampled(Shown):
     """A frozen dataclass with channels of as many samples each, of which some may be missing."""
 
-    _called: ClassVar[str]
+    _called: ClassVar[str] = ""
 
     @property
     def channels(self) -> dict[str, Any]:
         """The channels that there are, by their names."""
-        names = [each.name for each in fields(self) if "samples" in each.metadata]  # type: ignore[arg-type]
-        given = {name: getattr(self, name) for name in names}
-        return {name: table for name, table in given.items() if table is not None}
+        return {name: getattr(self, name) for name in self._declared}
 
     @property
     def n_samples(self) -> int:
@@ -72,52 +84,103 @@ class Sampled:
     def rows(self: T, rows: slice | NDArray[Any]) -> T:
         """Return some samples."""
         taken: Any = {name: table[rows] for name, table in self.channels.items()}
-        for name, part in vars(self).items():
-            if isinstance(part, Sampled):
-                taken[name] = part.rows(rows)
+        taken |= {name: part.rows(rows) for name, part in self._parts}
         return replace(self, **taken)  # type: ignore[type-var]
 
-    def _keep_samples(self, frames: int = 0) -> None:
-        """Check all channels, and put them back read-only."""
-        for each in fields(self):  # type: ignore[arg-type]
-            if "samples" not in each.metadata or (given := getattr(self, each.name)) is None:
-                continue
-            called = f"{self._called}.{each.name}"
-            tail, what = each.metadata["samples"]
-            if tail:
-                tail = tuple(frames if size is None else size for size in tail)
-                array = np.ascontiguousarray(real_array(given, called, ndim=1 + len(tail)))
-            else:
-                tail, array = (frames,), _flags(given, called)
-            if array.shape[1:] != tail or not array.size:
-                wanted = ", ".join(["N", *map(str, tail)])
-                raise DataError(f"{called}: has shape {array.shape}, expected ({wanted}): {what}.")
-            object.__setattr__(self, each.name, frozen_view(array))
-        lengths = {name: len(table) for name, table in self.channels.items()}
-        if len(set(lengths.values())) > 1:
-            listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise DataError(
-                f"{self._called}: its channels have different numbers of samples: {listed}."
-            )
+    def columns(self) -> dict[str, Array]:
+        """Return all samples by the names that readers find columns by."""
+        found: dict[str, Array] = {}
+        for name, (column, axes, _) in self._declared.items():
+            ends = product([column.format(self=self)], *self._along(axes))
+            table = np.asarray(getattr(self, name), dtype=np.float64)
+            table = table.reshape(len(table), -1)
+            found |= dict(zip(map("_".join, ends), table.T, strict=True))
+        for _, part in self._parts:
+            found |= part.columns()
+        return found
+
+    @property
+    def _declared(self) -> dict[str, tuple[str, Sequence[str | tuple[str, ...]], str]]:
+        """What `samples` says of the channels that there are."""
+        found = {each.name: each.metadata.get("samples") for each in fields(self)}  # type: ignore[arg-type]
+        return {k: said for k, said in found.items() if said and getattr(self, k) is not None}
+
+    @property
+    def _parts(self) -> list[tuple[str, Any]]:
+        """The fields that have channels of their own."""
+        return [(name, part) for name, part in vars(self).items() if isinstance(part, Sampled)]
+
+    def _along(self, axes: Sequence[str | tuple[str, ...]]) -> list[Sequence[str]]:
+        """Return the names along each axis."""
+        return [getattr(self, axis) if isinstance(axis, str) else axis for axis in axes]
+
+    def _keep_samples(self, **parts: type[Sampled]) -> None:
+        """Check all channels and the parts of a class, and put channels back read-only."""
+        first = count = None
+        for name, (_, axes, what) in self._declared.items():
+            given, called = getattr(self, name), f"{self._called}{name}"
+            array = _flags(given, called) if name == "down" else _numbers(given, called, len(axes))
+            object.__setattr__(self, name, array)
+            tail = tuple(max(len(names), 1) for names in self._along(axes))
+            if array.shape != (count or len(array), *tail) or not len(array):
+                like = f", as many rows as {first}" if first else ""
+                wanted = ", ".join(map(str, [count or "N", *tail]))
+                raise DataError(
+                    f"{called}: has shape {array.shape}, expected ({wanted}): {what}{like}."
+                )
+            first, count = first or name, len(array)
+        for name, kind in parts.items():
+            part, called = getattr(self, name), f"{self._called}{name}"
+            if part is not None and not isinstance(part, kind):
+                raise DataError(
+                    f"{called}: is {type(part).__name__}, expected sdpid.{kind.__name__}."
+                )
+            if part is not None and part.n_samples != count:
+                raise DataError(
+                    f"{called}: has {part.n_samples} samples, expected {count}, as many as "
+                    f"{first}; bring all channels to the same time stamps."
+                )
 
     def _words(self) -> list[str]:
-        """Return the channels that are there, in words."""
-        return [name.replace("_", " ") for name in self.channels]
+        """Return what is there, in words."""
+        return [name.replace("_", " ") for name in self._declared]
+
+    def __repr__(self) -> str:
+        words = [f"{self.n_samples} samples", *self._words()]
+        return f"{type(self).__name__}({', '.join(words)})"
+
+    def _shown(self) -> dict[str, object]:
+        """Return what a notebook shows."""
+        return {"samples": self.n_samples, "measured": ", ".join(self._words())}
 
 
-def _flags(given: Any, called: str) -> NDArray[Any]:
-    """Return flags that are True or False, or 1 and 0."""
+def _numbers(given: Any, called: str, axes: int) -> Any:
+    """Return samples of numbers that a robot can have, read-only."""
+    if isinstance(given, StoredArray) and given.mapped and given.ndim == 1 + axes:
+        # Its columns stay one after the other. Its values were checked when it was read.
+        return given
+    array = np.ascontiguousarray(real_array(given, called, ndim=1 + axes))
+    if array.size and max(array.max(), -array.min()) > LARGEST:
+        first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
+        raise DataError(
+            f"{called}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
+            "robot has; repair that sample, or say its unit."
+        )
+    return frozen_view(array)
+
+
+def _flags(given: Any, called: str) -> Any:
+    """Return flags that are True or False, or 1 and 0, read-only."""
     array = np.asarray(given)
     if array.dtype != np.bool_:
         numbers = real_array(given, called, ndim=2)
-        if not np.isin(numbers, (0.0, 1.0)).all():
-            other = numbers[~np.isin(numbers, (0.0, 1.0))][0]
+        array = numbers == 1.0
+        if (others := numbers[~array & (numbers != 0.0)]).size:
             raise DataError(
-                f"{called}: holds {other:.6g}, expected True or False (or 1 and 0); compare "
+                f"{called}: holds {others[0]:.6g}, expected True or False (or 1 and 0); compare "
                 "forces or probabilities with a threshold first."
             )
-        array = numbers == 1.0
-    return np.ascontiguousarray(array)
+    return frozen_view(np.ascontiguousarray(array))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -149,34 +212,22 @@ class Imu(Sampled):
     Imu(100 samples, gyroscope, accelerometer)
     """
 
-    gyroscope: Array | None = field(default=None, metadata=samples((3,), "rad/s about x, y, z"))
-    accelerometer: Array | None = field(default=None, metadata=samples((3,), "m/s² along x, y, z"))
+    gyroscope: Array | None = samples("gyroscope", XYZ, what="rad/s about x, y, z")
+    accelerometer: Array | None = samples("accelerometer", XYZ, what="m/s² along x, y, z")
     translation: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
-    _called: ClassVar[str] = "imu"
+    _called: ClassVar[str] = "imu."
 
     def __post_init__(self) -> None:
         self._keep_samples()
         if not self.channels:
             raise DataError("imu: has neither gyroscope nor accelerometer; leave it out.")
-        translation = frozen(real_array(self.translation, "imu.translation", ndim=1))
-        if translation.shape != (3,):
-            raise DataError(
-                f"imu.translation: has shape {translation.shape}, expected (3,): x, y, z in m."
-            )
-        object.__setattr__(self, "translation", translation)
+        place = shaped(self.translation, "imu.translation", (3,), ": x, y, z in m")
+        object.__setattr__(self, "translation", place)
         object.__setattr__(self, "rotation", _rotation_matrix(self.rotation, "imu.rotation"))
 
-    def __repr__(self) -> str:
-        return f"Imu({', '.join([f'{self.n_samples} samples', *self._words()])})"
-
-    def _repr_html_(self) -> str:
-        facts = {
-            "samples": self.n_samples,
-            "measured": ", ".join(self._words()),
-            "translation, m": str(self.translation.tolist()),
-        }
-        return facts_html("Imu", facts)
+    def _shown(self) -> dict[str, object]:
+        return super()._shown() | {"translation, m": str(self.translation.tolist())}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -209,21 +260,27 @@ class BaseMotion(Sampled):
     --------
     >>> level = np.tile([0.0, 0.0, 0.0, 1.0], (100, 1))
     >>> sdpid.BaseMotion(orientation=level, position=np.zeros((100, 3)))
-    BaseMotion(100 samples, orientation, position)
+    BaseMotion(100 samples, position, orientation)
     """
 
-    orientation: Array = field(metadata=samples((4,), "unit quaternions x, y, z, w"))
-    position: Array | None = field(default=None, metadata=samples((3,), "x, y, z in m"))
-    linear_velocity: Array | None = field(default=None, metadata=samples((3,), "x, y, z in m/s"))
-    angular_velocity: Array | None = field(default=None, metadata=samples((3,), "x, y, z in rad/s"))
+    position: Array | None = samples("base_position", XYZ, what="x, y, z in m")
+    orientation: Array = samples(
+        "base_orientation", XYZW, what="unit quaternions x, y, z, w", needed=True
+    )
+    linear_velocity: Array | None = samples(
+        "base_linear_velocity_{self.velocity_frame}", XYZ, what="x, y, z in m/s"
+    )
+    angular_velocity: Array | None = samples(
+        "base_angular_velocity_{self.velocity_frame}", XYZ, what="x, y, z in rad/s"
+    )
     velocity_frame: Literal["world", "base"] | None = None
     imu: Imu | None = None
-    _called: ClassVar[str] = "base"
+    _called: ClassVar[str] = "base."
 
     def __post_init__(self) -> None:
         if self.orientation is None:
             raise DataError("base.orientation: is missing; give unit quaternions x, y, z, w.")
-        self._keep_samples()
+        self._keep_samples(imu=Imu)
         turns = _continuous(_unit(self.orientation))
         object.__setattr__(self, "orientation", frozen_view(turns))
         moving = [name for name in _VELOCITIES if name in self.channels]
@@ -235,14 +292,6 @@ class BaseMotion(Sampled):
             )
         if not moving and self.velocity_frame is not None:
             raise DataError("base.velocity_frame: is given without a velocity; leave it out.")
-        if self.imu is not None:
-            if not isinstance(self.imu, Imu):
-                raise DataError(f"base.imu: is {type(self.imu).__name__}, expected sdpid.Imu.")
-            if self.imu.n_samples != self.n_samples:
-                raise DataError(
-                    f"base.imu: has {self.imu.n_samples} samples, base.orientation "
-                    f"{self.n_samples}; bring both to the same time stamps."
-                )
 
     @property
     def rotations(self) -> Array:
@@ -261,20 +310,10 @@ class BaseMotion(Sampled):
             return None
         return np.asarray(self.imu.channels[sensor] @ self.imu.rotation.T)
 
-    def __repr__(self) -> str:
-        parts = [f"{self.n_samples} samples", *self._words()]
-        if self.velocity_frame is not None:
-            parts.append(f"velocities in {self.velocity_frame} axes")
-        return f"BaseMotion({', '.join([*parts, *([] if self.imu is None else ['IMU'])])})"
-
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "samples": self.n_samples,
-            "measured": ", ".join(self._words()),
-            "axes of velocities": self.velocity_frame,
-            "IMU": None if self.imu is None else ", ".join(self.imu._words()),
-        }
-        return facts_html("BaseMotion", facts)
+    def _words(self) -> list[str]:
+        frame = self.velocity_frame
+        axes = [] if frame is None else [f"velocities in {frame} axes"]
+        return [*super()._words(), *axes, *([] if self.imu is None else ["IMU"])]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -314,22 +353,32 @@ class Contacts(Sampled):
 
     frames: tuple[str, ...]
     kind: tuple[ContactKind, ...] = ("point",)
-    down: Mask | None = field(default=None, metadata=samples((), "one column for each frame"))
-    forces: Array | None = field(
-        default=None, metadata=samples((None, 3), "x, y, z in N for each frame")
+    down: Mask | None = samples("contact", "frames", what="one column for each frame")
+    forces: Array | None = samples(
+        "contact_force", "frames", XYZ, what="x, y, z in N for each frame"
     )
-    wrenches: Array | None = field(
-        default=None, metadata=samples((None, 6), "forces, then moments, for each frame")
+    wrenches: Array | None = samples(
+        "contact_wrench", "frames", _WRENCH, what="forces, then moments, for each frame"
     )
     offset: Array = field(default_factory=lambda: np.zeros(3))
-    _called: ClassVar[str] = "contacts"
+    _called: ClassVar[str] = "contacts."
 
     def __post_init__(self) -> None:
         frames = distinct_names(self.frames, "contacts.frames", "frame names")
-        c = len(frames)
         object.__setattr__(self, "frames", frames)
-        object.__setattr__(self, "kind", _kinds(self.kind, c))
-        self._keep_samples(c)
+        given: Any = self.kind
+        kinds = (given,) if isinstance(given, str) else tuple(given)
+        if unknown := [kind for kind in kinds if kind not in get_args(ContactKind)]:
+            raise DataError(
+                f"contacts.kind: {unknown[0]!r:.80} is not known; known are "
+                f"{', '.join(get_args(ContactKind))}."
+            )
+        if len(kinds) not in (1, self.n):
+            raise DataError(
+                f"contacts.kind: {len(kinds)} kinds for {self.n} frames; give one or each."
+            )
+        object.__setattr__(self, "kind", kinds * self.n if len(kinds) == 1 else kinds)
+        self._keep_samples()
         if self.forces is not None and self.wrenches is not None:
             raise DataError("contacts: give forces or wrenches, not both.")
         if not self.channels:
@@ -337,7 +386,7 @@ class Contacts(Sampled):
                 "contacts: give down, forces or wrenches; where nothing is known of contacts, "
                 "leave them out."
             )
-        object.__setattr__(self, "offset", offsets(self.offset, c, "contacts.offset"))
+        object.__setattr__(self, "offset", offsets(self.offset, self.n, "contacts.offset"))
 
     @property
     def n(self) -> int:
@@ -360,25 +409,16 @@ class Contacts(Sampled):
         told: Mask = size > _CLOSED_SHARE * np.quantile(size, _STRONG)
         return told
 
-    def __repr__(self) -> str:
+    def _words(self) -> list[str]:
         counts = {kind: self.kind.count(kind) for kind in get_args(ContactKind)}
         kinds = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in counts.items() if n]
-        parts = [f"{self.n_samples} samples", *kinds, *self._words()]
-        return f"Contacts({', '.join(parts)})"
+        return [*kinds, *("flags" if name == "down" else name for name in self.channels)]
 
-    def _repr_html_(self) -> str:
+    def _tables(self) -> list[Table]:
         columns: dict[str, Sequence[object]] = {"frame": self.frames, "kind": self.kind}
         if self.down is not None:
             columns["share down"] = self.down.mean(axis=0).tolist()
-        facts: dict[str, object] = {
-            "samples": self.n_samples,
-            "measured": ", ".join(self._words()),
-        }
-        return facts_html("Contacts", facts, Table.of_columns(columns))
-
-    def _words(self) -> list[str]:
-        """Return what is there, in words."""
-        return ["flags" if name == "down" else name for name in self.channels]
+        return [Table.of_columns(columns)]
 
 
 def offsets(given: Any, count: int, called: str) -> Array:
@@ -405,25 +445,9 @@ def distinct_names(names: Any, called: str, expected: str) -> tuple[str, ...]:
     return result
 
 
-def _kinds(given: Any, count: int) -> tuple[Any, ...]:
-    """Return one kind for each contact."""
-    kinds = (given,) if isinstance(given, str) else tuple(given)
-    unknown = [kind for kind in kinds if kind not in get_args(ContactKind)]
-    if unknown:
-        raise DataError(
-            f"contacts.kind: {unknown[0]!r:.80} is not known; known are "
-            f"{', '.join(get_args(ContactKind))}."
-        )
-    if len(kinds) not in (1, count):
-        raise DataError(f"contacts.kind: {len(kinds)} kinds for {count} frames; give one or each.")
-    return kinds * count if len(kinds) == 1 else kinds
-
-
 def _rotation_matrix(given: Any, called: str) -> Array:
     """Return the rotation matrix that is nearest to a given one, which must be near to it."""
-    matrix = real_array(given, called, ndim=2)
-    if matrix.shape != (3, 3):
-        raise DataError(f"{called}: has shape {matrix.shape}, expected (3, 3): a rotation matrix.")
+    matrix = shaped(given, called, (3, 3), ": a rotation matrix")
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > _OFF or np.linalg.det(matrix) < 0.0:
         raise DataError(
@@ -448,18 +472,11 @@ def _unit(quaternions: Array) -> Array:
             f"{norms[worst]:.6g}, off 1 by {off[worst]:.3g}, limit {_OFF:g}; give unit "
             "quaternions x, y, z, w, not Euler angles."
         )
-    if off[worst] <= _EXACT_UNIT:
-        return quaternions
-    unit: Array = quaternions / norms[:, None]
-    return unit
+    return np.asarray(quaternions if off[worst] <= _EXACT_UNIT else quaternions / norms[:, None])
 
 
 def _continuous(quaternions: Array) -> Array:
     """Return quaternions without changes of sign, which mean nothing, between samples."""
     turned = np.einsum("ki,ki->k", quaternions[1:], quaternions[:-1]) < 0.0
-    if not turned.any():
-        return quaternions
-    sign = np.where(np.cumsum(turned) % 2 == 1, -1.0, 1.0)
-    result = np.array(quaternions)
-    result[1:] *= sign[:, None]
-    return result
+    signs = np.cumprod(np.where(turned, -1.0, 1.0))
+    return np.concatenate([quaternions[:1], quaternions[1:] * signs[:, None]])

@@ -1,18 +1,21 @@
-"""A record as what it can be processed in: split at gaps, with angles that do not wrap."""
+"""Which instants a record has: split at gaps, without wrapped angles, and on a uniform grid."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
-from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS, longest_gap
+
+Timing = Literal["auto", "nominal", "resample"]
 
 _TURN = 2.0 * math.pi
 # No joint turns further from one sample to the next (rad). A jump this close to whole turns is
@@ -25,6 +28,25 @@ _CAUGHT_UP = 0.5
 _NEIGHBORS = 50
 # So many steps before a gap tell the rate there.
 _BEFORE = 400
+
+# Stamps are uniform when no step is off by more than this part of the nominal one. A stamp in
+# seconds since 1970 has a resolution of 2.4e-7 s, which is 2.4e-4 of a step at 1 kHz.
+_JITTER = 1e-3
+# Gaps up to this many steps, or this long (s: a tenth of a period of the fastest motion of an arm),
+# are bridged by the spline; in a longer one motion is unknown, and records without periods
+# are split there.
+MAX_GAP_STEPS = 5.0
+_MAX_GAP_S = 0.01
+# Stamps that stay this close (in steps) to a straight line can be late stamps of regular samples.
+_MAX_WANDER_STEPS = 0.5
+# Interpolate only if the stamps predict left-out positions at least this much better than the
+# sample index does. On the Panda's log they tie (0.999), on the LWR4+'s the stamps are 10^4
+# times worse; interpolation costs bandwidth, so ties go to the index.
+_CLEARLY_BETTER = 0.95
+# Samples used for that comparison: enough to tell, cheap on long records.
+_COMPARED = 20_000
+# A cubic spline forgets a knot by a factor of 3.7 a knot: 30 knots away 1e-17 is left.
+_SPLINE_REACH = 30
 
 
 def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
@@ -42,10 +64,10 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
     notes : list of str
         In words, with sizes and rows.
     """
-    log, notes = in_time(log)
+    log, notes = _in_time(log)
     pieces = split_at_gaps(log)
     if pieces != (log,):
-        longest = longest_gap(log.step)
+        longest = _longest_gap(log.step)
         measured = sum(piece.duration for piece in pieces)
         single = log.n_samples - sum(piece.n_samples for piece in pieces)
         count = np.count_nonzero(np.diff(log.time) > longest)
@@ -59,11 +81,15 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
     turned = [unwrapped(piece) for piece in pieces]
     jumps = sum((jumps for _, jumps in turned), np.zeros(log.n, dtype=np.intp))
     if jumps.any():
-        listed = ", ".join(
-            f"{name} {count}" for name, count in zip(log.names, jumps, strict=True) if count
-        )
+        counts = zip(log.names, jumps, strict=True)
+        listed = ", ".join(f"{name} {count}" for name, count in counts if count)
         notes.append(f"angles that wrap continued by whole turns; jumps of joint {listed}")
     return tuple(piece for piece, _ in turned), notes
+
+
+def _longest_gap(step: float) -> float:
+    """Return the longest distance of two samples that is bridged, in s."""
+    return max(MAX_GAP_STEPS * step, _MAX_GAP_S)
 
 
 def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
@@ -73,8 +99,7 @@ def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
     ----------
     log : Recording
         A record without periods. One with periods is returned as it is: a period with a gap
-        cannot be averaged with the others, and `sdpid.experiment.recording.uniform_grid.make_grid`
-        says so.
+        cannot be averaged with the others, and `make_grid` says so.
 
     Returns
     -------
@@ -82,20 +107,17 @@ def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
         What lies between steps of more than five nominal ones and 10 ms, without single samples;
         ``(log,)`` itself without such a gap.
     """
-    if log.period is not None:
-        return (log,)
     # The same arithmetic as in `make_grid`, which refuses what is left.
-    longest = longest_gap(log.step) - log.step
-    if not log.stamps.most - log.step > longest:
+    longest = _longest_gap(log.step) - log.step
+    if log.period is not None or not log.stamps.most - log.step > longest:
         return (log,)
     rows = np.flatnonzero(np.diff(log.time) - log.step > longest) + 1
-    # Half of all steps are no longer than their median, so some samples do lie together.
-    bounds = [0, *rows.tolist(), log.n_samples]
     pieces: list[Recording] = []
-    for first, stop in pairwise(bounds):
+    # Half of all steps are no longer than their median, so some samples do lie together.
+    for first, stop in pairwise([0, *rows.tolist(), log.n_samples]):
         if stop - first > 1:
             # A piece may have a shorter nominal step, so that another of its steps is a gap.
-            pieces += split_at_gaps(rows_of(log, slice(first, stop)))
+            pieces += split_at_gaps(log.rows(slice(first, stop)))
     return tuple(pieces)
 
 
@@ -117,58 +139,34 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
         less 1 rad is left alone: it is in another unit, or has outliers.
     """
     jumps = np.zeros(log.n, dtype=np.intp)
-    position: Array | None = None
     low, high = extremes(log.position)
+    position: Array | None = None
     for j in np.flatnonzero(high - low >= _TURN - _LARGEST_STEP).tolist():
         steps = np.diff(log.position[:, j])
         turns = np.rint(steps / _TURN)
-        if not turns.any() or np.abs(steps - _TURN * turns).max() > _LARGEST_STEP:
-            continue
-        jumps[j] = np.count_nonzero(turns)
-        if position is None:
-            position = np.array(log.position)
-        position[1:, j] -= _TURN * np.cumsum(turns)
-    if position is not None:
-        log = replace(log, position=position)
-    return _near_positions(log), jumps
-
-
-def _near_positions(log: Recording) -> Recording:
-    """Return a recording whose references are moved by whole turns, to where positions are."""
-    if log.reference is None:
-        return log
+        if turns.any() and np.abs(steps - _TURN * turns).max() <= _LARGEST_STEP:
+            jumps[j] = np.count_nonzero(turns)
+            position = np.array(log.position) if position is None else position
+            position[1:, j] -= _TURN * np.cumsum(turns)
+    log = log if position is None else replace(log, position=position)
     reference: Array | None = None
-    for j in range(log.n):
-        column = np.asarray(log.reference[:, j])
-        turns = np.rint((column - log.position[:, j]) / _TURN)
-        if not turns.any():
-            continue
-        moved = column - _TURN * turns
+    for j in range(0 if log.reference is None else log.n):
+        assert log.reference is not None
+        turns = np.rint((log.reference[:, j] - log.position[:, j]) / _TURN)
+        moved = log.reference[:, j] - _TURN * turns
         # A reference in another unit, or of another joint, jumps where it leaves the position.
-        if np.abs(np.diff(moved)).max() <= _LARGEST_STEP:
+        if turns.any() and np.abs(np.diff(moved)).max() <= _LARGEST_STEP:
             reference = np.array(log.reference) if reference is None else reference
             reference[:, j] = moved
-    return log if reference is None else replace(log, reference=reference)
+    return (log if reference is None else replace(log, reference=reference)), jumps
 
 
-def in_time(log: Recording) -> tuple[Recording, list[str]]:
+def _in_time(log: Recording) -> tuple[Recording, list[str]]:
     """Correct the time stamps of samples that came late, in a burst after a gap.
 
     Samples that a busy logger stamps late follow each other faster until the stamps are back on
     the regular clock. Where none is missing, they get regular stamps. Where some were lost as
     well, it is not known which, and the burst is left out.
-
-    Parameters
-    ----------
-    log : Recording
-        As it was measured.
-
-    Returns
-    -------
-    log : Recording
-        The same one where no sample came late.
-    notes : list of str
-        How many samples, and before which row.
     """
     limit = MAX_GAP_STEPS * log.step
     if not log.stamps.most > limit:
@@ -177,7 +175,10 @@ def in_time(log: Recording) -> tuple[Recording, list[str]]:
     keep = np.ones(time.size, dtype=np.bool_)
     notes = []
     for row in (np.flatnonzero(np.diff(time) > limit) + 1).tolist():
-        step = _step_before(log, row)
+        # The mean step before the gap: the rate of a log may change.
+        steps = np.diff(log.time[max(0, row - _BEFORE) : row])
+        steps = steps[steps <= _longest_gap(log.step)]
+        step = float(steps.mean()) if steps.size >= _NEIGHBORS else log.step
         gap = float(time[row] - time[row - 1]) - step
         after = time[row : row + 2 * math.ceil(gap / step) + _NEIGHBORS]
         # How late each sample is by a regular clock that starts before the gap.
@@ -197,15 +198,120 @@ def in_time(log: Recording) -> tuple[Recording, list[str]]:
                 f"{count} samples {where} left out: they came late, {round(least / step)} of them "
                 "were lost, and their stamps do not say which"
             )
-    if not notes:
-        return log, []
-    if not keep.all() and log.period is None:
-        return rows_of(replace(log, time=time), keep), notes
-    return replace(log, time=time), notes
+    log = replace(log, time=time) if notes else log
+    return (log if keep.all() or log.period is not None else log.rows(keep)), notes
 
 
-def _step_before(log: Recording, row: int) -> float:
-    """Return the mean step before the gap that ends at a row: the rate of a log may change."""
-    steps = np.diff(log.time[max(0, row - _BEFORE) : row])
-    steps = steps[steps <= longest_gap(log.step)]
-    return float(steps.mean()) if steps.size >= _NEIGHBORS else log.step
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grid:
+    """A uniform time grid over a recording, read channel by channel.
+
+    Attributes
+    ----------
+    origin, step : float
+        Time of the first grid point and the distance of two, in s.
+    count : int
+        Number of grid points.
+    stamps : (N,) ndarray or None
+        Time stamps to interpolate from; None where samples are taken by index.
+    note : str or None
+        What was done to the time stamps, if anything.
+    """
+
+    origin: float
+    step: float
+    count: int
+    stamps: Array | None = None
+    note: str | None = None
+
+    def read(self, column: Array, start: int, stop: int) -> Array:
+        """Return grid points `start` to `stop` of one channel, given its recorded samples."""
+        if self.stamps is None:
+            return np.ascontiguousarray(column[start:stop])
+        from scipy.interpolate import CubicSpline
+
+        wanted = self.origin + self.step * np.arange(start, stop)
+        begin, end = np.searchsorted(self.stamps, (wanted[0], wanted[-1]))
+        knots = slice(max(0, int(begin) - _SPLINE_REACH), int(end) + _SPLINE_REACH)
+        # Times are taken relative to the chunk: stamps since 1970 lose digits in the cubes.
+        spline = CubicSpline(self.stamps[knots] - wanted[0], column[knots])
+        return np.asarray(spline(wanted - wanted[0]))
+
+
+def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
+    """Choose a uniform grid for a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log.
+    timing : {"auto", "nominal", "resample"}
+        ``"nominal"`` trusts the sample index: sample k was taken at k nominal steps, whatever its
+        stamp says. ``"resample"`` trusts the stamps and interpolates every channel by a cubic
+        spline. ``"auto"`` takes uniform stamps as they are; otherwise it compares how well every
+        second position is predicted from the others, by index and by stamp, and interpolates only
+        if the stamps are clearly better or wander off a straight line by more than half a step.
+
+    Returns
+    -------
+    Grid
+
+    Raises
+    ------
+    DataError
+        When a gap of more than five steps and 10 ms would have to be bridged; `process` splits
+        records without periods there beforehand.
+    """
+    time, stamps, nominal = recording.time, recording.stamps, recording.step
+    layout, step = recording.period_layout, nominal
+    if layout is not None and recording.period is not None:
+        # A whole number of steps to the period, to the last bit.
+        step = recording.period / layout[1]
+    late = stamps.most - nominal
+    jitter = max(late, nominal - stamps.least) / nominal
+    if jitter <= _JITTER and timing != "resample":
+        return Grid(origin=stamps.first, step=step, count=time.size)
+    # The same arithmetic as in `split_at_gaps`, which leaves no such gap.
+    longest = _longest_gap(nominal)
+    if late > longest - nominal:
+        row = stamps.row
+        raise DataError(
+            f"time: gap of {late + nominal:.6g} s before row {row + 1} (from "
+            f"{time[row - 1]:.9g} s to {time[row]:.9g} s), {late / nominal + 1.0:.1f} steps of "
+            f"{nominal:.6g} s, more than {longest / nominal:.3g}; without its period the record "
+            "is split there."
+        )
+    timing, why = _better_timing(recording) if timing == "auto" else (timing, "as given")
+    seen = f"time stamps jitter by {100.0 * jitter:.3g} % of a step of {nominal:.6g} s"
+    if timing == "nominal":
+        note = f"{seen}; samples taken as regular, {1.0 / step:.6g} Hz ({why})"
+        return Grid(origin=stamps.first, step=step, count=time.size, note=note)
+    # Rounded, not cut: an early last stamp must not cost a sample of the last period.
+    count = round(recording.duration / step) + 1
+    note = f"{seen}; channels resampled to {1.0 / step:.6g} Hz by cubic splines ({why})"
+    return Grid(origin=stamps.first, step=step, count=count, stamps=np.asarray(time), note=note)
+
+
+def _better_timing(recording: Recording) -> tuple[Timing, str]:
+    """Return whether to trust the sample index or the stamps, and why."""
+    from scipy.interpolate import CubicSpline
+
+    step = recording.step
+    wander = float(np.ptp(recording.time - step * np.arange(recording.n_samples))) / 2.0 / step
+    if wander > _MAX_WANDER_STEPS:
+        return "resample", f"they wander off a regular clock by {wander:.3g} steps"
+    begin = max(0, (recording.n_samples - _COMPARED) // 2)
+    time = recording.time[begin : begin + _COMPARED] - recording.time[begin]
+    position = recording.position[begin : begin + _COMPARED]
+    ratio = 1.0
+    if time.size >= 2 * _SPLINE_REACH:
+        errors = []
+        for knots in (time, np.arange(time.size) * step):
+            guess = CubicSpline(knots[::2], position[::2])(knots[1::2])
+            # The ends of a spline are worse than its middle for either choice.
+            errors.append(float(np.sqrt(np.mean((guess - position[1::2])[2:-2] ** 2))))
+        # Where the index is exact, so are the stamps, or they are infinitely worse.
+        ratio = errors[0] / errors[1] if errors[1] else 1.0 if not errors[0] else math.inf
+    why = f"positions left out are predicted from the stamps with {ratio:.4g} times the error from"
+    timing: Timing = "resample" if ratio < _CLEARLY_BETTER else "nominal"
+    return timing, f"{why} the sample index"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -48,12 +46,9 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     """
     # A recording's names are without what a terminal would obey; so are the robot's, to be matched.
     wanted = tuple(map(printable, robot.joint_names[robot.n_base :]))
-    if not robot.passive:
-        return _picked(robot, log, wanted)
     missing = lacking(robot, log)
-    return with_passive_joints(
-        robot, _picked(robot, log, tuple(name for name in wanted if name not in missing))
-    )
+    picked = _picked(robot, log, tuple(name for name in wanted if name not in missing))
+    return _with_passive_joints(robot, picked, missing) if robot.passive else picked
 
 
 def _picked(robot: RobotModel, log: Recording, wanted: tuple[str, ...]) -> Recording:
@@ -70,8 +65,10 @@ def _picked(robot: RobotModel, log: Recording, wanted: tuple[str, ...]) -> Recor
     order = joint_columns(robot, names, wanted)
     if order == list(range(log.n)):
         return renamed(log, wanted)
-    picked = partial(transformed, function=lambda values: values[:, order])
-    tables: dict[str, Any] = {name: picked(table) for name, table in channels(log).items()}
+    tables: dict[str, Any] = {
+        name: transformed(table, lambda values: values[:, order])
+        for name, table in channels(log).items()
+    }
     gains = None if log.gains is None else log.gains.picked(order, wanted)
     return replace(log, **tables, joint_names=wanted, gains=gains)
 
@@ -113,78 +110,38 @@ def ways_to_match(wanted: Sequence[str], names: Sequence[str]) -> set[tuple[str,
     """Return the names that may stand for those wanted: they themselves, or with other affixes."""
     if set(wanted) <= set(names):
         return {tuple(wanted)}
-    return _ways(_without_affixes(wanted), names)
-
-
-def _without_affixes(names: Sequence[str]) -> list[str]:
-    """Return names without their longest common prefix and suffix."""
-    if len(names) == 1:
-        return list(names)
-    start = _common(names)
-    rest = [name[start:] for name in names]
-    end = _common([name[::-1] for name in rest])
-    return [name[: len(name) - end] for name in rest]
-
-
-def _common(names: Sequence[str]) -> int:
-    """Return the length of the longest common prefix."""
-    shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
-    return sum(1 for _ in shared)
-
-
-def _ways(cores: Sequence[str], names: Sequence[str]) -> set[tuple[str, ...]]:
-    """Return all choices of names ``prefix + core + suffix`` with one prefix and one suffix."""
-    there = set(names)
+    cores = list(wanted)
+    if len(wanted) > 1:
+        start = len(os.path.commonprefix(cores))  # noqa: RUF071 (names are no paths)
+        cores = [name[start:] for name in wanted]
+        end = len(os.path.commonprefix([core[::-1] for core in cores]))  # noqa: RUF071
+        cores = [core[: len(core) - end] for core in cores]
     ways = set()
-    first = cores[0]
+    # One prefix and one suffix of all names: those around the first one, wherever it stands.
     for name in names:
-        for start in range(len(name) - len(first) + 1):
-            if not name.startswith(first, start):
-                continue
-            prefix, suffix = name[:start], name[start + len(first) :]
-            way = tuple(f"{prefix}{core}{suffix}" for core in cores)
-            if there.issuperset(way):
-                ways.add(way)
-    return ways
-
-
-def driven_joints(robot: RobotModel) -> tuple[str, ...]:
-    """Return the joints of a robot that have motors, in its order."""
-    return tuple(n for n in robot.joint_names[robot.n_base :] if n not in robot.passive)
+        for start in range(len(name) - len(cores[0]) + 1):
+            if name.startswith(cores[0], start):
+                prefix, suffix = name[:start], name[start + len(cores[0]) :]
+                ways.add(tuple(f"{prefix}{core}{suffix}" for core in cores))
+    return {way for way in ways if set(way) <= set(names)}
 
 
 def lacking(robot: RobotModel, log: Recording) -> tuple[str, ...]:
     """Return the joints without motors that a recording has no column for."""
+    count = robot.n - robot.n_base
     if log.joint_names is None:
-        alone = log.n == len(driven_joints(robot))
-        return robot.passive if alone else ()
+        return robot.passive if log.n == count - len(robot.passive) else ()
     # With other prefixes none of them has a name of its own, and all or none are there.
-    if log.n >= robot.n - robot.n_base and not set(robot.passive) & set(log.joint_names):
+    if log.n >= count and not set(robot.passive) & set(log.joint_names):
         return ()
     return tuple(name for name in robot.passive if name not in log.joint_names)
 
 
-def with_passive_joints(robot: RobotModel, log: Recording) -> Recording:
-    """Return a recording of all joints, made of one of those with motors and perhaps some others.
+def _with_passive_joints(robot: RobotModel, log: Recording, missing: tuple[str, ...]) -> Recording:
+    """Return a recording of all joints, made of one that lacks some of those without motors.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        With `passive` joints.
-    log : Recording
-        Its joints have the robot's names.
-
-    Returns
-    -------
-    Recording
-        In the robot's order. Efforts of joints without motors are zero, whatever was recorded.
-        Where positions are those that close loops, there is no velocity and no reference.
-
-    Raises
-    ------
-    DataError
-        When efforts are currents or have gains, or the loops do not determine the positions that
-        are not recorded.
+    Efforts of joints without motors are zero, whatever was recorded. Where positions are those
+    that close loops, there is no velocity and no reference.
     """
     if log.currents or log.gains is not None:
         raise DataError(
@@ -192,15 +149,13 @@ def with_passive_joints(robot: RobotModel, log: Recording) -> Recording:
             f"({', '.join(robot.passive)}); read the recording with torques (effort_scale)."
         )
     names = robot.joint_names[robot.n_base :]
-    own = log.names
-    at = [names.index(name) for name in own]
     tables: dict[str, Any] = {}
     for quantity, table in channels(log).items():
         tables[quantity] = np.zeros((log.n_samples, len(names)))
-        tables[quantity][:, at] = table
+        tables[quantity][:, [names.index(name) for name in log.names]] = table
     tables["effort"][:, [names.index(name) for name in robot.passive]] = 0.0
-    if missing := [name for name in robot.passive if name not in own]:
-        tables["position"] = close_loops(robot, tables["position"], missing)
+    if missing:
+        tables["position"] = close_loops(robot, tables["position"], list(missing))
         tables |= dict.fromkeys(("velocity", "reference"))
     return replace(log, joint_names=names, **tables)
 

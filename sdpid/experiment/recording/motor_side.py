@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, real_array, shaped
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 
@@ -62,31 +62,24 @@ class MotorSide(Settings):
     applies_to: tuple[str, ...] = _QUANTITIES
 
     def __post_init__(self) -> None:
-        n = np.asarray(self.position_matrix, dtype=object).shape[:1]
-        shapes = {"position_matrix": 2, "effort_matrix": 2, "offsets": 1, "torque_constants": 1}
-        for name, ndim in shapes.items():
+        n = len(np.atleast_1d(np.asarray(self.position_matrix, dtype=object)))
+        axes = {"position_matrix": 2, "effort_matrix": 2, "offsets": 1, "torque_constants": 1}
+        for name, ndim in axes.items():
             if (value := getattr(self, name)) is None:
                 continue
-            array = frozen(real_array(value, f"motors.{name}", ndim=ndim))
-            if array.shape != n * ndim or array.size == 0:
-                raise DataError(
-                    f"motors.{name}: has shape {array.shape}, expected {n * ndim}: position_matrix "
-                    "has a row for each joint."
-                )
+            what = ": position_matrix has a row for each joint"
+            array = shaped(value, f"motors.{name}", (max(n, 1),) * ndim, what)
             object.__setattr__(self, name, array)
-        for name in ("position_matrix", "effort_matrix"):
-            if (array := getattr(self, name)) is not None:
-                size = np.abs(array).max(axis=0)
-                if not size.all() or np.linalg.cond(array / size) > _MOST_CONDITION:
-                    raise DataError(f"motors.{name}: cannot be inverted: {array.tolist()}.")
+            size = np.abs(array).max(axis=0)
+            if ndim == 2 and not (size.all() and np.linalg.cond(array / size) <= _MOST_CONDITION):
+                raise DataError(f"motors.{name}: cannot be inverted: {array.tolist()}.")
         applies: Any = self.applies_to
-        if not isinstance(applies, (list, tuple)) or any(a not in _QUANTITIES for a in applies):
+        if not isinstance(applies, (list, tuple)) or not set(applies) <= set(_QUANTITIES):
             raise DataError(
-                f"motors.applies_to: is {self.applies_to!r}, expected some of "
-                f"{', '.join(_QUANTITIES)}."
+                f"motors.applies_to: is {applies!r}, expected some of {', '.join(_QUANTITIES)}."
             )
         object.__setattr__(self, "applies_to", tuple(applies))
-        if self.torque_constants is not None and "effort" not in self.applies_to:
+        if self.torque_constants is not None and "effort" not in applies:
             raise DataError("motors.torque_constants: needs effort in applies_to.")
 
     @classmethod
@@ -118,22 +111,20 @@ class MotorSide(Settings):
         Keys are ``gear_ratios`` (and ``signs``) or ``position_matrix``, and ``effort_matrix``,
         ``offsets``, ``torque_constants``, ``applies_to``.
         """
-        fields = ("effort_matrix", "offsets", "torque_constants", "applies_to")
-        known = ("gear_ratios", "signs", "position_matrix", *fields)
+        gears = {key: given[key] for key in ("gear_ratios", "signs") if key in given}
+        others = {key: value for key, value in given.items() if key not in gears}
+        known = ["gear_ratios", "signs", *(each.name for each in fields(cls))]
         if unknown := sorted(set(given) - set(known)):
             raise DataError(
                 f"motors: {', '.join(unknown)} is not known; known are {', '.join(known)}."
             )
-        others = {key: given[key] for key in fields if key in given}
-        if ("position_matrix" in given) == ("gear_ratios" in given) or (
-            "position_matrix" in given and "signs" in given
-        ):
+        if ("position_matrix" in given) == bool(gears) or gears.keys() == {"signs"}:
             raise DataError(
                 "motors: give either gear_ratios (and signs) or position_matrix, which has signs."
             )
-        if "gear_ratios" in given:
-            return cls.from_gears(given["gear_ratios"], given.get("signs"), **others)
-        return cls(position_matrix=given["position_matrix"], **others)
+        if not gears:
+            return cls(**others)
+        return cls.from_gears(gears["gear_ratios"], gears.get("signs"), **others)
 
     @property
     def n(self) -> int:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array, Mask, shaped
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
@@ -94,22 +93,30 @@ def suspect_units(
     DataError
         When the limits are of another shape.
     """
-    if position_range is None:
-        position_range = extremes(recording.position)
-    low, high = position_range
+    low, high = extremes(recording.position) if position_range is None else position_range
     peak = np.maximum(np.abs(low), np.abs(high))
     beyond = peak > _TWO_TURNS
-    limits = None
-    if position_limits is not None:
-        limits = _checked_limits(position_limits, recording.n)
-    if limits is None or not np.isfinite(limits).all(axis=1).any():
-        beyond &= peak <= _ARMS_IN_DEGREES
-        named = beyond & (recording.n > 1) & (2 * np.count_nonzero(beyond) > recording.n)
+    limits = _limits(recording, position_limits)
+    limited = np.asarray(np.isfinite(limits).all(axis=1))
+    if limited.any():
+        ends = np.where(limited[:, None], limits, 0.0)
+        reach, span = np.abs(ends).max(axis=1), ends[:, 1] - ends[:, 0]
+        # A narrow range may honestly be overstepped, but not to twice its farthest end.
+        wide = (high - low > _SPAN_FACTOR * span) & (peak > 2.0 * reach)
+        named = limited & (np.radians(peak) <= _FIT_FACTOR * reach)
+        named &= wide | ((reach <= _LIMIT_OF_ARMS) & beyond)
+        named |= named.any() & beyond & ~limited
     else:
-        named = _suspect_limited(low, high, peak, limits)
-        if named.any():
-            named = named | (beyond & ~np.isfinite(limits).all(axis=1))
-    return tuple(name for name, bad in zip(recording.names, named, strict=True) if bad)
+        named = beyond & (peak <= _ARMS_IN_DEGREES)
+        named &= recording.n > 1 and 2 * np.count_nonzero(named) > recording.n
+    return tuple(name for name, bad in zip(recording.names, named.tolist(), strict=True) if bad)
+
+
+def _limits(recording: Recording, given: Any) -> Array:
+    """Return limits as an (n, 2) array of floats, infinite where there are none."""
+    given = np.tile([-np.inf, np.inf], (recording.n, 1)) if given is None else given
+    what = ": a lower and an upper limit for each joint, infinite where there is none"
+    return shaped(given, "position_limits", (recording.n, 2), what, infinite=True)
 
 
 def require_plausible_units(recording: Recording, position_limits: Any = None) -> None:
@@ -127,47 +134,21 @@ def require_plausible_units(recording: Recording, position_limits: Any = None) -
     DataError
         Naming the joints with their ranges, as decided by `suspect_units`.
     """
-    suspects = suspect_units(recording, position_limits)
-    if not suspects:
-        return
     ranges = []
-    for name in suspects:
+    for name in suspect_units(recording, position_limits):
         j = recording.names.index(name)
         column = recording.position[:, j]
         text = f"{name} from {column.min():.4g} to {column.max():.4g}"
         if position_limits is not None:
-            limits = np.asarray(position_limits, dtype=np.float64)[j]
-            text += f" (limits {limits[0]:.4g} to {limits[1]:.4g} rad)"
+            low, high = _limits(recording, position_limits)[j]
+            text += f" (limits {low:.4g} to {high:.4g} rad)"
         ranges.append(text)
-    raise DataError(
-        f"position: looks like degrees, not radians: {'; '.join(ranges)}. Convert it, or read "
-        "the file with units={'position': 'deg'}; angles in radians of joints that do turn that "
-        "far may be wrapped to ±pi."
-    )
-
-
-def _checked_limits(position_limits: Any, n: int) -> Array:
-    """Return limits as an (n, 2) array of floats that may be infinite."""
-    limits = np.asarray(position_limits, dtype=np.float64)
-    if limits.shape != (n, 2) or np.isnan(limits).any():
+    if ranges:
         raise DataError(
-            f"position_limits: has shape {limits.shape}, expected {(n, 2)}: a lower and an upper "
-            "limit for each joint, infinite where there is none."
+            f"position: looks like degrees, not radians: {'; '.join(ranges)}. Convert it, or read "
+            "the file with units={'position': 'deg'}; angles in radians of joints that do turn "
+            "that far may be wrapped to ±pi."
         )
-    return limits
-
-
-def _suspect_limited(low: Array, high: Array, peak: Array, limits: Array) -> Any:
-    """Return which joints with finite limits move as if in degrees, (n,)."""
-    finite = np.asarray(np.isfinite(limits).all(axis=1))
-    limits = np.where(finite[:, None], limits, 0.0)
-    reach = np.abs(limits).max(axis=1)
-    turns = (reach <= _LIMIT_OF_ARMS) & (peak > _TWO_TURNS)
-    # A narrow range may honestly be overstepped, but not to twice its farthest end.
-    wide = (high - low) > _SPAN_FACTOR * (limits[:, 1] - limits[:, 0])
-    wide &= peak > 2.0 * reach
-    fits = np.radians(peak) <= _FIT_FACTOR * reach
-    return finite & fits & (turns | wide)
 
 
 def require_no_outliers(log: Recording) -> None:
@@ -196,8 +177,7 @@ def require_no_outliers(log: Recording) -> None:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class VelocityFit:
+class VelocityFit(NamedTuple):
     """A recorded velocity as scale × the rate of the position, later by a lag.
 
     Attributes
@@ -233,19 +213,16 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
     assert log.velocity is not None
     begin = max(0, (log.n_samples - _COMPARED) // 2)
     part = slice(begin, begin + _COMPARED)
-    time, position = log.time[part], log.position[part, joint]
-    measured = log.velocity[part, joint]
+    time, position, measured = log.time[part], log.position[part, joint], log.velocity[part, joint]
     stride = max(1, time.size // _INTERVALS)
-    step = stride * log.step
     if time.size < 4 * stride + 4:
         return None
-    span = time[stride:] - time[:-stride]
-    rate = (position[stride:] - position[:-stride]) / span
+    spans = np.diff(time[::stride])
+    rate = np.diff(position[::stride]) / spans
     traveled = np.cumsum((measured[1:] + measured[:-1]) / 2.0 * np.diff(time))
-    mean = np.diff(np.concatenate([[0.0], traveled])[::stride]) / np.diff(time[::stride])
-    rate = rate[::stride][: mean.size]
+    mean = np.diff(np.insert(traveled, 0, 0.0)[::stride]) / spans
     # A signal that is late by a little is itself less its derivative times the lag.
-    slope = (rate[2:] - rate[:-2]) / (2.0 * step)
+    slope = (rate[2:] - rate[:-2]) / (2.0 * stride * log.step)
     rate, mean = rate[1:-1], mean[1:-1]
     if np.sqrt(np.mean(rate**2)) < _LEAST_SPEED:
         return None
@@ -257,9 +234,7 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
     scale = float(weights[0])
     # Noise in the rate makes the slope over it too small, by the correlation.
     lag = -float(weights[1]) / scale if scale != 0.0 else 0.0
-    return VelocityFit(
-        scale=scale / correlation if correlation > 0.0 else 0.0, lag=lag, correlation=correlation
-    )
+    return VelocityFit(scale / correlation if correlation > 0.0 else 0.0, lag, correlation)
 
 
 def disagreement(log: Recording, motion_hz: float) -> str | None:
@@ -278,24 +253,27 @@ def disagreement(log: Recording, motion_hz: float) -> str | None:
         The first joint whose velocity is wrong by more than 10 %: by its scale, its sign, its
         lag, or because it follows another motion.
     """
+    latest = _TOLERATED / (2.0 * math.pi * motion_hz)
     for joint, name in enumerate(log.names):
         fit = velocity_fit(log, joint)
         if fit is None:
             continue
+        said = None
         if fit.correlation < _CORRELATED:
-            return (
-                f"that of joint {name} does not follow d/dt of its position (correlation "
-                f"{fit.correlation:.2f}, limit {_CORRELATED:g})"
+            said = (
+                f"does not follow d/dt of its position (correlation {fit.correlation:.2f}, limit "
+                f"{_CORRELATED:g})"
             )
-        if abs(fit.scale - 1.0) > _TOLERATED:
-            return (
-                f"that of joint {name} is {fit.scale:.3g} times d/dt of its position, limit "
-                f"{1.0 - _TOLERATED:g} to {1.0 + _TOLERATED:g}"
+        elif abs(fit.scale - 1.0) > _TOLERATED:
+            said = (
+                f"is {fit.scale:.3g} times d/dt of its position, limit {1.0 - _TOLERATED:g} to "
+                f"{1.0 + _TOLERATED:g}"
             )
-        limit = _TOLERATED / (2.0 * math.pi * motion_hz)
-        if abs(fit.lag) > limit:
-            return (
-                f"that of joint {name} is {'late' if fit.lag > 0 else 'early'} by "
-                f"{abs(fit.lag):.3g} s against d/dt of its position, limit {limit:.3g} s"
+        elif abs(fit.lag) > latest:
+            said = (
+                f"is {'late' if fit.lag > 0 else 'early'} by {abs(fit.lag):.3g} s against d/dt of "
+                f"its position, limit {latest:.3g} s"
             )
+        if said is not None:
+            return f"that of joint {name} {said}"
     return None

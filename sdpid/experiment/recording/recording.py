@@ -11,26 +11,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid._common.arrays import Array
 from sdpid._common.files import Source
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Table
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.recording.columns import (
-    base_columns,
-    base_metadata,
-    write_columns,
-    write_mapping,
+from sdpid.experiment.recording.columns import base_metadata, write_columns, write_mapping
+from sdpid.experiment.recording.floating import (
+    LARGEST,
+    BaseMotion,
+    Contacts,
+    Sampled,
+    distinct_names,
+    samples,
 )
-from sdpid.experiment.recording.floating import BaseMotion, Contacts, distinct_names
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
 # What is measured, or commanded, of each joint.
 CHANNELS = ("position", "effort", "velocity", "reference")
 
-# Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
-LARGEST = 1e12
+_EACH = "one column for each joint"
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.
 _PERIOD_SLACK = 0.5
@@ -39,7 +40,7 @@ _LEAST_SAMPLES = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Recording:
+class Recording(Sampled):
     """A log of joint positions and efforts over time.
 
     Large arrays are not copied: a C-contiguous float64 array is kept as a read-only view, so the
@@ -108,11 +109,11 @@ class Recording:
     >>> hip.to_parquet("hip.parquet")
     """
 
-    time: Array
-    position: Array
-    effort: Array
-    velocity: Array | None = None
-    reference: Array | None = None
+    time: Array = samples("time", what="time stamps in s", needed=True)
+    position: Array = samples("position", "names", what=_EACH, needed=True)
+    effort: Array = samples("{self._efforts}", "names", what=_EACH, needed=True)
+    velocity: Array | None = samples("velocity", "names", what=_EACH)
+    reference: Array | None = samples("reference", "names", what=_EACH)
     joint_names: tuple[str, ...] | None = None
     period: float | None = None
     start: float | None = None
@@ -129,79 +130,58 @@ class Recording:
         for name in ("time", "position", "effort"):
             if getattr(self, name) is None:
                 raise DataError(f"{name} is missing; a recording needs time, position and effort.")
-        time: Any = _kept(self, "time", 1)
-        if time.size < _LEAST_SAMPLES:
-            raise DataError(f"time: has {time.size} samples, at least {_LEAST_SAMPLES} are needed.")
-        object.__setattr__(self, "stamps", Stamps.of(time))
-        position = _kept(self, "position", 2)
-        n = position.shape[1]
-        if n == 0:
-            raise DataError("position: has no joints (no columns).")
-        for name in CHANNELS:
-            if getattr(self, name) is not None:
-                shape = _kept(self, name, 2).shape
-                if shape != (time.size, n):
-                    raise DataError(
-                        f"{name}: has shape {shape}, expected {(time.size, n)}: one row for each "
-                        f"of the {time.size} time stamps, one column for each of the {n} joints."
-                    )
-        if self.joint_names is not None:
-            object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
-        if self.gains is not None and (self.currents or self.gains.n != n):
+        given = self.joint_names
+        # Numbers stand for the names until the number of joints is known.
+        object.__setattr__(self, "joint_names", None)
+        self._keep_samples(base=BaseMotion, contacts=Contacts)
+        if self.n_samples < _LEAST_SAMPLES:
             raise DataError(
-                f"gains: are of {self.gains.n} joints, for {n} columns of efforts in "
+                f"time: has {self.n_samples} samples, at least {_LEAST_SAMPLES} are needed."
+            )
+        object.__setattr__(self, "stamps", Stamps.of(self.time))
+        if given is not None:
+            object.__setattr__(self, "joint_names", checked_names(given, self.n))
+        if self.gains is not None and (self.currents or self.gains.n != self.n):
+            raise DataError(
+                f"gains: are of {self.gains.n} joints, for {self.n} columns of efforts in "
                 f"{'A' if self.currents else 'N·m'}; torques have gains, one a column."
             )
-        self._check_base()
+        if self.contacts is not None and self.base is None:
+            raise DataError(
+                "contacts: are given without a base; give base=sdpid.BaseMotion(orientation=...). "
+                "The forces at a fixed robot's tool are a payload's."
+            )
         self._check_period()
 
-    def __repr__(self) -> str:
-        parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.rate_hz:.6g} Hz"]
-        layout = self.period_layout
-        if layout is not None:
-            parts.append(f"{layout[2]} periods of {self.period:.6g} s")
+    def _words(self) -> list[str]:
+        words = [f"{self.n} joints", f"{self.rate_hz:.6g} Hz"]
+        if (layout := self.period_layout) is not None:
+            words.append(f"{layout[2]} periods of {self.period:.6g} s")
         if self.currents:
-            parts.append("efforts in A")
+            words.append("efforts in A")
         if self.reference is not None:
-            parts.append("with reference")
+            words.append("with reference")
         if self.base is not None:
-            parts.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
+            words.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
         if self.contacts is not None:
-            parts.append(f"{self.contacts.n} contact{'s' * (self.contacts.n > 1)}")
-        return f"Recording({', '.join(parts)})"
+            words.append(f"{self.contacts.n} contact{'s' * (self.contacts.n > 1)}")
+        return words
 
-    def _repr_html_(self) -> str:
-        names = self.joint_names or tuple(f"joint {j + 1}" for j in range(self.n))
-        unit = ", A" if self.currents else ""
-        table = Table.of_columns(
-            {
-                "joint": list(names),
-                "least position": self.position[:, : self.n].min(axis=0).tolist(),
-                "greatest position": self.position[:, : self.n].max(axis=0).tolist(),
-                f"rms effort{unit}": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
-            }
-        )
-        layout = self.period_layout
-        facts: dict[str, object] = {
-            "samples": self.n_samples,
-            "rate, Hz": self.rate_hz,
-            "seconds": float(self.time[-1] - self.time[0]),
-            "periods": None if layout is None else layout[2],
-            "reference": None if self.reference is None else "commanded positions",
-            "base": None if self.base is None else repr(self.base),
-            "contacts": None if self.contacts is None else repr(self.contacts),
+    def _tables(self) -> list[Table]:
+        columns = {
+            "joint": self.names,
+            "least position": self.position.min(axis=0).tolist(),
+            "greatest position": self.position.max(axis=0).tolist(),
+            f"rms effort{', A' * self.currents}": np.sqrt(
+                np.mean(np.square(self.effort), axis=0)
+            ).tolist(),
         }
-        return facts_html("Recording", facts, table)
+        return [Table.of_columns(columns)]
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return int(self.position.shape[1])
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples, N."""
-        return int(self.time.size)
 
     @property
     def duration(self) -> float:
@@ -248,26 +228,10 @@ class Recording:
         held = (self.duration / self.step + 1.0 - first) / per_period
         return int(first), per_period, round(held)
 
-    def _check_base(self) -> None:
-        """Check that base and contacts have a row for each time stamp."""
-        for name, kind in (("base", BaseMotion), ("contacts", Contacts)):
-            given = getattr(self, name)
-            if given is None:
-                continue
-            if not isinstance(given, kind):
-                raise DataError(
-                    f"{name}: is {type(given).__name__}, expected sdpid.{kind.__name__}."
-                )
-            if given.n_samples != self.n_samples:
-                raise DataError(
-                    f"{name}: has {given.n_samples} samples, expected one for each of the "
-                    f"{self.n_samples} time stamps; bring all channels to the same stamps."
-                )
-        if self.contacts is not None and self.base is None:
-            raise DataError(
-                "contacts: are given without a base; give base=sdpid.BaseMotion(orientation=...). "
-                "The forces at a fixed robot's tool are a payload's."
-            )
+    @property
+    def _efforts(self) -> str:
+        """What columns of efforts are called."""
+        return "current" if self.currents else "effort"
 
     def _check_period(self) -> None:
         """Check `period`, `start` and `periods` against the record and each other."""
@@ -276,50 +240,49 @@ class Recording:
                 if getattr(self, name) is not None:
                     raise DataError(f"{name} is given without a period; give period as well.")
             return
-        period = _positive(self.period, "period")
+        period = _number(self.period, "period")
+        if period <= 0.0:
+            raise DataError(f"period: is {period:g}, expected a positive number.")
         object.__setattr__(self, "period", period)
-        if self.periods is not None:
-            count = self.periods
+        if (count := self.periods) is not None:
             if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
                 raise DataError(f"periods: is {count}, expected a whole number of at least 1.")
             object.__setattr__(self, "periods", int(count))
+        step, begin, end = self.step, self.stamps.first, self.stamps.last
         if self.start is not None:
             start = _number(self.start, "start")
-            begin, end = self.stamps.first, self.stamps.last
-            if not begin - self.step / 2 <= start <= end:
+            if not begin - step / 2 <= start <= end:
                 raise DataError(
                     f"start: {start:.9g} s is outside the record, which runs from {begin:.9g} s "
                     f"to {end:.9g} s."
                 )
             object.__setattr__(self, "start", start)
-        if period < _LEAST_SAMPLES * self.step * (1.0 - 1e-9):
+        if period < _LEAST_SAMPLES * step * (1.0 - 1e-9):
             raise DataError(
-                f"period: {period:.6g} s is shorter than {_LEAST_SAMPLES} steps of "
-                f"{self.step:.6g} s."
+                f"period: {period:.6g} s is shorter than {_LEAST_SAMPLES} steps of {step:.6g} s."
             )
-        layout = self.period_layout
-        assert layout is not None
-        first, per_period, count = layout
-        held = self.duration / self.step + 1.0 - first
-        begin = self.stamps.first + first * self.step
-        where = f"from {begin:.9g} s on the record holds {held:.10g} samples"
-        exact = period / self.step
-        if self.periods is not None and count * per_period > held + _PERIOD_SLACK:
+        assert self.period_layout is not None
+        first, per_period, count = self.period_layout
+        held, exact = self.duration / step + 1.0 - first, period / step
+        spare, off = held - count * per_period, abs(exact - per_period) * count
+        record = (
+            f"from {begin + first * step:.9g} s on the record holds {held:.10g} samples, that is "
+            f"{held / exact:.6g} periods"
+        )
+        if self.periods is not None and spare < -_PERIOD_SLACK:
             raise DataError(
-                f"periods: {count} periods of {exact:.10g} samples do not fit: {where}, that is "
-                f"{held / exact:.6g} periods."
+                f"periods: {count} periods of {exact:.10g} samples do not fit: {record}."
             )
-        if self.periods is None and (count < 1 or abs(held - count * per_period) > _PERIOD_SLACK):
+        if self.periods is None and (count < 1 or abs(spare) > _PERIOD_SLACK):
             raise DataError(
                 f"period: {period:.9g} s ({exact:.10g} samples) does not divide the record: "
-                f"{where}, that is {held / exact:.6g} periods; set `start` and `periods` to pick "
-                "whole periods."
+                f"{record}; set `start` and `periods` to pick whole periods."
             )
-        if abs(exact - per_period) * count > _PERIOD_SLACK:
+        if off > _PERIOD_SLACK:
             raise DataError(
                 f"period: {period:.9g} s is {exact:.10g} samples at {self.rate_hz:.9g} Hz, not a "
-                f"whole number: after {count} periods the samples are "
-                f"{abs(exact - per_period) * count:.3g} steps out of place; resample the record."
+                f"whole number: after {count} periods the samples are {off:.3g} steps out of "
+                "place; resample the record."
             )
 
     def with_held_base(
@@ -384,7 +347,7 @@ class Recording:
         names = ("n", "joint_names", "period", "start", "periods", "currents")
         stated = {name: getattr(self, name) for name in names}
         stated |= base_metadata(self.base, self.contacts)
-        write_columns(path, self._columns(), stated)
+        write_columns(path, self.columns(), stated)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a CSV file with all digits, whole or not at all.
@@ -399,50 +362,38 @@ class Recording:
             When a file cannot be written, or another mapping lies beside it.
         """
         write_mapping(Path(path), self.base, self.contacts)
-        columns = self._columns()
-        Table.of_columns({name: column.tolist() for name, column in columns.items()}).write(path)
-
-    def _columns(self) -> dict[str, Array]:
-        """Return time and channels by the names of their columns."""
-        columns = {"time": self.time}
-        for quantity, table in channels(self).items():
-            called = "current" if quantity == "effort" and self.currents else quantity
-            columns |= {f"{called}_{name}": table[:, j] for j, name in enumerate(self.names)}
-        return columns | base_columns(self.base, self.contacts)
+        Table.of_columns({k: column.tolist() for k, column in self.columns().items()}).write(path)
 
 
 def channels(log: Recording) -> dict[str, Any]:
     """Return the tables of samples × joints that a recording has, by the names of its fields."""
-    tables = {name: getattr(log, name) for name in CHANNELS}
-    return {name: table for name, table in tables.items() if table is not None}
+    return {name: table for name, table in log.channels.items() if name in CHANNELS}
 
 
 def rows_of(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
     """Return some rows of a recording without periods."""
-    taken: dict[str, Any] = {name: table[rows] for name, table in channels(log).items()}
-    for name in ("base", "contacts"):
-        if (floating := getattr(log, name)) is not None:
-            taken[name] = floating.rows(rows)
-    return replace(log, time=log.time[rows], **taken)
+    return log.rows(rows)
 
 
 def renamed(log: Recording, names: tuple[str, ...]) -> Recording:
     """Return a recording with other joint names; its arrays are not checked again."""
     if log.joint_names == names:
         return log
-    result = copy(log)
     checked = checked_names(names, log.n)
-    object.__setattr__(result, "joint_names", checked)
-    object.__setattr__(result, "source", None)
-    if log.gains is not None:
-        object.__setattr__(result, "gains", log.gains.renamed(checked))
-    return result
+    gains = None if log.gains is None else log.gains.renamed(checked)
+    return _unchecked(log, joint_names=checked, gains=gains, source=None)
 
 
 def with_source(log: Recording, source: Source) -> Recording:
     """Return a recording that knows the file it was read from."""
+    return _unchecked(log, source=source)
+
+
+def _unchecked(log: Recording, **changes: Any) -> Recording:
+    """Return a recording with other fields, which are not checked."""
     result = copy(log)
-    object.__setattr__(result, "source", source)
+    for name, value in changes.items():
+        object.__setattr__(result, name, value)
     return result
 
 
@@ -462,24 +413,6 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
     return result
 
 
-def _kept(record: Recording, name: str, ndim: int) -> Array:
-    """Check the array in a field and put it back as a read-only contiguous view."""
-    given: Any = getattr(record, name)
-    if isinstance(given, StoredArray) and given.mapped and given.ndim == ndim:
-        # Its columns stay one after the other. Its values were checked when it was read.
-        return given
-    array = np.ascontiguousarray(real_array(given, name, ndim=ndim))
-    if array.size and max(array.max(), -array.min()) > LARGEST:
-        first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
-        raise DataError(
-            f"{name}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
-            "robot has; repair that sample, or say its unit."
-        )
-    view: Array = frozen_view(array)
-    object.__setattr__(record, name, view)
-    return view
-
-
 def _number(value: Any, name: str) -> float:
     """Return `value` as a float, or raise when it is not a finite number."""
     try:
@@ -490,12 +423,4 @@ def _number(value: Any, name: str) -> float:
         # Python refuses to print an int of thousands of digits.
         shown = "a huge number" if isinstance(value, int) else repr(value)
         raise DataError(f"{name}: is {shown}, expected a finite number of at most {LARGEST:g}.")
-    return number
-
-
-def _positive(value: Any, name: str) -> float:
-    """Return `value` as a float, or raise when it is not finite and positive."""
-    number = _number(value, name)
-    if number <= 0.0:
-        raise DataError(f"{name}: is {number:g}, expected a positive number.")
     return number

@@ -13,10 +13,9 @@ from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.motion import motion_frequency
-from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.gaps import continuous, make_grid
 from sdpid.experiment.recording.joints import require_fixed_base
 from sdpid.experiment.recording.recording import Recording, channels
-from sdpid.experiment.recording.uniform_grid import make_grid
 from sdpid.experiment.simulation.controllers import PD, PID, Controller, P
 
 KINDS: dict[str, type[P] | type[PD] | type[PID]] = {"p": P, "pd": PD, "pid": PID}

@@ -27,8 +27,8 @@ from sdpid.experiment.processing.filters import Weights, low_pass, stencil
 from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.gaps import make_grid
 from sdpid.experiment.recording.recording import Recording, rows_of
-from sdpid.experiment.recording.uniform_grid import make_grid
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 

@@ -61,7 +61,7 @@ class Sensors:
     >>> late = Sensors(imu=False, delays={"effort": 0.002})
     >>> quadruped = sdpid.load_robot("solo12", root="free_flyer")
     >>> sdpid.simulate_legged(quadruped, "hang", duration=0.1, sensors=late).recording.base
-    BaseMotion(100 samples, orientation, position)
+    BaseMotion(100 samples, position, orientation)
     """
 
     joint_noise: float = 5e-5
