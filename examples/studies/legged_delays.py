@@ -26,7 +26,7 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.inspection.delays.find import channel_delays, is_told
-from sdpid.experiment.inspection.view import LogView
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.prepare import with_delays
@@ -135,7 +135,7 @@ def late_rows(name: str, seconds: float, cases: int) -> Iterator[tuple[object, .
             recorded(walker, walker.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
             for i, motion in enumerate(THREE)
         ]
-        taken = with_delays([LogView(given=log, asked=walker.robot) for log in logs], Processing())
+        taken = with_delays([Subject.of(log, walker.robot) for log in logs], Processing())
         on_time = [
             1e3 * getattr(taken, f"{each}_delay_s") for each in ("effort", "imu", "contacts")
         ]

@@ -27,7 +27,6 @@ from sdpid._common.tables import Table
 from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks
 from sdpid.experiment.inspection.kinds import Finding, explained
 from sdpid.experiment.inspection.subject import Check, Subject
-from sdpid.experiment.inspection.view import LogView
 
 MOTIONS = ("stand", "trot", "walk", "hang")
 ROBOTS = ("go1", "a1", "solo12")
@@ -110,7 +109,7 @@ MISTAKES = {
 
 def told(robot: sdpid.RobotModel, log: Log) -> list[Finding]:
     """Return what the checks find."""
-    subject = Subject(view=LogView(given=log, asked=robot))
+    subject = Subject.of(log, robot)
     found = [each for look in CHECKS for each in look(subject)]
     return [each for each in found if not explained(each, found)]
 

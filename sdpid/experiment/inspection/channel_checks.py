@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.plausible import moving
@@ -57,6 +56,7 @@ KINDS.update(
     effort_silent=left_out(
         "effort of {joint} is exactly 0 in {share:.3g %} of the rows in which it moves "
         "(limit {limit:g %}): it was not measured there",
+        about="log",
     ),
     effort_constant=warning(
         "effort of {joint} never changes: it is {value:.4g} in every row",
@@ -102,6 +102,8 @@ _RANGE, _VALUES, _APART = 0.1, 50, 0.02
 _ON_GRID, _CLOSE = 0.9, 0.05
 # Neighbors are at most so many usual steps apart, on average.
 _STEP = 2.0
+# Where a value is off by less, nothing is.
+_TINY = 1e-300
 # Fewer rows do not show what is usual.
 _FEW_ROWS = 100
 
@@ -110,7 +112,6 @@ _FEW_ROWS = 100
 class JointChannels:
     """One joint's channels over some rows of a recording, and its range over all of them."""
 
-    rows: Indices
     time: Array
     position: Array
     effort: Array
@@ -130,44 +131,45 @@ class JointChannels:
         return float(np.ptp(way - time * (way[-1] / time[-1] if speed is None else speed)))
 
 
-# How many times a rule's limit each row is, where runs of rows are alike, and numbers to tell.
-_Excess: TypeAlias = tuple[Array, dict[str, float]]
-_NONE: _Excess = (np.zeros(0), {})
+# Runs of rows, by how much they are off against a limit, and other numbers to tell.
+_Runs: TypeAlias = Iterator[tuple[slice, float, float, dict[str, float]]]
 
 
 def _frozen(
     joint: JointChannels, values: Array, limit: float, way: Callable[[slice], float]
-) -> _Excess:
-    """Return runs of equal values of a joint that moves, by how far it goes meanwhile."""
+) -> _Runs:
+    """Yield runs of equal values of a joint that moves, by how far it goes meanwhile."""
     if not joint.moves:
-        return _NONE
-    time, excess, limit = joint.time, np.zeros(len(values)), limit * joint.reach
+        return
+    time = joint.time
     edges = np.flatnonzero((np.diff(values) != 0.0) | ~joint.near(1)) + 1
     starts, stops = np.r_[0, edges], np.r_[edges, len(values)]
     lasting = time[np.minimum(stops, len(time) - 1)] - time[starts]
     stays = lasting >= max(_LEAST_S, _LONGER * float(np.median(lasting)))
     for i in np.flatnonzero(stays & (stops - starts >= _LEAST_ROWS)).tolist():
         rows = slice(int(starts[i]), int(stops[i]))
-        value = values[rows.start]
+        value = float(values[rows.start])
         extreme = values is not joint.position and value in (values.min(), values.max())
         # A channel that comes back to its largest or least value is clipped.
         if not (extreme and np.count_nonzero(values[starts] == value) > 1):
-            excess[rows] = way(rows) / limit
-    return excess, {"limit": limit}
+            moved = way(rows)
+            numbers = {"value": value, "way": float(np.ptp(joint.position[rows])), "moved": moved}
+            yield rows, moved, limit * joint.reach, numbers
 
 
-def _velocity_frozen(joint: JointChannels) -> _Excess:
+def _velocity_frozen(joint: JointChannels) -> _Runs:
     speeds = joint.velocity
-    if speeds is None:
-        return _NONE
-    return _frozen(joint, speeds, _OFF_LINE, lambda run: joint.off_line(run, speeds[run.start]))
+    if speeds is not None:
+        yield from _frozen(
+            joint, speeds, _OFF_LINE, lambda rows: joint.off_line(rows, speeds[rows.start])
+        )
 
 
-def _position_frozen(joint: JointChannels) -> _Excess:
+def _position_frozen(joint: JointChannels) -> _Runs:
     velocity, jumps = joint.velocity, np.zeros(len(joint.position))
     jumps[:-1] = np.abs(np.diff(joint.position)) * joint.near(1)
     if not jumps.any():
-        return _NONE
+        return
     usual = float(np.percentile(jumps[jumps > 0.0], _STEPS, method="lower"))
 
     def waited(rows: slice) -> float:
@@ -177,10 +179,10 @@ def _position_frozen(joint: JointChannels) -> _Excess:
         way = abs(float(np.trapezoid(velocity[rows], joint.time[rows])))
         return min(way, jump if jump > 0.0 else way / _UNSEEN)
 
-    return _frozen(joint, joint.position, _WAITED, waited)
+    yield from _frozen(joint, joint.position, _WAITED, waited)
 
 
-def _effort_spike(joint: JointChannels) -> _Excess:
+def _effort_spike(joint: JointChannels) -> _Runs:
     effort = np.pad(joint.effort, 2, "reflect")
     beside = np.stack([effort[:-4], effort[1:-3], effort[3:-1], effort[4:]])
     off = np.abs(joint.effort - np.median(beside, axis=0))
@@ -189,7 +191,7 @@ def _effort_spike(joint: JointChannels) -> _Excess:
     return _lone(off, off, _ALONE, _TALL * float(np.percentile(from_median, _PERCENTILE)))
 
 
-def _position_lone(joint: JointChannels) -> _Excess:
+def _position_lone(joint: JointChannels) -> _Runs:
     position = joint.position
     off, step = np.zeros((2, len(position)))
     off[1:-1] = np.abs(position[1:-1] - 0.5 * (position[:-2] + position[2:]))
@@ -203,31 +205,31 @@ def _position_lone(joint: JointChannels) -> _Excess:
     return _lone(alone, off, _OFF, _LEAST_OFF)
 
 
-def _lone(alone: Array, off: Array, times: float, least: float) -> _Excess:
-    """Return rows whose value is alone: so many times as far off as others are, and so far."""
+def _lone(alone: Array, off: Array, times: float, least: float) -> _Runs:
+    """Yield rows whose value is alone: so many times as far off as others are, and so far."""
     far = np.ones(len(off), dtype=np.bool_)
     worst = int(alone.argmax())
     far[max(0, worst - 5) : worst + 6] = False
     limit = max(times * float(np.percentile(off[far], _PERCENTILE)), least)
-    return (alone / limit, {"limit": limit}) if limit > 0.0 else _NONE
+    for row in np.flatnonzero(alone >= max(limit, _TINY)).tolist():
+        yield slice(row, row + 1), alone[row], limit, {"off": alone[row]}
 
 
-def _position_coarse(joint: JointChannels) -> _Excess:
+def _position_coarse(joint: JointChannels) -> _Runs:
     values = np.unique(joint.position.round(9))
     count, rows = len(values), len(joint.position)
     if not 1 < count < rows / 2 or not values[-1] - values[0] > _RANGE:
-        return _NONE
+        return
     gaps = np.diff(values)
     apart = float(np.median(gaps))
     # A motion that repeats itself has few values too, but not on a grid.
-    if not np.mean(np.abs(gaps / apart - np.rint(gaps / apart)) < _CLOSE) > _ON_GRID:
-        return _NONE
-    numbers = {"values": count, "limit": _VALUES, "step": apart, "step_limit": _APART}
-    return np.full(rows, max(_VALUES / count, apart / _APART)), numbers
+    if np.mean(np.abs(gaps / apart - np.rint(gaps / apart)) < _CLOSE) > _ON_GRID:
+        numbers = {"values": count, "limit": _VALUES, "step": apart, "step_limit": _APART}
+        yield slice(0, rows), max(_VALUES / count, apart / _APART), 1.0, numbers
 
 
 # In this order: what is far off hides the rest, and what is rounded stays and jumps.
-_RULES: dict[str, Callable[[JointChannels], _Excess]] = {
+_RULES: dict[str, Callable[[JointChannels], _Runs]] = {
     "position_lone": _position_lone,
     "position_coarse": _position_coarse,
     "position_frozen": _position_frozen,
@@ -240,82 +242,55 @@ _RULES: dict[str, Callable[[JointChannels], _Excess]] = {
 def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
     """Return what is wrong with single channels, and the subject without the rows that are."""
     findings: list[Finding] = []
-    wrong: list[slice] = []
-    rounded: set[str | None] = set()
+    wrong: list[Array] = []
+    skipped = {"position": frozenset[str](), "velocity": frozenset(), "effort": subject.without}
     for kind, rule in _RULES.items():
         quantity = kind.split("_")[0]
-        skipped = {"position": rounded, "effort": subject.without}.get(quantity, set())
         for j, name in enumerate(subject.log.names):
-            if name in skipped:
-                continue
-            runs = [run for joint in _parts(subject, j) for run in _runs(joint, kind, *rule(joint))]
+            runs = []
+            for joint in [] if name in skipped[quantity] else _parts(subject, j):
+                for rows, size, limit, numbers in rule(joint):
+                    if size >= limit:
+                        runs.append((size / limit, joint.time[rows], {"limit": limit, **numbers}))
             if not runs:
                 continue
-            _, numbers = max(runs, key=lambda run: run[0])
+            _, time, numbers = max(runs, key=lambda run: run[0])
+            numbers |= {"row": subject.row(time[0]), "last": subject.row(time[-1])}
+            if kind.endswith("_frozen"):
+                begin, end = time[[0, -1]] - subject.given.time[0]
+                numbers |= {"begin": begin, "end": end}
             severity = subject.about_velocity if quantity == "velocity" else None
             told = found(kind, name, severity, **numbers)
             if len(runs) > 1:
                 told = replace(told, message=f"{told.message}; {len(runs)} such in all")
             findings.append(told)
             if kind == "position_coarse":
-                rounded.add(name)
+                skipped["position"] |= {name}
             else:
-                wrong += [slice(numbers["row"] - 1, numbers["last"]) for _, numbers in runs]
-        if wrong and kind == "position_lone":
-            subject = replace(subject, left_out=tuple(wrong))
-    return findings, replace(subject, left_out=tuple(wrong)) if wrong else subject
-
-
-def _runs(
-    joint: JointChannels, kind: str, excess: Array, own: dict[str, float]
-) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Yield by how many times each run of rows passes a rule's limit, and numbers of it."""
-    edges = np.flatnonzero(np.diff(excess, prepend=0.0, append=0.0))
-    for start, stop in pairwise(edges.tolist()):
-        times, rows = float(excess[start]), slice(start, stop)
-        if times < 1.0:
-            continue
-        numbers = {"row": int(joint.rows[start]) + 1, "last": int(joint.rows[stop - 1]) + 1, **own}
-        if kind.endswith("_frozen"):
-            numbers |= {
-                "value": float(getattr(joint, kind.split("_")[0])[start]),
-                "begin": float(joint.time[start]),
-                "end": float(joint.time[stop - 1]),
-                "way": float(np.ptp(joint.position[rows])),
-                "moved": times * own["limit"],
-            }
-        elif kind != "position_coarse":
-            numbers["off"] = times * own["limit"]
-        yield times, numbers
+                wrong += [time for _, time, _ in runs]
+        if wrong and kind in ("position_lone", "effort_spike"):
+            subject, wrong = subject.less(np.concatenate(wrong)), []
+    return findings, subject
 
 
 def _parts(subject: Subject, j: int) -> Iterator[JointChannels]:
     """Yield a joint's channels: at once, or in parts of as many rows as are worked on at a time."""
     low, high = subject.position_range
-    blocks = [
-        (first, piece, begin, min(begin + ROWS, piece.n_samples))
-        for first, piece in subject.pieces
+    names = [x for x in ("position", "effort", "velocity") if getattr(subject.log, x) is not None]
+    parts = [
+        (piece, slice(begin, begin + ROWS))
+        for piece in subject.pieces
         for begin in range(0, piece.n_samples, ROWS)
     ]
-    for group in [blocks] if subject.log.n_samples <= ROWS else [[block] for block in blocks]:
-        rows = [np.arange(first + begin, first + stop) for first, _, begin, stop in group]
-        if sum(map(len, rows)) < _FEW_ROWS:
-            continue
-        channels = {
-            name: np.concatenate(
-                [getattr(piece, name)[begin:stop, j] for _, piece, begin, stop in group]
-            )
-            for name in ("position", "effort", "velocity")
-            if getattr(subject.log, name) is not None
-        }
-        time = np.concatenate([piece.time[begin:stop] for _, piece, begin, stop in group])
-        yield JointChannels(
-            rows=np.concatenate(rows),
-            time=time - subject.log.time[0],
-            **channels,
-            reach=float(high[j] - low[j]),
-            moves=bool(moving(low, high)[j]),
-        )
+    for group in [parts] if subject.log.n_samples <= ROWS else [[part] for part in parts]:
+        time = np.concatenate([piece.time[rows] for piece, rows in group])
+        if len(time) >= _FEW_ROWS:
+            channels = {
+                name: np.concatenate([getattr(piece, name)[rows, j] for piece, rows in group])
+                for name in names
+            }
+            reach, moves = float(high[j] - low[j]), bool(moving(low, high)[j])
+            yield JointChannels(time=time, **channels, reach=reach, moves=moves)
 
 
 # A joint whose effort is exactly zero in more than this share of the rows in which it moves has no

@@ -175,7 +175,7 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
     if subject.corrected is not None and subject.corrected.steps:
         return  # With a wrong sign or order nothing can be said of delays.
     if robot is not None and robot.free_flyer:
-        delays, against = subject.view.delays(subject.without), "the joints' positions"
+        delays, against = subject.delays(subject.without), "the joints' positions"
     else:
         delays, against = gyroscope_delay(log), "the orientation of the base"
     for channel, delay in delays.items():

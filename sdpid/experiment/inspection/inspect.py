@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from math import isfinite
-from typing import Any
+from typing import Any, ClassVar
 
 from sdpid._common.arrays import is_number
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import (
     base_checks,
@@ -25,7 +25,6 @@ from sdpid.experiment.inspection import (
 )
 from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, note, refuse
 from sdpid.experiment.inspection.subject import CHECKS, OF_EFFORTS, Subject
-from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.joints import joint_columns, lacking, robot_of
 from sdpid.experiment.recording.recording import Recording
@@ -37,16 +36,14 @@ _ = (
     *(base_checks, imu_checks, feet_checks, force_checks),
 )
 KINDS.update(
-    joints_unknown=refuse("{why}", final=True),
-    joints=note("{how}"),
+    joints_unknown=refuse("{why}", final=True, about="log"),
+    joints=note("{how}", about="log"),
     processing=refuse("{why}", final=True),
 )
-# Positions in degrees raise most of the other alarms as well.
-_BESIDE_DEGREES = ("position_in_degrees", "joints", "joints_unknown", "effort_silent")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspection:
+class Inspection(Shown):
     """The findings of all checks on a recording.
 
     Attributes
@@ -65,6 +62,7 @@ class Inspection:
     """
 
     findings: tuple[Finding, ...]
+    _facts: ClassVar[tuple[str, ...]] = ("ok",)
 
     @property
     def ok(self) -> bool:
@@ -81,10 +79,11 @@ class Inspection:
         said = ", ".join(f"{count} {severity}" for severity, count in counts.items())
         return f"Inspection(ok={self.ok}, findings: {said or 'none'})"
 
-    def _repr_html_(self) -> str:
+    def _tables(self) -> tuple[Table, ...]:
         columns = ("severity", "kind", "joint", "message", "remedy")
-        rows = (tuple(getattr(f, name) for name in columns) for f in self.findings)
-        return facts_html("Inspection", {"ok": self.ok}, Table(columns, tuple(rows)))
+        return (
+            Table(columns, tuple(tuple(vars(f)[name] for name in columns) for f in self.findings)),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -152,7 +151,7 @@ def inspect_recording(
 
 
 def inspect_recordings(
-    logs: Sequence[Recording | LogView],
+    logs: Sequence[Recording | Subject],
     robot: RobotModel | None = None,
     *,
     name: str = "",
@@ -163,10 +162,10 @@ def inspect_recordings(
 
     Parameters
     ----------
-    logs : sequence of Recording or LogView
+    logs : sequence of Recording or Subject
         What is to be used together.
     robot : RobotModel, optional
-        Whose joints these are; a LogView knows its robot.
+        Whose joints these are; a Subject knows its robot.
     name : str, optional
         Messages begin with it and, of several recordings, a number.
     without_effort : iterable of str, optional
@@ -174,14 +173,15 @@ def inspect_recordings(
     total_mass : float, optional
         What a robot with a floating base weighs, kg.
     """
-    views = [log if isinstance(log, LogView) else LogView(given=log, asked=robot) for log in logs]
-    looked_at = [_looked_at(view, frozenset(without_effort), total_mass) for view in views]
-    if len(views) == 1 and not name:
+    unused = frozenset(without_effort)
+    subjects = [
+        replace(Subject.of(log, robot), without=unused, total_mass=total_mass) for log in logs
+    ]
+    looked_at = [_looked_at(subject) for subject in subjects]
+    if len(looked_at) == 1 and not name:
         return looked_at[0][1]
-    between: dict[int, Finding] = {}
-    if len(views) > 1:
-        between = dict(dynamics_checks.other_loads([subject for subject, _ in looked_at]))
-    resting = [{f.joint for f in found if f.kind == "joint_at_rest"} for _, found in looked_at]
+    between = dict(dynamics_checks.other_loads([subject for subject, _ in looked_at]))
+    resting = [{f.joint for f in told if f.kind == "joint_at_rest"} for _, told in looked_at]
     always = set.intersection(*resting)
     name = name or "recording"
     each = []
@@ -195,15 +195,10 @@ def inspect_recordings(
     return tuple(each)
 
 
-def _looked_at(
-    view: LogView,
-    without: frozenset[str] = frozenset(),
-    total_mass: float | None = None,
-) -> tuple[Subject, tuple[Finding, ...]]:
+def _looked_at(subject: Subject) -> tuple[Subject, tuple[Finding, ...]]:
     """Return one recording as checks see it, and its findings, what is to be refused first."""
-    findings = [*_about_names(view)]
-    subject = Subject(view=view, without=without, total_mass=total_mass)
-    findings += channel_checks.silent(subject)
+    asked = subject.without
+    findings = [*_about_names(subject), *subject.continued[1], *channel_checks.silent(subject)]
     subject = _less(subject, findings)
     # Rows in which a channel is wrong are left out: other channels and joints would be blamed.
     wrong, subject = channel_checks.wrong_channels(subject)
@@ -214,9 +209,18 @@ def _looked_at(
         for each in OF_EFFORTS:
             more = [*each(subject)]
             findings, subject = findings + more, _less(subject, more)
+    told, kinds = [], [finding.kind for finding in findings]
+    for place, finding in enumerate(findings):
+        kind = finding.kind
+        # What stands still and efforts both tell it.
+        again = kind == "feet_exchanged" and kind in kinds[:place]
+        # The finding by which an effort is left out is kept; others about that effort are not.
+        unused = asked if KINDS[kind].excuses else subject.without
+        of_unused = kind.startswith("effort") and finding.joint in unused
+        if not (again or of_unused or explained(finding, findings)):
+            told.append(finding)
     ranks = ("refuse", "warning", "note")
-    told = sorted(_told(findings, subject, without), key=lambda each: ranks.index(each.severity))
-    return subject, tuple(told)
+    return subject, tuple(sorted(told, key=lambda each: ranks.index(each.severity)))
 
 
 def _less(subject: Subject, findings: list[Finding]) -> Subject:
@@ -225,30 +229,15 @@ def _less(subject: Subject, findings: list[Finding]) -> Subject:
     return replace(subject, without=subject.without | joints) if joints else subject
 
 
-def _told(findings: list[Finding], subject: Subject, without: frozenset[str]) -> Iterator[Finding]:
-    """Yield findings that no other one explains, of efforts only where they are used."""
-    kinds = [finding.kind for finding in findings]
-    for place, finding in enumerate(findings):
-        kind = finding.kind
-        beside = "position_in_degrees" in kinds and kind not in _BESIDE_DEGREES
-        # What stands still and efforts both tell it.
-        again = kind == "feet_exchanged" and kind in kinds[:place]
-        # The finding by which an effort is left out is kept; others about that effort are not.
-        unused = without if KINDS[kind].excuses else subject.without
-        of_unused = kind.startswith("effort") and finding.joint in unused
-        if not (beside or again or of_unused or explained(finding, findings)):
-            yield finding
-
-
-def _about_names(view: LogView) -> Iterator[Finding]:
+def _about_names(subject: Subject) -> Iterator[Finding]:
     """Yield what to say of the names of joints."""
-    if view.mismatch is not None:
-        yield found("joints_unknown", why=str(view.mismatch))
+    if subject.mismatch is not None:
+        yield found("joints_unknown", why=str(subject.mismatch))
         return
-    robot, names = view.robot, view.given.joint_names
+    robot, names = subject.robot, subject.given.joint_names
     if robot is None or names is None:
         return
-    missing = lacking(robot, view.given)
+    missing = lacking(robot, subject.given)
     own = tuple(name for name in robot.joint_names[robot.n_base :] if name not in missing)
     if not set(own) <= set(names):
         columns = [names[column] for column in joint_columns(robot, names, own)]

@@ -20,6 +20,9 @@ from sdpid._common.arrays import Array
 
 Severity = Literal["refuse", "warning", "note"]
 
+# What findings are about, the last of them about nothing in particular.
+SUBJECTS = ("speed", "base", "imu", "feet", "late", "forces", "flags", "")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
@@ -90,8 +93,7 @@ class Kind:
         Message, and what to do next, with fields in braces. Beside Python's formats numbers have
         those of `_UNITS`.
     about : str
-        What it is about, together with other kinds: ``"speed"``, ``"base"``, ``"feet"``,
-        ``"late"``, ``"forces"`` or ``"flags"``.
+        What it is about, together with other kinds: one of `SUBJECTS`, or ``"log"``.
     hides : tuple of str
         Kinds, or subjects (`about`), whose findings it explains, and which are left out beside it:
         those of its joint, or all of them where it has none. A note explains only findings of its

@@ -8,17 +8,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.errors import DataError
-from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
+from sdpid.experiment.inspection.kinds import (
+    KINDS,
+    SUBJECTS,
+    Finding,
+    found,
+    note,
+    refuse,
+    warning,
+)
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.gaps import MAX_GAP_STEPS
-from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units, velocity_fit
+from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import ROWS
 
 KINDS.update(
-    time_stamps=refuse("{why}", final=True),
-    continued=note("{note}"),
     units=note("{note}"),
     recording=note("{note}"),
     time_unit=refuse("{seen}", "{remedy}", hides=("speed",), spoils=True),
@@ -46,7 +50,10 @@ KINDS.update(
     position_in_degrees=refuse(
         "positions look like degrees, not radians{seen}{mended}",
         "convert them, or read the file with units={{'position': 'deg'}}",
+        # They raise most of the other alarms as well.
+        hides=SUBJECTS,
         spoils=True,
+        about="log",
     ),
     joint_at_rest=warning(
         "{joint} {moved} (limit {limit:g} rad)",
@@ -127,24 +134,11 @@ _FACTOR_SLACK = 0.1
 # Where this share of the joints agrees this well on a scale that is off by this factor, it is the
 # time stamps that are wrong: of sound recordings it is off by 2 % at most.
 _CLOCK, _CLOSE, _MOST = 1.1, 0.05, 0.6
-# References are compared as means over 1000 intervals.
-_INTERVALS, _LEAST_INTERVALS = 1000, 20
 # What is left between them once the effort that gravity and friction need is accounted for
 # (rad, or m).
 _OFFSET = 0.1
 # Positions do not come before their references (s); clocks and filters account for a few samples.
 _EARLIEST = -0.02
-
-
-@check
-def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
-    """Find gaps and stamps that came late, and angles that wrap."""
-    continued = subject.view.continued
-    if isinstance(continued, DataError):
-        yield found("time_stamps", why=str(continued))
-        return
-    for text in continued[1]:
-        yield found("continued", note=text)
 
 
 @check
@@ -240,19 +234,32 @@ def degrees(subject: Subject) -> Iterator[Finding]:
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
     low, high = subject.position_range
-    jumps: dict[int, tuple[float, float, int]] = {}
-    for first, piece in subject.pieces:
-        for j, jump in _fast_steps(first, piece):
-            jumps[j] = max(jumps.get(j, jump), jump)
     for j, (name, reach) in enumerate(zip(subject.log.names, (high - low).tolist(), strict=True)):
         # A joint without a motor moves as far as its loop moves it: nobody can excite it.
         if reach < AT_REST and name not in subject.passive:
             moved = "never moves" if reach == 0.0 else f"moves by {reach:.3g} rad only"
             yield found("joint_at_rest", name, moved=moved, range=reach, limit=AT_REST)
-        elif j in jumps:
-            speed, step, row = jumps[j]
-            numbers = {"jump": step, "size": abs(step), "row": row, "speed": speed}
+            continue
+        steps = [_fastest_step(piece, j) for piece in subject.pieces]
+        speed, jump, time = max(steps, default=(0.0, 0.0, 0.0))
+        if speed > _FASTEST:
+            numbers = {"jump": jump, "size": abs(jump), "row": subject.row(time), "speed": speed}
             yield found("position_jumps", name, limit=_FASTEST, **numbers)
+
+
+def _fastest_step(piece: Recording, j: int) -> tuple[float, float, float]:
+    """Return speed and size of a joint's fastest step, and when it ends; 0 if none is too fast."""
+    time = np.asarray(piece.time)
+    steps, durations = np.diff(piece.position[:, j]), np.diff(time)
+    if not np.any(np.abs(steps) > _FASTEST * durations):
+        return 0.0, 0.0, 0.0
+    rows = np.flatnonzero(steps)
+    waited = np.diff(time[rows + 1], prepend=time[0])
+    sizes = np.abs(steps[rows])
+    late = (waited < _STALE) | (sizes <= _ROUNDED * np.median(sizes))
+    speeds = sizes / np.where(late, waited, durations[rows])
+    k = int(speeds.argmax())
+    return float(speeds[k]), float(steps[rows[k]]), float(time[rows[k] + 1])
 
 
 @check
@@ -280,35 +287,35 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
         yield found("long_rest", share=resting, speed=_RESTING, limit=_LONGEST_REST)
 
 
-def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, tuple[float, float, int]]]:
-    """Yield joint, and speed, size and row, from 1, of its fastest step in blocks, if too fast."""
-    for begin in range(0, piece.n_samples - 1, ROWS):
-        stop = begin + ROWS + 1
-        steps = np.diff(np.asarray(piece.position[begin:stop]), axis=0)
-        durations = np.diff(piece.time[begin:stop])
-        if max(steps.max(), -steps.min()) <= _FASTEST * durations.min():
-            continue
-        fast = (np.abs(steps) / durations[:, None]).max(axis=0) > _FASTEST
-        for j in np.flatnonzero(fast).tolist():
-            rows = np.flatnonzero(steps[:, j])
-            waited = np.diff(piece.time[begin + 1 + rows], prepend=piece.time[begin])
-            sizes = np.abs(steps[rows, j])
-            late = (waited < _STALE) | (sizes <= _ROUNDED * np.median(sizes))
-            speeds = sizes / np.where(late, waited, durations[rows])
-            k = int(speeds.argmax())
-            if speeds[k] > _FASTEST:
-                row = first + begin + int(rows[k]) + 2
-                yield j, (float(speeds[k]), float(steps[rows[k], j]), row)
+def _follows(signal: Array, value: Array, rate: Array, *others: Array) -> dict[str, float]:
+    """Fit a signal as scale × a value some time later, plus an offset; others are accounted for."""
+    mean = float(value.mean())
+    columns = np.column_stack([value - mean, rate, *others, np.ones_like(rate)])
+    weights = np.linalg.lstsq(columns, signal)[0]
+    scale, slope, level = weights[[0, 1, -1]].tolist()
+    a, b = (each - each.mean() for each in (columns @ weights, signal))
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return {
+        "scale": scale,
+        "offset": level - mean,
+        "lag": slope / scale if scale != 0.0 else 0.0,
+        "correlation": float(a @ b) / size if size > 0.0 else 0.0,
+    }
 
 
 @check
 def velocities(subject: Subject) -> Iterator[Finding]:
     """Find velocities that are not the rate of the positions, and stamps that run wrong."""
-    if subject.log.velocity is None or not subject.pieces:
+    rows = subject.low_passed
+    if rows is None or rows.recorded_velocity is None:
         return
-    each = ((name, velocity_fit(subject.longest, j)) for j, name in enumerate(subject.log.names))
-    fits = {name: fit for name, fit in each if fit and fit.correlation >= _CORRELATED}
-    scales = np.array([fit.scale for fit in fits.values()])
+    fits = {}
+    for j, name in enumerate(subject.log.names):
+        rate = rows.velocity[:, j]
+        fit = _follows(rows.recorded_velocity[:, j], rate, rows.acceleration[:, j])
+        if np.sqrt(np.mean(rate**2)) >= _LEAST_SPEED and fit["correlation"] >= _CORRELATED:
+            fits[name] = fit
+    scales = np.array([fit["scale"] for fit in fits.values()])
     common = float(np.median(scales)) if len(scales) > 1 else 1.0
     share = float(np.mean(np.abs(scales / common - 1.0) < _CLOSE)) if len(scales) else 0.0
     wrong = common > 0.0 and not 1.0 / _CLOCK < common < _CLOCK
@@ -316,13 +323,14 @@ def velocities(subject: Subject) -> Iterator[Finding]:
         yield found("time_scale", scale=common, share=share, least=1.0 / _CLOCK, limit=_CLOCK)
         return
     for name, fit in fits.items():
-        if 1.0 / _SCALE < fit.scale < _SCALE:
+        scale, what = fit["scale"], "has the sign opposite to the rate of its position"
+        if 1.0 / _SCALE < scale < _SCALE:
             continue
-        what = "has the sign opposite to the rate of its position"
-        if fit.scale > 0.0:
-            words = scale_in_words(fit.scale)
-            what = f"is {fit.scale:.3g} times the rate of its position{words}, {_LIMITS}"
-        numbers = {"scale": fit.scale, "correlation": fit.correlation}
+        if scale > 0.0:
+            what = (
+                f"is {scale:.3g} times the rate of its position{scale_in_words(scale)}, {_LIMITS}"
+            )
+        numbers = {"scale": scale, "correlation": fit["correlation"]}
         yield found("velocity_scale", name, subject.about_velocity, what=what, **numbers)
 
 
@@ -334,31 +342,28 @@ def scale_in_words(scale: float) -> str:
 
 @check
 def references(subject: Subject) -> Iterator[Finding]:
-    """Find references that the positions do not follow."""
-    log = subject.longest if subject.pieces else subject.log
-    if log.reference is None or not subject.pieces:
+    """Find references that the positions do not follow.
+
+    What a proportional controller lags behind for its effort is accounted for: a slow loop is no
+    wrong reference.
+    """
+    rows = subject.low_passed
+    if rows is None or rows.recorded_reference is None:
         return
-    part = _middle(log)
-    tables = [np.asarray(x[part]) for x in (log.position, log.effort, log.reference)]
-    stride = max(1, len(tables[0]) // _INTERVALS)
-    count = len(tables[0]) // stride
-    if count < _LEAST_INTERVALS:
-        return
-    position, effort, reference = (
-        table[: count * stride].reshape(count, stride, -1).mean(axis=1).T for table in tables
-    )
-    step, wrong, numbers = stride * log.step, {}, {}
+    motion = list(zip(rows.position.T, rows.velocity.T, rows.effort.T, strict=True))
+    wrong, numbers = {}, {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
-        fit = _fit(position[j], effort[j], reference[j], step)
+        name, reference = subject.log.names[j], rows.recorded_reference[:, j]
+        fit = _follows(reference, *motion[j])
         what = _unlike(fit)
         if fit["correlation"] < _CORRELATED:
-            pairs = zip(position, effort, strict=True)
-            others = [_fit(*pair, reference[j], step)["correlation"] for pair in pairs]
+            others = [_follows(reference, *other)["correlation"] for other in motion]
             best = int(np.argmax(others))
             if others[best] > _CORRELATED:
-                what = f"is followed by {log.names[best]} (correlation {others[best]:.3g})"
+                followed = subject.log.names[best]
+                what = f"is followed by {followed} (correlation {others[best]:.3g})"
         if what:
-            wrong[log.names[j]], numbers[log.names[j]] = what, fit
+            wrong[name], numbers[name] = what, fit
     if not wrong:
         return
     # Joints mostly share the defect: columns that are swapped, a unit, another signal.
@@ -383,25 +388,3 @@ def _unlike(fit: dict[str, float]) -> str:
     if lag < _EARLIEST:
         return f"comes {-lag:.3g} s after the motion, limit {-_EARLIEST:g}: it is no command"
     return ""
-
-
-def _fit(position: Array, effort: Array, reference: Array, step: float) -> dict[str, float]:
-    """Fit a reference as scale × the position some time later, plus an offset.
-
-    What a proportional controller lags behind for its effort is accounted for: a slow loop is no
-    wrong reference.
-    """
-    rate = (position[2:] - position[:-2]) / (2.0 * step)
-    position, reference = position[1:-1], reference[1:-1]
-    mean = float(position.mean())
-    columns = np.column_stack([position - mean, rate, effort[1:-1], np.ones_like(rate)])
-    weights = np.linalg.lstsq(columns, reference)[0]
-    scale, slope, _, level = weights.tolist()
-    a, b = (each - each.mean() for each in (columns @ weights, reference))
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return {
-        "scale": scale,
-        "offset": level - mean,
-        "lag": slope / scale if scale != 0.0 else 0.0,
-        "correlation": float(a @ b) / size if size > 0.0 else 0.0,
-    }

@@ -9,7 +9,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.experiment.processing.filters import correlated
 from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.gaps import Grid, make_grid
 from sdpid.experiment.recording.plausible import moving
@@ -42,8 +41,8 @@ class FilteredRows:
         Smooth sign of the velocity, filtered like the effort.
     effort, effort_rate : ndarray, shape (K, n)
         The effort and its derivative.
-    recorded_velocity : ndarray, shape (K, n), or None
-        The recorded velocity, where there is one.
+    recorded_velocity, recorded_reference : ndarray, shape (K, n), or None
+        Those that were recorded, where there are any.
     usable : ndarray of bool, shape (n,)
         Which joints move on their own and have an effort.
     step : float
@@ -59,6 +58,7 @@ class FilteredRows:
     usable: Mask
     step: float
     recorded_velocity: Array | None = None
+    recorded_reference: Array | None = None
 
 
 def friction(rows: FilteredRows, j: int) -> tuple[Array, Array, Array]:
@@ -87,36 +87,41 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Fi
         cutoff = max(_PASS * motion_frequency(longest), _LEAST_PASS)
     except DataError:
         return None
-    low = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
-    high = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
-    moves = moving(low, high)
     filtered = [_filtered(piece, grid, cutoff) for piece, grid in zip(pieces, grids, strict=True)]
     parts = [part for part in filtered if part]
     if not parts:
         return None
     stride = -(-sum(len(part["effort"]) for part in parts) // _ROWS)
     signals = {name: np.concatenate([part[name][::stride] for part in parts]) for name in parts[0]}
+    low = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
+    high = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
     known = np.array([name not in without for name in longest.names])
-    usable = moves & known & (np.ptp(signals["effort"], axis=0) > 0.0)
+    usable = moving(low, high) & known & (np.ptp(signals["effort"], axis=0) > 0.0)
     return FilteredRows(**signals, usable=usable, step=longest.step)
 
 
 def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
     """Return signals of `FilteredRows` of a piece, (samples, n) each; none if it is too short."""
+    from scipy.ndimage import gaussian_filter1d
+
+    # Means of so many samples each, of the middle of a long piece.
     count = max(1, int(1.0 / (grid.step * _SAMPLES * cutoff)))
-    step = count * grid.step
+    length = min(grid.count, _READ) // count * count
+    begin, step = (grid.count - length) // 2, count * grid.step
     width = max(_GAUSSIAN / (cutoff * step), 1.0)
     edge = int(_REACH * width) + 1
-    if min(grid.count, _READ) // count < 3 * edge:
+    if length // count < 3 * edge:
         return {}
 
-    def channels(table: Array) -> Array:
-        return np.column_stack([_averaged(table[:, j], grid, count) for j in range(log.n)])
+    def averaged(table: Array) -> Array:
+        columns = [grid.read(table[:, j], begin, begin + length) for j in range(log.n)]
+        return np.asarray(np.stack(columns, axis=1).reshape(-1, count, log.n).mean(axis=1))
 
     def smooth(values: Array, order: int, share: float = 1.0) -> Array:
-        return correlated(values, _gaussian(max(share * width, 1.0), order)) / step**order
+        passed = gaussian_filter1d(values, max(share * width, 1.0), 0, order, truncate=_REACH)
+        return np.asarray(passed / step**order)
 
-    position, effort = channels(log.position), channels(log.effort)
+    position, effort = averaged(log.position), averaged(log.effort)
     # The sign changes fast: it is taken of a velocity that is filtered less, and then filtered.
     signals = {
         "position": smooth(position, 0),
@@ -126,23 +131,7 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
         "effort": smooth(effort, 0),
         "effort_rate": smooth(effort, 1),
     }
-    if log.velocity is not None:
-        signals["recorded_velocity"] = smooth(channels(log.velocity), 0)
+    for name in ("velocity", "reference"):
+        if (recorded := getattr(log, name)) is not None:
+            signals[f"recorded_{name}"] = smooth(averaged(recorded), 0)
     return {name: each[edge:-edge] for name, each in signals.items()}
-
-
-def _gaussian(width: float, order: int) -> Array:
-    """Return weights of a sample's neighbors for its mean, or a derivative, under a Gaussian."""
-    reach = int(_REACH * width + 0.5)
-    place = np.arange(-reach, reach + 1) / width
-    window = np.exp(-0.5 * place**2)
-    shape = (np.ones_like(place), place / width, (place**2 - 1.0) / width**2)[order]
-    return np.asarray(shape * window / window.sum())
-
-
-def _averaged(column: Array, grid: Grid, count: int) -> Array:
-    """Return means of `count` successive grid points each, of the middle of one channel."""
-    length = min(grid.count, _READ) // count * count
-    begin = (grid.count - length) // 2
-    values = grid.read(column, begin, begin + length)
-    return np.asarray(values.reshape(-1, count).mean(axis=1))

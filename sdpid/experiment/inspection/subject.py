@@ -1,60 +1,100 @@
-"""`Subject`: a recording and a robot as checks see them, and the list of checks."""
+"""`Subject`: a recording and its robot, as checks and preparation see them; the list of checks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
-from sdpid.experiment.inspection.delays.kinematic import Standing
+from sdpid.experiment.inspection.delays.find import channel_delays
+from sdpid.experiment.inspection.delays.kinematic import Delay, Standing
 from sdpid.experiment.inspection.explain import ExplainedLog, corrected, floating_log, searched
-from sdpid.experiment.inspection.kinds import Finding, Severity
+from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, note, refuse
 from sdpid.experiment.inspection.rows import FilteredRows, low_passed
-from sdpid.experiment.inspection.view import LogView
-from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
+from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES, default_processing
+from sdpid.experiment.processing.feet import carried
 from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating import BaseMotion
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
+KINDS.update(time_stamps=refuse("{why}", final=True), continued=note("{note}"))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """A recording and a robot, with what several checks need of them.
+    """A recording and a robot, with what several checks, delays and processing need of them.
 
     Attributes
     ----------
-    view : LogView
-        The recording, in the robot's order, and the robot.
+    given : Recording
+        As it was measured.
+    asked : RobotModel or None
+        Whose joints these are.
+    log : Recording
+        The recording with its joints named and ordered as the robot's, where they are known, and
+        without rows in which a channel is wrong.
+    mismatch : DataError or None
+        Why the joints are not those of the robot.
     without : frozenset of str
         Joints whose effort is not used.
     total_mass : float or None
         What the robot weighs, kg, where that is known.
-    left_out : tuple of slice
-        Rows in which a channel is wrong, by a finding.
     """
 
-    view: LogView
+    given: Recording
+    asked: RobotModel | None
+    log: Recording
+    mismatch: DataError | None = None
     without: frozenset[str] = frozenset()
     total_mass: float | None = None
-    left_out: tuple[slice, ...] = ()
+    # What was made of `log`, also for subjects of which other efforts are not used.
+    _made: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, log: Recording | Subject, robot: RobotModel | None = None) -> Subject:
+        """Return a recording with its robot; what is a subject already knows its robot."""
+        if isinstance(log, Subject):
+            return log
+        try:
+            matched = log if robot is None else match_joints(robot, log)
+        except DataError as refused:
+            return cls(given=log, asked=robot, log=log, mismatch=refused)
+        return cls(given=log, asked=robot, log=matched)
+
+    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     @property
-    def log(self) -> Recording:
-        """The recording, with its joints named and ordered as the robot's, where there is one."""
-        return self.view.log
+    def matched(self) -> Recording:
+        """The recording in the robot's order.
+
+        Raises
+        ------
+        DataError
+            When its joints are not those of the robot.
+        """
+        if self.mismatch is not None:
+            raise self.mismatch
+        return self.log
 
     @property
     def robot(self) -> RobotModel | None:
-        """The robot; None too where its joints could not be matched."""
-        return self.view.robot
+        """The robot; None where its joints could not be matched."""
+        return None if self.mismatch else self.asked
 
     @property
     def fixed(self) -> RobotModel | None:
@@ -67,55 +107,6 @@ class Subject:
         """The robot of a recording with a base."""
         return None if self.log.base is None else self.robot
 
-    @cached_property
-    def pieces(self) -> tuple[tuple[int, Recording], ...]:
-        """The parts between gaps and rows left out, angles continued, each with its first row.
-
-        Empty if refused.
-        """
-        if isinstance(self.view.continued, DataError):
-            return ()
-        pieces, _ = self.view.continued
-        found: tuple[tuple[int, Recording], ...] = ((0, self.log),)
-        if pieces != (self.log,):
-            time = np.asarray(self.log.time)
-            found = tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
-        for rows in self.left_out:
-            found = tuple(part for first, piece in found for part in _beside(first, piece, rows))
-        return found
-
-    @cached_property
-    def longest(self) -> Recording:
-        """The longest of the pieces, of which there must be one."""
-        return max((piece for _, piece in self.pieces), key=lambda piece: piece.n_samples)
-
-    @property
-    def based(self) -> tuple[Recording, BaseMotion] | None:
-        """The longest piece of a recording with a base, and its base; None where there is none."""
-        if self.log.base is None or not self.pieces:
-            return None
-        assert self.longest.base is not None
-        return self.longest, self.longest.base
-
-    @cached_property
-    def position_range(self) -> tuple[Array, Array]:
-        """Least and largest position of each joint, (n,) each, in rows that are not left out."""
-        position = self.log.position
-        if self.left_out:
-            position = np.delete(position, np.r_[self.left_out], axis=0)
-        return extremes(position)
-
-    @property
-    def about_velocity(self) -> Severity:
-        """Severity of what is wrong with a velocity: a note where by default it is not used."""
-        return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
-
-    @cached_property
-    def low_passed(self) -> FilteredRows | None:
-        """Motion and efforts at a few times, filtered alike; None where nothing moves."""
-        pieces = [piece for _, piece in self.pieces]
-        return low_passed(pieces, self.without) if pieces else None
-
     @property
     def closed(self) -> bool:
         """Whether the robot has loops, whose forces nobody measured."""
@@ -125,6 +116,64 @@ class Subject:
     def passive(self) -> tuple[str, ...]:
         """Joints without motors."""
         return () if self.robot is None else self.robot.passive
+
+    @property
+    def about_velocity(self) -> Severity:
+        """Severity of what is wrong with a velocity: a note where by default it is not used."""
+        return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
+
+    @property
+    def continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
+        """The parts between gaps, angles continued, none if refused, and what is said of them."""
+        made: tuple[tuple[Recording, ...], list[Finding]]
+        made = self._once("continued", self._continued)
+        return made
+
+    def _continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
+        try:
+            pieces, notes = continuous(self.log)
+        except DataError as refused:
+            return (), [found("time_stamps", why=str(refused))]
+        return pieces, [found("continued", note=text) for text in notes]
+
+    @property
+    def pieces(self) -> tuple[Recording, ...]:
+        """The parts between gaps, angles continued; none if refused."""
+        return self.continued[0]
+
+    @property
+    def longest(self) -> Recording:
+        """The longest of the pieces, of which there must be one."""
+        return max(self.pieces, key=lambda piece: piece.n_samples)
+
+    @property
+    def based(self) -> tuple[Recording, BaseMotion] | None:
+        """The longest piece of a recording with a base, and its base; None where there is none."""
+        if self.log.base is None or not self.pieces:
+            return None
+        assert self.longest.base is not None
+        return self.longest, self.longest.base
+
+    def less(self, times: Array) -> Subject:
+        """Return the subject without the rows at some times."""
+        log = replace(self.log, period=None, start=None, periods=None)
+        kept = np.ones(log.n_samples, dtype=np.bool_)
+        kept[np.searchsorted(np.asarray(log.time), times)] = False
+        return replace(self, log=rows_of(log, kept), _made={})
+
+    def row(self, time: float) -> int:
+        """Return the row of a sample as it was measured, from 1."""
+        return int(np.searchsorted(np.asarray(self.given.time), time)) + 1
+
+    @cached_property
+    def position_range(self) -> tuple[Array, Array]:
+        """Least and largest position of each joint, (n,) each."""
+        return extremes(self.log.position)
+
+    @cached_property
+    def low_passed(self) -> FilteredRows | None:
+        """Motion and efforts at a few times, filtered alike; None where nothing moves."""
+        return low_passed(self.pieces, self.without) if self.pieces else None
 
     @cached_property
     def standing(self) -> Standing | None:
@@ -138,14 +187,14 @@ class Subject:
     def samples(self) -> Samples | None:
         """Samples of the longest piece of a recording with a base, or None."""
         robot = self.floating
-        if robot is None or not self.pieces or self.longest.n != robot.n - robot.n_base:
+        if robot is None or not self.pieces or self.log.n != robot.n - robot.n_base:
             return None
         contacts = self.longest.contacts
         measured = contacts is not None and contacts.measured is not None
         changes = {"contact_force_std": 1.0} if measured else {}
         try:
-            if not (measured or self.closed or len(self.pieces) > 1 or self.left_out):
-                return self.view.samples()
+            if not (measured or self.closed or len(self.pieces) > 1):
+                return self.processed()
             return process(self.longest, changes, gravity=robot.gravity.tolist(), progress=False)
         except SdpidError:
             return None
@@ -162,17 +211,52 @@ class Subject:
             return None
         return corrected(self.fixed, self.low_passed)
 
+    def delays(self, unused: Collection[str] = ()) -> dict[str, Delay]:
+        """Return how late each channel is (see `channel_delays`)."""
+        robot = self.robot
+        if robot is None or not robot.free_flyer or robot.loops:
+            return {}
+        key = ("delays", frozenset(unused))
+        delays: dict[str, Delay] = self._once(key, lambda: channel_delays(robot, self.log, unused))
+        return delays
 
-def _beside(first: int, piece: Recording, rows: slice) -> Iterator[tuple[int, Recording]]:
-    """Yield what of a piece lies before and after some rows of the recording."""
-    start, stop = np.clip(np.array([rows.start, rows.stop]) - first, 0, piece.n_samples).tolist()
-    if start == stop:
-        yield first, piece
-        return
-    piece = replace(piece, period=None, start=None, periods=None)
-    for begin, end in ((0, start), (stop, piece.n_samples)):
-        if end - begin > 1:
-            yield first + begin, rows_of(piece, slice(begin, end))
+    def choice(self, changes: Processing | Mapping[str, Any] | None = None) -> Processing:
+        """Return the processing that is chosen for it (see `default_processing`)."""
+        source = changes.get("base_motion") if isinstance(changes, Mapping) else None
+        chosen: Processing = self._once(
+            ("choice", repr(source)), lambda: default_processing(self.given, changes)
+        )
+        return chosen
+
+    def processed(self, processing: Processing | None = None) -> Samples:
+        """Return its samples, joints matched with the robot's and loops closed.
+
+        Raises
+        ------
+        DataError
+            When a joint of the robot is not in it, positions look like degrees, it cannot be
+            processed, or only one of the two has a floating base.
+        """
+        chosen = processing or self.choice()
+        samples: Samples = self._once(chosen, lambda: self._processed(chosen))
+        return samples
+
+    def _processed(self, processing: Processing) -> Samples:
+        robot, named = self.asked, self.given
+        assert robot is not None
+        require_its_base(robot, named)
+        named = self.matched
+        if processing.contact_force_std is not None and named.contacts:
+            reach = round(processing.contact_margin_s / named.step)
+            named = replace(named, contacts=carried(named.contacts, reach))
+        limits = robot.position_limits[robot.n_base :]
+        samples = process(named, processing, position_limits=limits, gravity=robot.gravity.tolist())
+        if robot.n_base:
+            samples = replace(samples, joint_names=robot.joint_names)
+        if missing := lacking(robot, self.given):
+            closing = f"positions of {', '.join(missing)} are those that close the loops"
+            samples = replace(samples, notes=(*samples.notes, closing))
+        return with_loops(robot, samples)
 
 
 Check: TypeAlias = Callable[[Subject], Iterator[Finding]]

@@ -17,7 +17,7 @@ from sdpid.experiment.inspection.inspect import (
     require_accepted,
 )
 from sdpid.experiment.inspection.kinds import Finding
-from sdpid.experiment.inspection.view import LogView, view_of
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.processing.samples import Samples
@@ -169,30 +169,30 @@ def prepare(
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
-    views = [LogView(given=log, asked=robot) for log in read]
+    subjects = [Subject.of(log, robot) for log in read]
     findings: tuple[Finding, ...] = ()
     if accept is not None:
         kinds = kinds_accepted(accept)
         with progress(1, f"inspecting the {name}"):
             findings = inspect_recordings(
-                views,
+                subjects,
                 name="" if name == "log" else f"{name} recording",
                 without_effort=without,
                 total_mass=total_mass,
             )
         require_accepted(findings, kinds)
         without = tuple(dict.fromkeys((*without, *joints_left_out(findings, kinds))))
-    chosen, why = chosen_processing(views, processing)
+    chosen, why = chosen_processing(subjects, processing)
     if not isinstance(processing, Processing):
-        chosen = with_delays(views, chosen, processing, without)
+        chosen = with_delays(subjects, chosen, processing, without)
     pieces = []
-    for number, view in enumerate(views, 1):
+    for number, subject in enumerate(subjects, 1):
         try:
-            pieces.append(view.samples(chosen))
+            pieces.append(subject.processed(chosen))
         except DataError as error:
-            if len(views) == 1:
+            if len(subjects) == 1:
                 raise
-            raise DataError(f"recording {number} of {len(views)}: {error}") from None
+            raise DataError(f"recording {number} of {len(subjects)}: {error}") from None
     samples = Samples.join(pieces)
     if without:
         samples = without_efforts(samples, robot, without)
@@ -294,7 +294,7 @@ def require_joint_covariance(logs: Sequence[Recording]) -> None:
 
 
 def chosen_processing(
-    logs: Sequence[Recording | LogView], given: ProcessingOf = None
+    logs: Sequence[Recording | Subject], given: ProcessingOf = None
 ) -> tuple[Processing, str | None]:
     """Return one processing for recordings that are fitted together, and where it comes from.
 
@@ -319,9 +319,9 @@ def chosen_processing(
     """
     if isinstance(given, Processing):
         return given, None
-    views = [view_of(log) for log in logs]
-    floating = any(view.given.base is not None for view in views)
-    common, why = agreed([view.choice(given) for view in views], floating=floating)
+    subjects = [Subject.of(log) for log in logs]
+    floating = any(subject.given.base is not None for subject in subjects)
+    common, why = agreed([subject.choice(given) for subject in subjects], floating=floating)
     return with_changes(common, {} if given is None else given), why
 
 
@@ -339,7 +339,7 @@ def agreed(choices: Sequence[Processing], *, floating: bool) -> tuple[Processing
 
 
 def with_delays(
-    views: Sequence[LogView],
+    subjects: Sequence[Subject],
     processing: Processing,
     given: Mapping[str, Any] | None = None,
     unused: Collection[str] = (),
@@ -348,7 +348,7 @@ def with_delays(
 
     Parameters
     ----------
-    views : sequence of LogView
+    subjects : sequence of Subject
         What is to be processed alike; their sensors are the same, and so are the delays.
     processing : Processing
         Chosen for them.
@@ -362,7 +362,7 @@ def with_delays(
     Processing
         With a reason for each delay that was found.
     """
-    each = [view.delays(unused) for view in views if view.given.base is not None]
+    each = [subject.delays(unused) for subject in subjects if subject.given.base is not None]
     changes: dict[str, Any] = {}
     reasons = []
     for channel, delay in pooled_delays(each).items():
@@ -458,7 +458,7 @@ def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None = 
     if isinstance(piece, Samples):
         return piece
     log = piece if isinstance(piece, Recording) else read_recording(piece)
-    return LogView(given=log, asked=robot).samples(processing)
+    return Subject.of(log, robot).processed(processing)
 
 
 def all_samples(robot: RobotModel, given: object, processing: Processing | None) -> Samples:
@@ -484,10 +484,10 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
         piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
         for piece in as_pieces(given)
     ]
-    views = [LogView(given=piece, asked=robot) for piece in pieces if isinstance(piece, Recording)]
+    subjects = [Subject.of(piece, robot) for piece in pieces if isinstance(piece, Recording)]
     why = None
-    if processing is None and views:
-        processing, why = chosen_processing(views)
+    if processing is None and subjects:
+        processing, why = chosen_processing(subjects)
     samples = Samples.join([samples_of(robot, piece, processing) for piece in pieces])
     return samples if why is None else replace(samples, notes=(*samples.notes, why))
 

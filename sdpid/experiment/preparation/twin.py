@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.view import LogView
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.preparation.prepare import (
     ProcessingOf,
     chosen_processing,
@@ -94,14 +94,14 @@ class Twin:
         require_joint_covariance(read)
         for each in read:
             require_fixed_base(each, "simulated motion and instruments")
-        views = [LogView(given=each, asked=robot) for each in read]
-        chosen, _ = chosen_processing(views, processing)
-        logs = tuple(view.matched for view in views)
+        subjects = [Subject.of(each, robot) for each in read]
+        chosen, _ = chosen_processing(subjects, processing)
+        logs = tuple(subject.matched for subject in subjects)
         pipelines = tuple(
             tuple(_pipeline(piece, chosen) for piece in continuous(each)[0]) for each in logs
         )
         if measured is None:
-            measured = Samples.join([view.samples(chosen) for view in views])
+            measured = Samples.join([subject.processed(chosen) for subject in subjects])
             return cls(
                 robot=robot, logs=logs, processing=chosen, measured=measured, _pipelines=pipelines
             )

@@ -24,7 +24,6 @@ from sdpid.experiment.inspection.explain import ExplainedLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
-from sdpid.experiment.inspection.view import LogView
 from sdpid.experiment.plant.legged import model
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
@@ -183,7 +182,7 @@ def test_a_foot_that_is_down_in_the_air_is_named() -> None:
     # The left fore leg is stretched backward and up at the hip, as where its zero is another.
     position[:, 1] += 1.2
     wrong = replace(walk(), position=position)
-    subject = Subject(view=LogView(given=wrong, asked=robot()))
+    subject = Subject.of(wrong, robot())
     told = {finding.kind: finding.message for finding in feet_checks.feet(subject)}
     assert "FL_FOOT is" in told.get("foot_high", ""), told
     # Efforts tell the joint, and then its foot is no other defect.
@@ -216,7 +215,7 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     time = log.time - log.time[0]
     falling = np.array(base.position) - 0.5 * 9.81 * time[:, None] ** 2 * [0.0, 0.0, 1.0]
     free = sdpid.BaseMotion(orientation=base.orientation, position=falling)
-    air = Subject(view=LogView(given=replace(log, base=free, contacts=contacts), asked=robot()))
+    air = Subject.of(replace(log, base=free, contacts=contacts), robot())
     assert not [*base_checks.contacts_missing(air)]
 
 
@@ -326,7 +325,7 @@ def test_torques_of_another_scale_are_not_those_of_forces() -> None:
 
 def test_legs_without_effort_are_not_compared() -> None:
     scaled = with_feet(log("trot"), forces=forces("trot") * np.array([0.9, 1.0, 1.0, 1.0])[:, None])
-    subject = Subject(view=LogView(given=scaled, asked=robot()), without=frozenset({"FL_KFE"}))
+    subject = replace(Subject.of(scaled, robot()), without=frozenset({"FL_KFE"}))
     assert not [*force_checks.forces(subject)]
 
 
@@ -415,7 +414,7 @@ def test_joints_that_bear_little_are_compared_with_their_own_efforts() -> None:
 
 def compared(recording: Recording) -> ExplainedLog:
     model = robot("talos_reduced")
-    samples = Subject(view=LogView(given=recording, asked=model)).samples
+    samples = Subject.of(recording, model).samples
     assert samples is not None
     rows = floating_log(model, samples)
     assert rows is not None
@@ -487,7 +486,7 @@ def wrenches(motion: str) -> Array:
 
 def wrenches_found(motion: str, changed: Array) -> list[Finding]:
     recording = with_feet(talos(motion), wrenches=changed)
-    subject = Subject(view=LogView(given=recording, asked=robot("talos_reduced")))
+    subject = Subject.of(recording, robot("talos_reduced"))
     return list(force_checks.forces(subject))
 
 
@@ -536,7 +535,7 @@ def go1(motion: str, seed: int = 3, duration: float = 2.0) -> Recording:
 
 
 def imu_found(recording: Recording) -> list[Finding]:
-    return list(imu_checks.imu(Subject(view=LogView(given=recording, asked=robot("go1")))))
+    return list(imu_checks.imu(Subject.of(recording, robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -624,7 +623,7 @@ def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
 
 def points_found(motion: str, **changes: object) -> list[Finding]:
     recording = with_feet(go1(motion, 4, 3.0), **changes)
-    return list(feet_checks.feet(Subject(view=LogView(given=recording, asked=robot("go1")))))
+    return list(feet_checks.feet(Subject.of(recording, robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])
@@ -663,7 +662,7 @@ def test_frame_that_moves_is_refused(part: str) -> None:
 def test_a_foot_that_slips_has_no_other_point(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "_GRIP", 0.05)
     slips = sdpid.simulate_legged(robot(), "trot", seed=2, duration=10.0).recording
-    told = list(feet_checks.feet(Subject(view=LogView(given=slips, asked=robot()))))
+    told = list(feet_checks.feet(Subject.of(slips, robot())))
     assert {each.kind for each in told} == {"foot_moves"}
     assert told[0].message.endswith(": it slips")
 
