@@ -25,7 +25,7 @@ from legged import THREE, Walker, identified, without_imu
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection.delays.find import channel_delays, is_told
+from sdpid.experiment.inspection.delays import channel_delays, is_significant
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.simulate import LeggedRun
@@ -109,7 +109,7 @@ def found_rows(
                         for sensor, each in sensors:
                             for channel, delay in channel_delays(walker.robot, each).items():
                                 off = 1e3 * delay.value - true[channel]
-                                told = is_told(channel, delay)
+                                told = is_significant(channel, delay)
                                 found[motion, sensor, channel].append(
                                     (off, 1e3 * delay.error, true[channel], told)
                                 )

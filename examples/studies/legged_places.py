@@ -24,7 +24,7 @@ from legged_defects import Change, Log, feet, imu, shank
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
-from sdpid.experiment.inspection import base_checks, feet_checks, imu_checks
+from sdpid.experiment.inspection import base_checks, feet_checks
 from sdpid.experiment.inspection.kinds import Finding, explained
 from sdpid.experiment.inspection.subject import Check, Subject
 
@@ -43,7 +43,7 @@ COLUMNS = (
 CHECKS: tuple[Check, ...] = (
     base_checks.orientation,
     base_checks.imu_channels,
-    imu_checks.imu,
+    base_checks.imu,
     feet_checks.feet,
 )
 GRAVITY, BIAS, HIGH = 9.81, 0.2, 1.05

@@ -51,6 +51,12 @@ def orthonormal(columns: Array, rank: float) -> tuple[Array, Array]:
     return np.asarray(scaled @ back), np.asarray(inverse[:, None] * back)
 
 
+def beyond(basis: Array, values: Array) -> Array:
+    """Return what of values, in any shape, an orthonormal basis of columns does not make up."""
+    flat = values.ravel()
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(values.shape))
+
+
 class BlockFit(NamedTuple):
     """Coefficients (p,), their covariance, and the root mean square of what they leave.
 

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.block_fit import SURE, orthonormal, pooled
-from sdpid.experiment.inspection.delays.find import (
+from sdpid.experiment.inspection.block_fit import SURE, beyond, orthonormal, pooled
+from sdpid.experiment.inspection.delays import (
     DEVIATIONS,
     LEAST,
-    gyroscope_delay,
+    channel_delays,
+    delay_step,
     is_significant,
 )
-from sdpid.experiment.inspection.delays.kinematic import delay_step
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
 from sdpid.experiment.inspection.rows import FilteredRows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.recording.plausible import moving
 
+_LATE = partial(warning, "{what}", "{remedy}", about="late")
 KINDS.update(
     velocity_late=warning(
         "velocity of {joints} is {late} by up to {size:.3g ms} against the rate of the position, "
@@ -28,11 +30,11 @@ KINDS.update(
         "shift it, or leave the velocity out (velocity=none)",
         about="speed",
     ),
-    effort_late=warning("{what}", "{remedy}", excuses=True, about="late"),
-    imu_late=warning("{what}", "{remedy}", about="late"),
-    base_late=warning("{what}", "{remedy}", about="late"),
+    effort_late=_LATE(excuses=True),
+    imu_late=_LATE(),
+    base_late=_LATE(),
     # Forces that are late differ from those of their time.
-    contacts_late=warning("{what}", "{remedy}", hides=("forces_unlike_motion",), about="late"),
+    contacts_late=_LATE(hides=("forces_unlike_motion",)),
 )
 
 # Delays below this (s), and below this many samples, are the drives' own and those of filters: of
@@ -55,36 +57,32 @@ _LEAST_ROWS = 24
 _CORRELATED = 0.9
 
 
+def _late(delay: float) -> str:
+    return "late" if delay > 0.0 else "early"
+
+
 @check
 def late_velocities(subject: Subject) -> Iterator[Finding]:
     """Find recorded velocities that are late, or early, against the rate of the positions."""
     rows = subject.low_passed
     if rows is None or rows.recorded_velocity is None:
         return
-    limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
-    lags = {}
+    limit, lags = max(_LEAST_DELAY, _LEAST_STEPS * rows.step), {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
         measured, velocity = rows.recorded_velocity[:, j], rows.velocity[:, j]
         columns = np.column_stack([velocity, rows.acceleration[:, j], np.ones_like(velocity)])
         scale, rate, _ = weights = np.linalg.lstsq(columns, measured, rcond=None)[0]
         left = float(np.var(measured - columns @ weights))
         # Another signal has no delay.
-        if scale and left < (1.0 - _CORRELATED**2) * float(np.var(measured)):
+        alike = scale and left < (1.0 - _CORRELATED**2) * float(np.var(measured))
+        if alike and abs(rate / scale) >= limit:
             lags[subject.log.names[j]] = -float(rate / scale)
-    lags = {name: lag for name, lag in lags.items() if abs(lag) >= limit}
-    if not lags:
-        return
-    worst = max(lags.values(), key=abs)
-    yield found(
-        "velocity_late",
-        next(iter(lags)) if len(lags) == 1 else None,
-        subject.about_velocity,
-        joints=", ".join(lags),
-        late=_late(worst),
-        size=abs(worst),
-        delay=worst,
-        limit=limit,
-    )
+    if lags:
+        worst = max(lags.values(), key=abs)
+        joint = next(iter(lags)) if len(lags) == 1 else None
+        words = {"joints": ", ".join(lags), "late": _late(worst)}
+        numbers = {"size": abs(worst), "delay": worst, "limit": limit}
+        yield found("velocity_late", joint, subject.about_velocity, **words, **numbers)
 
 
 @check_of_efforts
@@ -116,13 +114,13 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
             return
     described = effort_delays(rows, (Y @ robot.prior.ravel())[..., None])
     limit = max(_LEAST_ALONE, limit)
-    alone = {}
+    alone = []
     for j, (delay, _, share) in delays.items():
         other, _, also = described.get(j, (0.0, 0.0, 0.0))
         both = min(share, also) >= _ALSO_TAKES and abs(delay - other) <= _ALIKE
         if delay >= limit and (share >= _TAKES_ALONE or both):
-            alone[robot.joint_names[j]] = delay, share
-    for name, (delay, share) in alone.items() if 2 * len(alone) <= len(delays) else ():
+            alone.append((robot.joint_names[j], delay, share))
+    for name, delay, share in alone if 2 * len(alone) <= len(delays) else ():
         what = (
             f"effort of {name} alone is late by {1e3 * delay:.2g} ms or more against the motion, "
             f"limit {1e3 * limit:.2g} ms: a shift takes {100 * share:.2g} % of what links and "
@@ -155,8 +153,7 @@ def effort_delays(rows: FilteredRows, links: Array) -> dict[int, tuple[float, fl
             continue
         basis, _ = orthonormal(columns, _RANK)
         effort, rate = (
-            (each - basis @ (basis.T @ each))[:, None]
-            for each in (rows.effort[keep, j], rows.effort_rate[keep, j])
+            beyond(basis, each[keep, j])[:, None] for each in (rows.effort, rows.effort_rate)
         )
         step = delay_step(effort, -rate[..., None])
         if step is not None and len(columns) >= 2 * basis.shape[1] + _LEAST_ROWS:
@@ -177,23 +174,18 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
     if robot is not None and robot.free_flyer:
         delays, against = subject.delays(subject.without), "the joints' positions"
     else:
-        delays, against = gyroscope_delay(log), "the orientation of the base"
-    for channel, delay in delays.items():
-        if not is_significant(channel, delay):
-            continue
-        limit = max(LEAST[channel], DEVIATIONS * delay.error)
-        what = (
-            f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} {_late(delay.value)} by "
-            f"{1e3 * abs(delay.value):.3g} ms (error {1e3 * delay.error:.2g} ms) against "
-            f"{against}, limit {1e3 * limit:.2g} ms"
-        )
-        remedy = (
-            "identify takes this off by itself; elsewhere give processing="
-            f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
-        )
-        numbers = {"delay": delay.value, "error": delay.error, "limit": limit}
-        yield found(f"{channel}_late", what=what, remedy=remedy, **numbers)
-
-
-def _late(delay: float) -> str:
-    return "late" if delay > 0.0 else "early"
+        delays, against = channel_delays(None, log), "the orientation of the base"
+    for channel, (delay, error) in delays.items():
+        if is_significant(channel, delays[channel]):
+            limit = max(LEAST[channel], DEVIATIONS * error)
+            what = (
+                f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} {_late(delay)} by "
+                f"{1e3 * abs(delay):.3g} ms (error {1e3 * error:.2g} ms) against {against}, limit "
+                f"{1e3 * limit:.2g} ms"
+            )
+            remedy = (
+                "identify takes this off by itself; elsewhere give processing="
+                f"{{'{channel}_delay_s': {delay:.5f}}}, or record with one clock"
+            )
+            numbers = {"delay": delay, "error": error, "limit": limit}
+            yield found(f"{channel}_late", what=what, remedy=remedy, **numbers)

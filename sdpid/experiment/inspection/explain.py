@@ -21,7 +21,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.block_fit import BlockFit, block_fit
-from sdpid.experiment.inspection.delays.find import free_of_contacts
+from sdpid.experiment.inspection.delays import free_of_contacts
 from sdpid.experiment.inspection.rows import FilteredRows, smooth_sign
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples

@@ -9,7 +9,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.block_fit import block_fit, sure_part
-from sdpid.experiment.inspection.delays.kinematic import Standing
 from sdpid.experiment.inspection.kinds import (
     KINDS,
     Finding,
@@ -19,6 +18,7 @@ from sdpid.experiment.inspection.kinds import (
     vector,
     warning,
 )
+from sdpid.experiment.inspection.standing import Standing
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, frame_places

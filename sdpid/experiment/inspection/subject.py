@@ -11,11 +11,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
-from sdpid.experiment.inspection.delays.find import channel_delays
-from sdpid.experiment.inspection.delays.kinematic import Delay, Standing
+from sdpid.experiment.inspection.delays import Delay, channel_delays
 from sdpid.experiment.inspection.explain import ExplainedLog, corrected, floating_log, searched
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, note, refuse
 from sdpid.experiment.inspection.rows import FilteredRows, low_passed
+from sdpid.experiment.inspection.standing import Standing
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES, default_processing
 from sdpid.experiment.processing.feet import carried
 from sdpid.experiment.processing.process import process

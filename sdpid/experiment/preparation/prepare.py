@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from sdpid._common.progress import progress
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.delays.find import is_significant, pooled_delays
+from sdpid.experiment.inspection.delays import is_significant, pooled_delays
 from sdpid.experiment.inspection.inspect import (
     inspect_recordings,
     joints_left_out,

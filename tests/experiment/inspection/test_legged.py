@@ -12,14 +12,13 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection import (
-    base_checks,
-    feet_checks,
-    force_checks,
-    imu_checks,
+from sdpid.experiment.inspection import base_checks, feet_checks, force_checks
+from sdpid.experiment.inspection.delays import (
+    channel_delays,
+    first_scale,
+    free_of_contacts,
+    lag,
 )
-from sdpid.experiment.inspection.delays.find import channel_delays, first_scale, free_of_contacts
-from sdpid.experiment.inspection.delays.kinematic import lag
 from sdpid.experiment.inspection.explain import ExplainedLog, floating_log
 from sdpid.experiment.inspection.inspect import inspect_recordings, require_accepted
 from sdpid.experiment.inspection.kinds import Finding
@@ -535,7 +534,7 @@ def go1(motion: str, seed: int = 3, duration: float = 2.0) -> Recording:
 
 
 def imu_found(recording: Recording) -> list[Finding]:
-    return list(imu_checks.imu(Subject.of(recording, robot("go1"))))
+    return list(base_checks.imu(Subject.of(recording, robot("go1"))))
 
 
 @pytest.mark.parametrize("motion", ["stand", "trot", "hang"])

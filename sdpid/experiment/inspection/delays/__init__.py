@@ -1,1 +1,0 @@
-"""How late channels of a recording with a base are against its joints' positions."""
