@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 def identify(given: Given) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
     from sdpid.assurance.recipe.inputs import file_entry
-    from sdpid.workflow.results_folder import require_writable
+    from sdpid.workflow.result import require_writable
 
     out, config = given.out, given.config
     require_writable(out, given.inputs("config"), config=config, writes_config=True)

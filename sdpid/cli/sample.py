@@ -76,7 +76,7 @@ def sample(given: Given) -> None:
     best = optimum(problem)
     if given.results is not None:
         file = given.results / _PARAMETERS
-        require_same(best.estimate, read_parameters(file), str(file))
+        require_same(best.certified, read_parameters(file), str(file))
     drawn = sample_parameters(best, given.number, given.seed)
     notes = list(drawn.notes)
     files = drawn.save(

@@ -404,19 +404,8 @@ def _completed(
 
 def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> Array:
     """Return x of least ``‖matrix·x − rhs‖`` with ``lower ≤ C·x ≤ upper``."""
-    size = np.linalg.norm(matrix, axis=0)
-    size[size == 0.0] = 1.0
     whole = max(float(np.linalg.norm(rhs)), np.finfo(float).tiny)
-    unit = whole / size
-    rows = np.abs(C) @ unit
-    rows[rows == 0.0] = 1.0
-    program = ConicProgram(
-        M=matrix / size,
-        m=-rhs / whole,
-        C=C * unit / rows[:, None],
-        lower=lower / rows,
-        upper=upper / rows,
-    )
+    program = ConicProgram(M=matrix / whole, m=-rhs / whole, C=C, lower=lower, upper=upper)
     solution = solve_conic(program)
     if solution.x is None or "Infeasible" in solution.status:
         raise InfeasibleError(
@@ -424,9 +413,8 @@ def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> A
             f"({solution.status}); give all friction parameters, or fewer conditions."
         )
     # Bounds hold to rounding only; what is a bound itself is made exact.
-    x = np.asarray(solution.x * unit)
-    own = len(x)
-    return np.asarray(np.clip(x, lower[:own], upper[:own]))
+    own = len(solution.x)
+    return np.asarray(np.clip(solution.x, lower[:own], upper[:own]))
 
 
 def violations(feasible: FeasibleSet, theta: Array) -> tuple[str, ...]:

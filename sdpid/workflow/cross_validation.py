@@ -15,10 +15,6 @@ from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.diagnostics.validation import Errors, validate
 from sdpid.errors import DataError, IdentifiabilityError
-from sdpid.estimation.compression.covariance import Weighting
-from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.effects.kinds import Effects
-from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.prepare import (
@@ -30,8 +26,6 @@ from sdpid.experiment.preparation.prepare import (
 )
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
-from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import Formulation
 
@@ -191,12 +185,7 @@ def cross_validate(
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
     scored: Processing | None = None,
-    friction: Iterable[str | FrictionTerm] | None = None,
-    weighting: Weighting | None = None,
-    consistency: Consistency = "pseudo_inertia",
-    constraints: Constraints | None = None,
-    prior: Prior | bool | None = None,
-    effects: Effects = "auto",
+    **options: Any,
 ) -> CrossValidation:
     """Hold out blocks of time or recordings in turn, and predict each by a fit to the rest.
 
@@ -223,8 +212,9 @@ def cross_validate(
         As in `identify`.
     scored : Processing, optional
         Processing of what is held out; by default that of the training part.
-    friction, weighting, consistency, constraints, prior, effects : optional
-        As in `identify`; effects by the data are chosen anew for every fit.
+    **options
+        ``friction``, ``weighting``, ``consistency``, ``constraints``, ``prior`` and ``effects`` as
+        in `identify`; effects by the data are chosen anew for every fit.
 
     Returns
     -------
@@ -245,14 +235,7 @@ def cross_validate(
     >>> print(held_out.summary())
     2 blocks of time held out in turn: relative residual in motion 0.15 % (...)
     """
-    formulation = Formulation(
-        friction=friction,
-        weighting=weighting,
-        consistency=consistency,
-        constraints=constraints,
-        prior=prior,
-        effects=effects,
-    )
+    formulation = Formulation(**options)
     without_effort = joints_without(without_effort)
     model, logs = read_logs(robot, log, without_effort=without_effort)
     parts = list(_parts(logs, folds, by))
@@ -262,7 +245,7 @@ def cross_validate(
             try:
                 prepared = prepare(model, kept, processing, without_effort=without_effort)
                 fresh = prepared.others(out, scored).samples
-                problem = formulation.problem(model, prepared)
+                problem = formulation.problem(prepared)
             except (DataError, IdentifiabilityError) as reason:
                 advice = " Use fewer folds, or longer recordings." if by == "time" else ""
                 raise type(reason)(f"cross-validation without {name}: {reason}{advice}") from None
@@ -335,14 +318,5 @@ def _parts(
             first, last = (round(log.n_samples * i / folds) for i in (k, k + 1))
             for part, a, b in ((kept, 0, first), (out, first, last), (kept, last, log.n_samples)):
                 if b > a:
-                    part.append(_cut(log, a, b))
+                    part.append(rows_of(log, slice(a, b)))
         yield f"block {k + 1} of {folds}", kept, out
-
-
-def _cut(log: Recording, first: int, last: int) -> Recording:
-    """Return the samples of a recording from `first` to before `last`."""
-    if last - first < 2:
-        raise DataError(
-            f"cross-validation: a recording of {log.n_samples} samples is too short for blocks."
-        )
-    return rows_of(log, slice(first, last))

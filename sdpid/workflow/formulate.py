@@ -1,4 +1,4 @@
-"""Build the problem that `identify` solves, with its defaults."""
+"""Build the problem that `identify` solves, with its defaults; refit the friction of another."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sdpid._common.arrays import frozen
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, Weighting
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.effects.kinds import Effects, names_of_effects
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.inspection.inspect import kinds_accepted
-from sdpid.experiment.preparation.prepare import (
-    Logs,
-    Prepared,
-    ProcessingOf,
-    friction_of,
-    prepare,
-)
+from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf, friction_of, prepare
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
+
+# Units of parameters that belong to the rigid part beside the links: rotors and gravity's
+# direction. Everything else of a joint changes with temperature, wear and zero errors.
+_RIGID_UNITS = ("kg.m2", "rad")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +70,9 @@ class Formulation:
         """Return the same with the terms that were chosen for a problem, and no more."""
         return replace(self, friction=problem.friction.terms, effects="none")
 
-    def problem(self, robot: RobotModel, prepared: Prepared) -> Problem:
+    def problem(self, prepared: Prepared) -> Problem:
         """Build the problem of prepared recordings, with what follows from them."""
-        samples, prior = prepared.samples, self.prior
+        robot, samples, prior = prepared.robot, prepared.samples, self.prior
         weighting = self.weighting or ("residual" if samples.covariance is None else "gls")
         if prior is None:
             # Friction of a joint without effort is known from a prior or not at all.
@@ -113,8 +114,8 @@ def formulate(
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`.
 
-    `log` may also be recordings that are prepared already (see `prepare`); other options are those
-    of `Formulation`.
+    `log` may also be recordings that are prepared already (see `prepare`), which know their robot;
+    other options are those of `Formulation`.
     """
     formulation = Formulation(**options)
     if not isinstance(log, Prepared):
@@ -123,8 +124,91 @@ def formulate(
             log,
             processing,
             without_effort=without_effort,
-            accept=kinds_accepted(accept),
+            accept=accept,
             gains=gains,
             total_mass=formulation.total_mass,
         )
-    return formulation.problem(robot if isinstance(robot, RobotModel) else log.robot, log)
+    return formulation.problem(log)
+
+
+def adapt(
+    estimate: Estimate,
+    log: Logs,
+    *,
+    processing: ProcessingOf = None,
+    without_effort: Iterable[str] = (),
+    accept: str | Iterable[str] = (),
+) -> Estimate:
+    """Refit friction and offsets alone to a new recording.
+
+    Friction changes with temperature, load and wear, and sensors' zeros drift, where links do not:
+    on recorded robots friction fitted anew halves the error on another day's recording. The
+    parameters of the links, rotor inertias and gravity's direction stay exactly as they are; so do
+    the shapes of the friction terms. All others are fitted again, with the usual weak belief that
+    friction is small.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters, such as those of `solve_sdp`.
+    log : Recording or path, or a sequence of these
+        What was measured on the same robot.
+    processing : Processing or mapping, optional
+        As for `identify`.
+    without_effort : iterable of str, optional
+        As for `identify`; the friction of these joints is the believed one, which is none.
+    accept : str or iterable of str, optional
+        As for `identify`: kinds of findings that do not refuse a recording.
+
+    Returns
+    -------
+    Estimate
+        The optimum over friction and offsets, of a problem that can be certified.
+
+    Raises
+    ------
+    DataError
+        When the estimate has no standard parameters or breaks its own constraints, or the
+        recording cannot be used.
+    SolverError
+        When the program ends without an optimum.
+
+    Examples
+    --------
+    >>> warm = sdpid.adapt(estimate, log)  # log: a run on another day
+    >>> warm.status
+    'optimal'
+    >>> bool(np.array_equal(warm.theta[:60], estimate.theta[:60]))  # the links are the same
+    True
+    """
+    old = estimate.problem
+    if estimate.theta is None:
+        raise DataError(
+            f"adapt: the estimate ({estimate.method}) has no standard parameters to keep; give one "
+            "of solve_sdp."
+        )
+    if not estimate.feasible:
+        raise DataError(
+            f"adapt: the estimate ({estimate.method}) breaks its constraints by "
+            f"{estimate.violation:.1e}; give one of solve_sdp."
+        )
+    links = 10 * old.robot.n_links
+    units = np.array(old.base.theta_units)
+    rigid = np.isin(units, _RIGID_UNITS)
+    rigid[:links] = True
+    kept = {old.base.theta_names[i]: float(estimate.theta[i]) for i in np.flatnonzero(rigid)}
+    constraints = old.constraints.replace(others=(*old.constraints.others, Fixed(kept)))
+    formulation = Formulation(
+        friction=old.friction.terms,
+        consistency=old.consistency,
+        constraints=constraints,
+        prior=Prior(bodies=estimate.theta[:links].reshape(-1, 10)),
+        effects="none",
+    )
+    prepared = prepare(old.robot, log, processing, without_effort=without_effort, accept=accept)
+    problem = formulation.problem(prepared)
+    found = solve_sdp(problem)
+    assert found.theta is not None
+    # Equations hold up to rounding; what was not fitted again is the same number.
+    theta = np.where(rigid, estimate.theta, found.theta)
+    return replace(found, theta=frozen(theta), base=frozen(problem.base_of(theta)))

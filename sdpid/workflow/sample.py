@@ -48,8 +48,8 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
 
     Parameters
     ----------
-    estimate : Estimate or Identification
-        The estimate, with standard parameters; of an `Identification` its own.
+    estimate : Estimate, Identification or Certificate
+        The estimate, with standard parameters; of the others the one that is certified.
     n : int
         Number of draws, up to a million.
     seed : int, optional
@@ -76,34 +76,27 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
     >>> all(model.theta[50] > 0.0 for model in draws.models())
     True
     """
-    found = getattr(estimate, "estimate", estimate)
+    proof = (
+        estimate if isinstance(estimate, Certificate) else getattr(estimate, "certificate", None)
+    )
+    found = getattr(proof, "certified", estimate)
     if not isinstance(found, Estimate):
         raise DataError(
             f"estimate: is {type(estimate).__name__}; give what solve_sdp or identify returned."
         )
     _require_whole("n", n, 1, _MOST)
     _require_whole("seed", seed, 0)
-    proof = getattr(estimate, "certificate", None)
     return ParameterSamples(
         estimate=found,
         draws=draw(found, int(n), seed=int(seed)),
         seed=int(seed),
-        certificate=None if proof is None else proof.to_dict()["sha256"],
+        certificate=proof.to_dict()["sha256"] if isinstance(proof, Certificate) else None,
     )
 
 
-@dataclass(frozen=True)
-class Optimum:
-    """An optimum and its proof, as an `Identification` has them."""
-
-    estimate: Estimate
-    certificate: Certificate
-
-
-def optimum(problem: Problem) -> Optimum:
+def optimum(problem: Problem) -> Certificate:
     """Return the certified optimum of a problem, made as `identify` makes it."""
-    certificate = certify(solve_sdp(problem))
-    return Optimum(certificate.certified, certificate)
+    return certify(solve_sdp(problem))
 
 
 def require_same(estimate: Estimate, given: Mapping[str, float], file: str) -> None:

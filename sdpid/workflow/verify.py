@@ -17,15 +17,8 @@ from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
 from sdpid.verifier.reading import REFUSED, listed, parse, read_bytes, shown
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
-from sdpid.workflow.replay.compare import (
-    PARAMETERS,
-    RESULT,
-    ROBOTS,
-    TABLES,
-    Link,
-    check_numbers,
-    told,
-)
+from sdpid.workflow.replay import compare
+from sdpid.workflow.replay.compare import RESULT, ROBOTS, check_numbers, told
 
 if TYPE_CHECKING:
     from sdpid.experiment.preparation.prepare import Logs
@@ -175,11 +168,16 @@ def verify(
         raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
-    log, again = None, tuple[str, ...]()
+    log, folder = None, Path(path)
     if robot is not None and question is not None:
         result = _of_robot(result, question, robot)
-    if Path(path).is_dir():
-        folder = Path(path)
+    if data is not None:
+        # Files alone are checked without waiting for the libraries that rows need.
+        from sdpid.workflow.replay.replay import replay
+
+        log = replay(path, data, robot=robot)
+    links = () if log is None else log.links
+    if folder.is_dir():
         sealed = manifest.load(read_bytes(folder / manifest.NAME))
         proof = certificate.load(read_bytes(folder / CERTIFICATE))
         if (gap := claims["gap"]) is not None and not gap <= certificate.GAP:
@@ -191,30 +189,19 @@ def verify(
         holds = not any(each.startswith(CERTIFICATE) for each in result.problems)
         numbers = check_numbers(folder, sealed["files"], proof, holds)
         result += Result(told(numbers, "made again"), told(numbers, "not made again"))
-        links: tuple[Link, ...] = ()
-        if data is not None:
-            # Files alone are checked without waiting for the libraries that rows need.
-            from sdpid.workflow.replay.replay import replay
-
-            log = replay(path, data, robot=robot)
-            links = log.links
         known = set() if log is None else set(_covered(sealed, proof, log))
         left = [each for each in result.unchecked if each not in known]
         left += _left(sealed["files"], with_log=log is not None)
-        again, wrong, more = (
-            told(links, state) for state in ("made again", "not made again", "not checked")
-        )
         others = tuple(each for each in left if not each.endswith(ELSEWHERE))
-        result = Result(result.statements, result.problems + wrong, others + more)
-    elif data is not None:
-        raise CertificateError(
-            f"{path}: is no folder; a log is checked against the whole folder that "
-            "'sdpid identify' wrote."
+        result = Result(
+            result.statements,
+            result.problems + told(links, "not made again"),
+            others + told(links, "not checked"),
         )
     return Verification(
         passed=result.passed,
         statements=result.statements,
-        made_again=again,
+        made_again=told(links, "made again"),
         problems=result.problems,
         unchecked=result.unchecked,
         sha256=sha256,
@@ -263,7 +250,7 @@ def _left(files: Mapping[str, Any], *, with_log: bool) -> Iterator[str]:
     robots = [name for name in files if name in (*ROBOTS, *FRICTION_FILES)]
     if robots and not with_log:
         yield f"{listed(map(shown, robots))}: what they hold (--data LOG writes them again)"
-    tables = [name for name in (PARAMETERS, *TABLES) if name in files]
+    tables = [name for name in (compare.PARAMETERS, *compare.TABLES) if name in files]
     if tables and not with_log:
         yield (
             f"{', '.join(tables)}: intervals, standard errors and shares (--data LOG makes them "

@@ -19,8 +19,7 @@ from sdpid.errors import ExportError
 from sdpid.output.report import report
 from sdpid.plots.figures import save_figure
 from sdpid.plots.reconstruction import plot_fit
-from sdpid.workflow.result import Identification
-from sdpid.workflow.results_folder import NAMES
+from sdpid.workflow.result import NAMES, Identification
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 

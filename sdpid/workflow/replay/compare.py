@@ -8,10 +8,11 @@ import math
 import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -20,15 +21,7 @@ from sdpid._common.tables import Table, plain
 from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.verifier.bound import Proof
 from sdpid.verifier.exact import product
-from sdpid.verifier.reading import (
-    REFUSED,
-    MalformedError,
-    items,
-    numbers,
-    parse,
-    read_bytes,
-    shown,
-)
+from sdpid.verifier.reading import REFUSED, MalformedError, items, numbers, parse, read_bytes, shown
 
 RESULT, PARAMETERS = "result.json", "parameters.json"
 TABLES = {"parameters.csv": "standard", "base_parameters.csv": "base"}
@@ -92,7 +85,8 @@ State = Literal["made again", "not made again", "not checked"]
 Cost: TypeAlias = tuple[Array, Array, float]
 
 
-class Link(NamedTuple):
+@dataclass(frozen=True)
+class Link:
     """One link from a log to a file.
 
     Attributes

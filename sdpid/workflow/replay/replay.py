@@ -150,7 +150,7 @@ def replay(
                 links.append(Link(name, "not made again", wrong))
                 broken = name
             advance(1)
-    shown_links = tuple(link._replace(text=printable(link.text)) for link in links)
+    shown_links = tuple(replace(link, text=printable(link.text)) for link in links)
     return Replay(links=shown_links, distance=run.distance, gap=run.gap, roles=run.roles)
 
 

@@ -37,19 +37,8 @@ from sdpid.verifier.exact import product
 from sdpid.verifier.folder import CERTIFICATE
 from sdpid.verifier.reading import REFUSED, parse, read_bytes, text
 from sdpid.workflow.identify import with_motion_bias_of
-from sdpid.workflow.replay.compare import (
-    LIMIT,
-    MJCF,
-    PARAMETERS,
-    RESULT,
-    URDF,
-    Link,
-    by_file,
-    checked,
-    differences,
-    table_differences,
-    text_differences,
-)
+from sdpid.workflow.replay import compare
+from sdpid.workflow.replay.compare import LIMIT, MJCF, PARAMETERS, RESULT, URDF, Link, checked
 
 # Descriptions of robots may be larger than proofs.
 _LARGEST = 64 * 2**20
@@ -244,7 +233,7 @@ class Files:
                 found.append(Link(name, "not checked", text))
             else:
                 found += checked(name, check, said)
-        return by_file(found)
+        return compare.by_file(found)
 
     def _of_theta(self) -> Iterator[str]:
         return self._of_table("parameters.csv", theta_table(self.estimate, self.intervals))
@@ -255,7 +244,9 @@ class Files:
 
     def _of_table(self, name: str, table: Table) -> Iterator[str]:
         content = read_bytes(self.sealed.folder / name)
-        return table_differences(content, table, of_width=self._of_width, without=self._aside)
+        return compare.table_differences(
+            content, table, of_width=self._of_width, without=self._aside
+        )
 
     @property
     def _aside(self) -> tuple[str, ...]:
@@ -269,7 +260,7 @@ class Files:
         for each in (found, wanted):
             standard = each["standard"].items()
             each["standard"] = {key: _without(own, *self._aside) for key, own in standard}
-        return differences(found, wanted, of_width=self._of_width)
+        return compare.differences(found, wanted, of_width=self._of_width)
 
     def _of_result(self) -> Iterator[str]:
         data, intervals = self._result, self.intervals
@@ -293,7 +284,7 @@ class Files:
         for each in (found, made):
             if each["intervals"] is not None:
                 each["intervals"] = _without(each["intervals"], *_OF_INTERVALS)
-        return differences(found, made, of_width=self._of_width)
+        return compare.differences(found, made, of_width=self._of_width)
 
     def _write_mjcf(self, estimate: Estimate, *, target: Path) -> ExportReport:
         """Write an MJCF again, with offsets where that of the folder was asked to have them."""
@@ -307,12 +298,12 @@ class Files:
             path = Path(folder) / name
             report = write(self.estimate, target=path).to_dict()
             found, wanted = (decode_xml(each, name) for each in (content, path.read_bytes()))
-        yield from text_differences(found, wanted)
+        yield from compare.text_differences(found, wanted)
         # Of a recording that is not here; and of a description, which may not be.
         aside = ("validation",) if self.described else ("validation", "lumped")
         entries = [each for each in self._result["exports"] if each["file"] == name]
         own, made = ([_without(e, *aside) for e in each] for each in (entries, [report]))
-        yield from differences(own, made, where=f"its entry in {RESULT}")
+        yield from compare.differences(own, made, where=f"its entry in {RESULT}")
 
     @property
     def _lumped(self) -> bool:
@@ -336,7 +327,7 @@ def check_friction(sealed: Sealed, first: int) -> list[Link]:
         "is what follows from these to the byte, and it computes what the package's own terms do"
     )
     names = [name for name in NAMES if name in sealed.manifest["files"]]
-    return by_file(
+    return compare.by_file(
         link
         for name in names
         for link in checked(name, partial(_friction, sealed, first, name), said)
