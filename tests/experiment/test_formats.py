@@ -239,7 +239,7 @@ def claim_mat(file: Path) -> None:
 def test_claims_of_headers_do_not_take_memory(tmp_path: Path, claim: Any):
     file = tmp_path / f"log.{claim.__name__.removeprefix('claim_')}"
     claim(file)
-    words = r"'q' claims 200,000,000 × 2 values, 3\.2 GB|cannot reshape array of size 80 into"
+    words = r"'q' claims 200,000,000 × 2 values, 3\.2 GB|reading array data|cannot reshape array of"
     refuses(DataError, words, read_recording, file)
 
 

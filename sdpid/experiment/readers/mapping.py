@@ -116,17 +116,17 @@ def complete_arguments(
             f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
             f"stored, {', '.join(known)}."
         )
-    chosen, stated, file = checked(how), {}, None
-    if log is not None and mapping in (None, True):
-        file = mapping_beside(log)
-        file = file if file.is_file() and file != log else None
-        if mapping is True and file is None:
+    chosen, file = checked(how), None
+    if isinstance(mapping, (bool, type(None))):
+        beside = None if log is None else mapping_beside(log)
+        if beside is not None and mapping is not False and beside.is_file() and beside != log:
+            file = beside
+        if mapping is True and file is None and log is not None:
             raise DataError(f"{log}: there is no mapping beside it.")
-    elif isinstance(mapping, Mapping):
-        stated = read_mapping(mapping)
-    elif not isinstance(mapping, (bool, type(None))):
+    elif not isinstance(mapping, Mapping):
         file = Path(mapping)
-    stated = stated if file is None else read_mapping(file)
+    source = file or (mapping if isinstance(mapping, Mapping) else None)
+    stated = {} if source is None else read_mapping(source)
     # Either turns currents into torques: what is given wins over what the mapping says.
     if "gains" in chosen and not only_signs(stated.get("effort_scale")):
         stated.pop("effort_scale", None)
@@ -194,13 +194,18 @@ def checked(given: Mapping[str, Any], where: str = "") -> dict[str, Any]:
     DataError
         When a value is not as expected.
     """
-    found = {}
-    for name, value in given.items():
-        try:
-            if value is not None:
-                found[name] = _CHECKS[name](name, value) if name in _CHECKS else value
-        except DataError as cause:
-            raise DataError(f"{where}{cause}") from None
+    found = {name: value for name, value in given.items() if value is not None}
+    try:
+        for name, value in found.items():
+            if name in _EXPECTED:
+                right, expected = _EXPECTED[name]
+                _require(right(value), name, value, expected)
+                several = isinstance(value, Collection) and not isinstance(value, str)
+                found[name] = tuple(value) if several else value
+            else:
+                found[name] = _MADE.get(name, lambda value: value)(value)
+    except DataError as cause:
+        raise DataError(f"{where}{cause}") from None
     return found
 
 
@@ -208,13 +213,6 @@ def _require(holds: bool, name: str, value: Any, expected: str) -> None:
     """Raise where a value is not as expected."""
     if not holds:
         raise DataError(f"{name} is {value!r:.80}, expected {expected}.")
-
-
-def _is(right: Callable[[Any], bool], expected: str, name: str, value: Any) -> Any:
-    """Return a value that stands for itself; of lists a tuple."""
-    _require(right(value), name, value, expected)
-    several = isinstance(value, Collection) and not isinstance(value, str)
-    return tuple(value) if several else value
 
 
 def _table(name: str, value: Any, known: Iterable[str], what: str = "known") -> dict[str, Any]:
@@ -227,9 +225,9 @@ def _table(name: str, value: Any, known: Iterable[str], what: str = "known") -> 
     return dict(value)
 
 
-def _columns(name: str, value: Any) -> dict[str, Any]:
+def _columns(value: Any) -> dict[str, Any]:
     """Return the names of columns as texts; None for what is not to be read."""
-    found = _table(name, value, QUANTITIES, "a quantity")
+    found = _table("columns", value, QUANTITIES, "a quantity")
     for quantity, given in found.items():
         # TOML, which has no null, says so that a quantity is not to be read.
         if given is None or given is False or given == "none":
@@ -247,36 +245,29 @@ def _columns(name: str, value: Any) -> dict[str, Any]:
     return found
 
 
-def _units(name: str, value: Any) -> dict[str, Any]:
+def _units(value: Any) -> dict[str, Any]:
     """Return the units of quantities."""
-    found = _table(name, value, UNITS, "a quantity")
+    found = _table("units", value, UNITS, "a quantity")
     for quantity, given in found.items():
         right = isinstance(given, str) or (quantity != "time" and _are_texts(given))
         _require(right, f"units.{quantity}", given, _TEXTS)
     return found
 
 
-def _motors(name: str, value: Any) -> MotorSide:
+def _motors(value: Any) -> MotorSide:
     """Return the conversion from the motors' side."""
     if isinstance(value, MotorSide):
         return value
-    _require(isinstance(value, Mapping), name, value, f"a table [{name}]")
+    _require(isinstance(value, Mapping), "motors", value, "a table [motors]")
     return MotorSide.from_mapping(value)
 
 
-def _settings(name: str, value: Any) -> dict[str, Any]:
-    """Return the checked settings of base, IMU or contacts."""
-    found = _table(name, value, SETTINGS[name])
-    if name != "base":
-        return found
-    order, held = found.get("quaternion", "xyzw"), found.get("held")
+def _base(value: Any) -> dict[str, Any]:
+    """Return the settings of a base, of one that moves or that was held."""
+    found = _table("base", value, SETTINGS["base"])
+    order, held = found.get("quaternion", "xyzw"), found.get("held", "")
     expected = f"one of {', '.join(_ORDERS)}: the order in which the log has it"
     _require(order in _ORDERS, "base.quaternion", order, expected)
-    if "held" not in found and "orientation" in found:
-        raise DataError(
-            "base.orientation: is that of a base that was held; say which link was, "
-            'held = "base_link".'
-        )
     if "held" in found:
         expected = 'the name of the link that was held, such as "base_link"'
         _require(isinstance(held, str) and held != "", "base.held", held, expected)
@@ -285,6 +276,11 @@ def _settings(name: str, value: Any) -> dict[str, Any]:
                 f"base.held: the base was held at '{held:.80}', and {', '.join(others)} is "
                 "about one that moves; leave one of them out."
             )
+    elif "orientation" in found:
+        raise DataError(
+            "base.orientation: is that of a base that was held; say which link was, "
+            'held = "base_link".'
+        )
     return found
 
 
@@ -313,18 +309,16 @@ def as_gains(given: Any) -> Any:
     return DriveGains.from_dict(given) if isinstance(given, Mapping) else given
 
 
-# How each argument is checked; what is not here is checked where it is used.
-_CHECKS: dict[str, Callable[[str, Any], Any]] = {
-    "columns": _columns,
-    "units": _units,
-    "motors": _motors,
-    "gains": lambda _, value: as_gains(value),
-    **dict.fromkeys(SETTINGS, _settings),
-    **dict.fromkeys(("joint_names", "without_effort"), partial(_is, _are_texts, "names")),
-    **dict.fromkeys(("period", "start", "periods", "rate_hz"), partial(_is, is_number, "a number")),
-    "topic": partial(_is, lambda value: isinstance(value, str), "a text"),
-    "missing": partial(_is, MISSING.__contains__, f"one of {', '.join(MISSING)}"),
-    "rows": partial(
-        _is, _are_rows, "the first and the last row to read, counted from 1, as in [1, 2000]"
-    ),
+# How arguments become what is needed, or what others have to be; the rest is checked by its user.
+_MADE: dict[str, Callable[[Any], Any]] = {
+    **{"columns": _columns, "units": _units, "motors": _motors, "gains": as_gains, "base": _base},
+    **{name: partial(_table, name, known=SETTINGS[name]) for name in ("imu", "contacts")},
+}
+_NUMBER, _NAMES = (is_number, "a number"), (_are_texts, "names")
+_EXPECTED: dict[str, tuple[Callable[[Any], bool], str]] = {
+    **{"joint_names": _NAMES, "without_effort": _NAMES, "rate_hz": _NUMBER},
+    **{"period": _NUMBER, "start": _NUMBER, "periods": _NUMBER},
+    "topic": (lambda value: isinstance(value, str), "a text"),
+    "missing": (MISSING.__contains__, f"one of {', '.join(MISSING)}"),
+    "rows": (_are_rows, "the first and the last row to read, counted from 1, as in [1, 2000]"),
 }

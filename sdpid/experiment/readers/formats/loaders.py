@@ -35,43 +35,32 @@ _DAMAGE = (
     RuntimeError,
     SyntaxError,
 )
-# The headers of arrays that are read; version 3 is for names of fields that are not Latin.
-_HEADERS: dict[tuple[int, int], Any] = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 
 
 def load_npz(path: Path) -> LogTable:
     """List the arrays of a NumPy archive; pickled objects are never loaded."""
-
-    def member(name: str) -> NDArray[Any]:
-        try:
-            with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
-                version = np.lib.format.read_magic(stream)
-                if version not in _HEADERS:
-                    raise ValueError(f"arrays of version {version} are not read")
-                shape, _, dtype = _HEADERS[version](stream)
-                check_claim(path, name, shape, dtype.itemsize)
-            with np.load(path, allow_pickle=False) as arrays:
-                return np.asarray(arrays[name])
-        except ValueError as cause:
-            if "allow_pickle" in str(cause):
-                raise NoNumbersError(
-                    f"{path}: '{name}' holds Python objects, which are never loaded because they "
-                    "can run code; save it as an array of numbers."
-                ) from None
-            raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
-        except _DAMAGE as cause:
-            raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
-
     try:
         with zipfile.ZipFile(path) as archive:
-            entries = [entry for entry in archive.namelist() if entry.endswith(".npy")]
+            entries = {entry.filename: entry.file_size for entry in archive.infolist()}
     except (*_DAMAGE, ValueError) as cause:
         raise DataError(f"{path}: not a readable NumPy archive ({cause}).") from None
-    names = [entry.removesuffix(".npy") for entry in entries]
-    return LogTable({name: partial(member, name) for name in names})
+    found = {entry.removesuffix(".npy"): n for entry, n in entries.items() if entry[-4:] == ".npy"}
+    return LogTable({name: partial(_member, path, name, size) for name, size in found.items()})
+
+
+def _member(path: Path, name: str, size: int) -> NDArray[Any]:
+    """Read an array of a NumPy archive, of which no more is unpacked than its size."""
+    check_claim(path, name, (size,), 1)
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return np.asarray(arrays[name])
+    except (*_DAMAGE, ValueError) as cause:
+        if "allow_pickle" in str(cause):
+            raise NoNumbersError(
+                f"{path}: '{name}' holds Python objects, which are never loaded because they can "
+                "run code; save it as an array of numbers."
+            ) from None
+        raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
 
 
 def load_frame(frame: Any) -> LogTable:
@@ -82,18 +71,14 @@ def load_frame(frame: Any) -> LogTable:
     DataError
         When several columns have the same name.
     """
-    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
-    index = getattr(frame, "index", None)
-    if index is not None:
-        kind = getattr(getattr(index, "dtype", None), "kind", "")
-        name = "time" if index.name is None and kind in "Mm" else index.name
-        if name is not None:
-            arrays[str(name)] = partial(_frame_column, index, name)
     if len(set(frame.columns)) < len(frame.columns):
         raise DataError("has several columns of one name.")
-    for name in frame.columns:
-        arrays[str(name)] = partial(_frame_column, frame[name], name)
-    return LogTable(arrays)
+    columns = {str(name): frame[name] for name in frame.columns}
+    index = getattr(frame, "index", None)
+    if index is not None:
+        name = index.name or ("time" if getattr(index.dtype, "kind", "") in "Mm" else None)
+        columns = columns if name is None else {str(name): index} | columns
+    return LogTable({name: partial(_frame_column, name, one) for name, one in columns.items()})
 
 
 def load_feather(path: Path) -> LogTable:
@@ -105,7 +90,7 @@ def load_feather(path: Path) -> LogTable:
         raise DataError(f"{path}: not a readable Feather file ({cause}).") from None
 
 
-def _frame_column(column: Any, name: Any) -> NDArray[Any]:
+def _frame_column(name: str, column: Any) -> NDArray[Any]:
     """Return one column of a data frame."""
     zoned = getattr(column.dtype, "tz", None) is not None
     values = np.asarray(column, "datetime64[ns]" if zoned else None)
@@ -147,11 +132,7 @@ class Format:
 MATRICES, FRAMES = Format(load_matrices, ()), Format(load_frame, ())
 # A new format is one function and one row here.
 FORMATS = (
-    Format(
-        load_text,
-        (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".txt.gz"),
-        moves=True,
-    ),
+    Format(load_text, (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".txt.gz"), moves=True),
     Format(load_parquet, (".parquet",), choices=("stored",), moves=True),
     Format(load_npz, (".npz",), moves=True),
     Format(load_feather, (".feather",), sandboxed=True),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,22 +51,17 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> LogTable:
         When pyarrow is not installed (extra ``io``).
     """
     file = _ParquetFile(path)
-    plain = [name for name, kind in file.kinds.items() if kind in _KINDS]
+    plain = frozenset(name for name, kind in file.kinds.items() if kind in _KINDS)
     if stored is None:
         stored = 8 * file.rows * len(plain) > LARGE
     several = partial(file.numbers, stored=stored)
     arrays: _Arrays = {name: partial(file.any, name) for name in file.kinds}
     arrays |= {name: partial(_first, several, name) for name in plain}
     if KEY not in file.metadata:
-        return LogTable(arrays, columns=several, plain=frozenset(plain))
+        return LogTable(arrays, columns=several, plain=plain)
     recorded, stated = _recorded(path, file.metadata[KEY], plain, several)
-    return LogTable(
-        arrays | recorded,
-        columns=several,
-        plain=frozenset(plain),
-        units={"time": "s"},
-        stated=stated,
-    )
+    arrays |= recorded
+    return LogTable(arrays, columns=several, plain=plain, units={"time": "s"}, stated=stated)
 
 
 def _first(several: Callable[[Sequence[str]], Array], name: str) -> Array:
@@ -77,15 +73,12 @@ class _ParquetFile:
     """An open Parquet file; whatever goes wrong in it is a `DataError`."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._pa, self._pq = require("pyarrow", extra="io"), require("pyarrow.parquet", extra="io")
-        self._errors = (self._pa.lib.ArrowException, OSError, ValueError, MemoryError)
-        try:
+        self._path, self._pa = path, require("pyarrow", extra="io")
+        parquet = require("pyarrow.parquet", extra="io")
+        with self._damage_told():
             # Buffered ahead, the whole file would be in memory beside the arrays.
-            self._file = self._pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
+            self._file = parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
             schema = self._file.schema_arrow
-        except self._errors as cause:
-            raise self._unreadable(cause) from None
         self.kinds = {field.name: str(field.type) for field in schema}
         if len(self.kinds) != len(schema):
             raise DataError(f"{path}: has several columns of one name.")
@@ -108,40 +101,33 @@ class _ParquetFile:
     def any(self, name: str) -> NDArray[Any]:
         """Return a column of lists, times or anything else."""
         check_claim(self._path, name, (self._held(name),), 8)
-        try:
-            values = self._pq.read_table(self._path, columns=[name]).column(0).combine_chunks()
+        where = f"{self._path}: column '{name}'"
+        with self._damage_told():
+            values = self._file.read(columns=[name]).column(0).combine_chunks()
             if values.null_count:
-                raise DataError(
-                    f"{self._path}: column '{name}' has {values.null_count} missing values."
-                )
+                raise DataError(f"{where} has {values.null_count} missing values.")
             types = self._pa.types
             if not (types.is_list(values.type) or types.is_fixed_size_list(values.type)):
                 return np.asarray(values.to_numpy(zero_copy_only=False))
             if not len(values):
-                raise DataError(f"{self._path}: column '{name}' has no rows.")
-            lengths = np.unique(values.value_lengths().to_numpy(zero_copy_only=False))
-            if lengths.size != 1:
-                raise DataError(
-                    f"{self._path}: column '{name}' is ragged: its rows have {lengths.min()} to "
-                    f"{lengths.max()} entries."
-                )
+                raise DataError(f"{where} has no rows.")
+            lengths = values.value_lengths().to_numpy(zero_copy_only=False)
+            least, most = lengths.min(), lengths.max()
+            if least != most:
+                raise DataError(f"{where} is ragged: its rows have {least} to {most} entries.")
             flat = np.asarray(values.flatten().to_numpy(zero_copy_only=False))
-            return flat.reshape(len(values), int(lengths[0]))
-        except self._errors as cause:
-            raise self._unreadable(cause) from None
+            return flat.reshape(len(values), int(most))
 
     def _parts(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
         """Yield the first rows and the values of parts of some columns."""
         begin = 0
-        try:
+        with self._damage_told():
             for batch in self._file.iter_batches(batch_size=ROWS, columns=list(names)):
                 values = np.empty((batch.num_rows, len(names)), order="F")
                 for j, name in enumerate(names):
                     values[:, j] = _values(batch.column(batch.schema.get_field_index(name)))
                 yield begin, values
                 begin += batch.num_rows
-        except self._errors as cause:
-            raise self._unreadable(cause) from None
         if begin != self.rows:
             raise DataError(f"{self._path}: holds {begin} rows where {self.rows} are announced.")
 
@@ -154,9 +140,14 @@ class _ParquetFile:
                     count += max(chunk.num_values, group.num_rows)
         return count
 
-    def _unreadable(self, cause: Exception) -> DataError:
-        line = (str(cause).splitlines() or [type(cause).__name__])[0]
-        return DataError(f"{self._path}: not a readable Parquet file ({line}).")
+    @contextmanager
+    def _damage_told(self) -> Iterator[None]:
+        """Refuse a file that pyarrow cannot read."""
+        try:
+            yield
+        except (self._pa.lib.ArrowException, OSError, ValueError, MemoryError) as cause:
+            line = (str(cause).splitlines() or [type(cause).__name__])[0]
+            raise DataError(f"{self._path}: not a readable Parquet file ({line}).") from None
 
 
 def _values(column: Any) -> NDArray[Any]:
@@ -169,7 +160,7 @@ def _values(column: Any) -> NDArray[Any]:
 
 
 def _recorded(
-    path: Path, raw: bytes, plain: Sequence[str], several: Callable[[Sequence[str]], Array]
+    path: Path, raw: bytes, plain: Collection[str], several: Callable[[Sequence[str]], Array]
 ) -> tuple[_Arrays, dict[str, Any]]:
     """Return the arrays that `Recording.to_parquet` wrote, and what it kept of IMU and contacts.
 
@@ -182,8 +173,9 @@ def _recorded(
         stated = json.loads(raw)
     except (ValueError, RecursionError):
         stated = None
+    damage = f"{path}: the metadata under 'sdpid' is damaged"
     if not isinstance(stated, dict):
-        raise DataError(f"{path}: the metadata under 'sdpid' is damaged.")
+        raise DataError(f"{damage}.")
     if stated.get("format") != FORMAT:
         raise DataError(
             f"{path}: is of format {stated.get('format')}, this version reads {FORMAT}."
@@ -192,7 +184,7 @@ def _recorded(
     if names is None and isinstance(count, int) and 0 < count <= _MOST_JOINTS:
         names = [str(j + 1) for j in range(count)]
     elif not (names and isinstance(names, list) and all(isinstance(n, str) for n in names)):
-        raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
+        raise DataError(f"{damage}: it names no joints.")
     arrays: _Arrays = {}
     for quantity in CHANNELS:
         called = "current" if quantity == "effort" and stated.get("currents") else quantity

@@ -8,6 +8,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,25 @@ from sdpid.experiment.readers.columns import LogTable
 _STATES = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")
+# Messages of a base, the argument that names their topic, and where the parts of quantities are.
+_OF_BASE = {
+    "nav_msgs/msg/Odometry": (
+        "base",
+        {
+            "base_position": ("pose.pose.position", "xyz"),
+            "base_orientation": ("pose.pose.orientation", "xyzw"),
+            "base_linear_velocity": ("twist.twist.linear", "xyz"),
+            "base_angular_velocity": ("twist.twist.angular", "xyz"),
+        },
+    ),
+    "sensor_msgs/msg/Imu": (
+        "imu",
+        {
+            "gyroscope": ("angular_velocity", "xyz"),
+            "accelerometer": ("linear_acceleration", "xyz"),
+        },
+    ),
+}
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
 _SECOND = 1_000_000_000
 # Between messages further apart than this (s) nothing is known of a base.
@@ -69,28 +89,29 @@ def load_rosbag(
     highlevel = require("rosbags.highlevel", extra="ros")
     typesys = require("rosbags.typesys", extra="ros")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    joints = _Joints(path, joint_names)
     with highlevel.AnyReader([path], default_typestore=store) as reader:
-        states = _JointStates(path, None if joint_names is None else tuple(joint_names))
-        streams: dict[str, _Stream] = {}
-        for message, (name, row) in _MESSAGES.items():
+        taken: dict[str, tuple[str, _Stream]] = {}
+        for kind, (name, quantities) in _OF_BASE.items():
             wanted = (topics or {}).get(name)
-            of_base = _topic(path, reader, message, wanted, f"{name}={{'topic': ...}}")
+            of_base = _topic(path, reader, kind, wanted, f"{name}={{'topic': ...}}")
             if of_base is None:
                 break
-            streams[of_base] = _Stream(row)
-        taken = dict(zip(streams, _MESSAGES, strict=False))
-        taken[_topic(path, reader, _STATES, topic, "topic=", _USUAL_TOPIC) or ""] = _STATES
-        connections = [c for c in reader.connections if taken.get(c.topic) == c.msgtype]
+            parts = [f"{where}.{part}" for where, parts in quantities.values() for part in parts]
+            taken[of_base] = kind, _Stream(attrgetter(*parts))
+        of_joints = _topic(path, reader, _STATES, topic, "topic=", _USUAL_TOPIC)
+        states = _Stream(joints.row)
+        taken[of_joints or ""] = _STATES, states
+        connections = [c for c in reader.connections if taken.get(c.topic, "")[:1] == (c.msgtype,)]
         for connection, recorded, raw in reader.messages(connections=connections):
-            stream = streams.get(connection.topic, states)
-            stream.add(recorded, reader.deserialize(raw, connection.msgtype))
-    columns = states.columns()
-    for stream in streams.values():
-        columns |= _at_states(stream, states)
+            message = reader.deserialize(raw, connection.msgtype)
+            taken[connection.topic][1].add(recorded, message)
+    arrays = joints.arrays(states)
+    streams = [(kind, stream) for kind, stream in taken.values() if kind != _STATES]
+    for kind, stream in streams:
+        arrays |= _at_states(_OF_BASE[kind][1], stream, states) if stream.recorded else {}
     said = {"base": {"quaternion": "xyzw", "velocity_frame": "base"}} if streams else {}
-    return LogTable(
-        {name: partial(np.asarray, values) for name, values in columns.items()}, stated=said
-    )
+    return LogTable({name: partial(np.asarray, one) for name, one in arrays.items()}, stated=said)
 
 
 def _topic(
@@ -124,57 +145,49 @@ class _Stream:
     """Messages of one topic: their own stamps, when they were recorded (ns), and their numbers."""
 
     def __init__(self, row: Callable[[Any], Iterable[float] | None]) -> None:
-        self.row = row
+        self._row = row
         self.stamps, self.recorded, self.values = array("q"), array("q"), array("d")
 
     def add(self, recorded: int, message: Any) -> None:
         """Take one message, unless there is no row of it."""
-        row = self.row(message)
+        row = self._row(message)
         if row is not None:
             stamp = message.header.stamp
             self.stamps.append(int(stamp.sec) * _SECOND + int(stamp.nanosec))
             self.recorded.append(int(recorded))
             self.values.extend(row)
 
-    def clock(self, own: bool) -> NDArray[np.int64]:
-        """Return the messages' own stamps, or when they were recorded, in ns."""
-        return np.array(self.stamps if own else self.recorded, dtype=np.int64)
+    def since(self, other: _Stream, own: bool) -> Array:
+        """Return own stamps, or when messages were recorded, in s from the first of a stream."""
+        mine, first = (self.stamps, other.stamps) if own else (self.recorded, other.recorded)
+        return (np.array(mine, dtype=np.int64) - first[0]) / _SECOND
+
+    @property
+    def table(self) -> Array:
+        """A row for each message."""
+        return np.array(self.values).reshape(len(self.recorded), -1)
 
 
-def _odometry(message: Any) -> Iterable[float]:
-    """Return position, quaternion, linear and angular velocity."""
-    pose, twist = message.pose.pose, message.twist.twist
-    parts = (pose.position, pose.orientation, twist.linear, twist.angular)
-    rows = [(part.x, part.y, part.z) for part in parts]
-    return (*rows[0], *rows[1], pose.orientation.w, *rows[2], *rows[3])
+class _Joints:
+    """What joint states are of, message by message; those of other joints are passed over."""
 
-
-def _imu(message: Any) -> Iterable[float]:
-    """Return angular velocity and linear acceleration."""
-    parts = (message.angular_velocity, message.linear_acceleration)
-    return [value for part in parts for value in (part.x, part.y, part.z)]
-
-
-class _JointStates(_Stream):
-    """The joint states of a topic, message by message; those of other joints are passed over."""
-
-    def __init__(self, path: Path, names: tuple[str, ...] | None) -> None:
-        super().__init__(self._joints)
-        self._path = path
-        self._names = names
-        self._chosen = names is not None
+    def __init__(self, path: Path, names: Sequence[str] | None) -> None:
+        self._path, self._chosen = path, names is not None
+        self._names = None if names is None else tuple(names)
         self._count = 0
         self._order: dict[tuple[str, ...], list[int] | None] = {}
         self._filled: dict[str, bool] = {}
 
-    def _joints(self, message: Any) -> list[float] | None:
+    def row(self, message: Any) -> list[float] | None:
         """Return the values of all quantities that are filled, one quantity behind the other."""
         self._count += 1
         names, values = tuple(message.name), []
         if names not in self._order:
             self._order[names] = self._matched(names)
         order = self._order[names]
-        for quantity in _QUANTITIES if order is not None else ():
+        if order is None:
+            return None
+        for quantity in _QUANTITIES:
             row = getattr(message, quantity)
             filled = self._filled.setdefault(quantity, len(row) > 0)
             if len(row) != (len(names) if filled else 0):
@@ -183,92 +196,71 @@ class _JointStates(_Stream):
                     f"for {len(names)} joints; the messages before it have "
                     f"{'one a joint' if filled else 'none'}."
                 )
-            values += [float(row[j]) for j in order or ()] if filled else []
-        return None if order is None else values
+            values += [float(row[j]) for j in order] if filled else []
+        return values
 
     def _matched(self, names: tuple[str, ...]) -> list[int] | None:
         """Return where the wanted joints are in a message; None when it is of others."""
         if not names or len(set(names)) != len(names):
             raise DataError(f"{self._path}: message {self._count} names the joints {names}.")
-        if self._names is None:
-            self._names = names
+        self._names = self._names or names
         missing = [name for name in self._names if name not in names]
-        if len(missing) == len(self._names):
-            return None
-        if missing:
+        if missing and missing != list(self._names):
             raise DataError(
                 f"{self._path}: message {self._count} lacks {', '.join(missing)}; it has "
                 f"{', '.join(names)}. Choose joints that every message has with joint_names=."
             )
-        return [names.index(name) for name in self._names]
+        return None if missing else [names.index(name) for name in self._names]
 
-    @property
-    def stamped(self) -> bool:
-        """Whether messages have stamps of their own."""
-        return any(self.stamps)
-
-    def columns(self) -> dict[str, NDArray[Any]]:
+    def arrays(self, states: _Stream) -> dict[str, NDArray[Any]]:
         """Return what was collected as named arrays."""
         others = sorted(", ".join(names) for names, order in self._order.items() if order is None)
-        if self._names is None or not self.recorded:
+        names = ", ".join(self._names or ())
+        if not states.recorded:
             raise DataError(
-                f"{self._path}: no message holds the joints {', '.join(self._names or ())}; "
-                f"there are {'; '.join(others) or 'no messages'}."
+                f"{self._path}: no message holds the joints {names}; there are "
+                f"{'; '.join(others) or 'no messages'}."
             )
         if others and not self._chosen:
             raise DataError(
-                f"{self._path}: the messages are of several sets of joints: "
-                f"{', '.join(self._names)}; {'; '.join(others)}. Choose with joint_names=."
+                f"{self._path}: the messages are of several sets of joints: {names}; "
+                f"{'; '.join(others)}. Choose with joint_names=."
             )
-        clocks = {"time": self.clock(self.stamped), "bag_time": self.clock(False)}
-        found: dict[str, NDArray[Any]] = {
-            name: (stamps - stamps[0]) / _SECOND for name, stamps in clocks.items()
+        filled = [quantity for quantity, there in self._filled.items() if there]
+        return {
+            "time": states.since(states, own=any(states.stamps)),
+            "bag_time": states.since(states, own=False),
+            "joint_names": np.asarray(self._names),
+            **dict(zip(filled, np.split(states.table, max(1, len(filled)), axis=1), strict=False)),
         }
-        found["joint_names"] = np.asarray(self._names)
-        there = [quantity for quantity, filled in self._filled.items() if filled]
-        shape = (len(self.recorded), len(there), len(self._names))
-        table = np.frombuffer(self.values).reshape(shape)
-        return found | {quantity: table[:, k] for k, quantity in enumerate(there)}
 
 
-def _at_states(stream: _Stream, states: _JointStates) -> dict[str, Array]:
+def _at_states(
+    quantities: Mapping[str, tuple[str, str]], stream: _Stream, states: _Stream
+) -> dict[str, Array]:
     """Return quantities of the base at the stamps of the joint states; NaN where unknown."""
-    if not stream.recorded:
-        return {}
-    clock, own = states.clock(states.stamped), stream.clock(states.stamped)
-    stamps = (clock - clock[0]) / _SECOND
-    time, first = np.unique((own - clock[0]) / _SECOND, return_index=True)
-    rows = np.frombuffer(stream.values).reshape(len(own), -1)[first]
-    values = np.column_stack([np.interp(stamps, time, column) for column in rows.T])
-    if stream.row is _odometry:
-        values[:, 3:7] = _between(stamps, time, rows[:, 3:7])
+    own = any(states.stamps)
+    stamps = states.since(states, own)
+    time, first = np.unique(stream.since(states, own), return_index=True)
     after = np.searchsorted(time, stamps).clip(1, max(1, len(time) - 1))
     gap = time[after] - time[after - 1] if len(time) > 1 else np.full(len(stamps), np.inf)
     unknown = (stamps < time[0]) | (stamps > time[-1]) | (gap > _LONGEST_GAP)
-    values[unknown & ~np.isin(stamps, time)] = np.nan
-    if stream.row is _imu:
-        return {"gyroscope": values[:, :3], "accelerometer": values[:, 3:]}
-    return {
-        "base_position": values[:, :3],
-        "base_orientation": values[:, 3:7],
-        "base_linear_velocity": values[:, 7:10],
-        "base_angular_velocity": values[:, 10:],
-    }
+    unknown &= ~np.isin(stamps, time)
+    found, rows = {}, stream.table[first]
+    for quantity, (_, parts) in quantities.items():
+        own_rows, rows = rows[:, : len(parts)], rows[:, len(parts) :]
+        values = np.column_stack([np.interp(stamps, time, column) for column in own_rows.T])
+        if quantity == "base_orientation" and len(time) > 1:
+            values = _between(stamps, time, own_rows)
+        values[unknown] = np.nan
+        found[quantity] = values
+    return found
 
 
 def _between(stamps: Array, time: Array, quaternions: Array) -> Array:
     """Return orientations between others, along the shortest turn."""
     from scipy.spatial.transform import Rotation, Slerp
 
-    if len(time) == 1:
-        return np.repeat(quaternions, len(stamps), axis=0)
     turns = Slerp(time, Rotation.from_quat(quaternions))
     found: Array = turns(np.clip(stamps, time[0], time[-1])).as_quat()
     return found
-
-
-# What is read of which message of a base, and the argument that names its topic.
-_MESSAGES: dict[str, tuple[str, Callable[[Any], Iterable[float]]]] = {
-    "nav_msgs/msg/Odometry": ("base", _odometry),
-    "sensor_msgs/msg/Imu": ("imu", _imu),
-}

@@ -13,10 +13,11 @@ import re
 import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from sdpid._common.sandbox import memory_limit
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import LogTable, NoNumbersError
 from sdpid.experiment.readers.names import unit_of
-from sdpid.experiment.recording.stored import check_memory
 
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20
@@ -50,8 +50,6 @@ _BEYOND_DOUBLE = 10**15
 # What reading damaged text or a damaged archive can raise.
 _DAMAGE = (OSError, EOFError, UnicodeError, ValueError, zlib.error)
 _SUFFIXES = (".dat", ".txt", ".csv", ".tsv")
-# A number takes at least two bytes as text, and eight in an array.
-_MOST_GROWTH = 4
 
 
 def load_text(path: Path) -> LogTable:
@@ -67,10 +65,7 @@ def load_text(path: Path) -> LogTable:
     DataError
         When the file is no text, or holds no table.
     """
-    try:
-        text = _Text(path)
-    except _DAMAGE as cause:
-        raise DataError(f"{path}: not a readable text file ({cause}).") from None
+    text = _Text(path)
     arrays = {name: partial(text.column, k) for k, name in enumerate(text.names) if name}
     return LogTable(arrays, place=text.place, unnamed=text.unnamed)
 
@@ -93,43 +88,45 @@ class _Text:
         with _opened(path, self.encoding) as stream:
             lines = list(islice(enumerate(_bounded(path, stream), 1), _LOOKED_AT))
         kept = [(k, line) for k, line in lines if _is_row(line)]
-        if not kept:
-            raise DataError(f"{path}: has no header and no data.")
         if any(ord(c) < ord(" ") and c not in "\t\r\n\f" for _, line in kept[:2] for c in line):
             raise DataError(f"{path}: the first line is no line of column names.")
-        head = kept[0][1]
+        head = kept[0][1] if kept else ""
         self.delimiter = _delimiter(head)
         self.names, self.unnamed = _fields(head, self.delimiter), False
         # Where commas do not separate columns, they may be decimal marks.
         self.comma = self.delimiter != ","
         values = [self._number(name) is not None for name in self.names]
-        if all(values):
-            # The first line holds values: names may stand in the last comment before.
-            before = (line for k, line in lines if k < kept[0][0] and line.startswith(_COMMENTS))
-            bare = ["", *before][-1].lstrip("#%/ ")
-            named, count = _fields(bare, _delimiter(bare)), len(self.names)
-            self.unnamed = len(named) != count
-            self.names = [str(k + 1) for k in range(count)] if self.unnamed else named
-        elif any(values):
+        if any(values) and not all(values):
             raise DataError(
                 f"{path}: the first line must name the columns, but some of its fields are numbers "
                 f"({printable(head.strip()[:60])})."
             )
+        if any(values):
+            # The first line holds values: names may stand in the last comment before.
+            before = [line for k, line in lines if k < kept[0][0] and line.startswith(_COMMENTS)]
+            bare = before[-1].lstrip("#%/ ") if before else ""
+            named, count = _fields(bare, _delimiter(bare)), len(self.names)
+            self.unnamed = len(named) != count
+            self.names = [str(k + 1) for k in range(count)] if self.unnamed else named
         else:
             kept = kept[1:]
-        if kept and (units := self._units(kept[0][1])):
-            kept = kept[1:]
+        rows = [_fields(line, self.delimiter) for _, line in kept]
+        units = [text.strip("[]() ") for text in rows[0]] if rows else []
+        known = [unit_of(unit) is not None for unit in units if unit]
+        if known and all(known) and len(units) == len(self.names):
+            # A line of units under the names.
+            kept, rows = kept[1:], rows[1:]
             pairs = zip(self.names, units, strict=True)
             self.names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
         named = [name for name in self.names if name]
-        if not kept or not named:
+        if not rows or not named:
             raise DataError(f"{path}: has no header and no data.")
         if len(set(named)) != len(named):
             raise DataError(
                 f"{path}: {len(named)} column names, {len(set(named))} of them distinct; every "
                 "column needs a name of its own."
             )
-        self._first, rows = kept[0][0], [_fields(line, self.delimiter) for _, line in kept]
+        self._first = kept[0][0]
         if len(rows[0]) != len(self.names):
             raise DataError(
                 f"{path}: {len(self.names)} column names for {len(rows[0])} values in line "
@@ -212,13 +209,6 @@ class _Text:
         except ValueError:
             return None
 
-    def _units(self, line: str) -> list[str] | None:
-        """Return the units of the columns where a line holds nothing else."""
-        units = [text.strip("[]() ") for text in _fields(line, self.delimiter)]
-        known = [unit for unit in units if unit]
-        all_known = known and all(unit_of(unit) is not None for unit in known)
-        return units if all_known and len(units) == len(self.names) else None
-
     def _rows(self) -> Iterator[tuple[int, str]]:
         """Yield the lines with values and their numbers, checked to have as many as columns."""
         count, delimiter = len(self.names), self.delimiter
@@ -246,16 +236,21 @@ class _Text:
                 yield number, line
 
 
-def _opened(path: Path, encoding: str) -> TextIO:
+@contextmanager
+def _opened(path: Path, encoding: str) -> Iterator[io.TextIOWrapper]:
     """Open a text file, compressed or not."""
     unpack: Any = gzip.open if path.suffix.lower() == ".gz" else open
-    return io.TextIOWrapper(unpack(path, "rb"), encoding=encoding, errors="replace", newline="")
+    try:
+        with unpack(path, "rb") as raw:
+            yield io.TextIOWrapper(raw, encoding=encoding, errors="replace", newline="")
+    except _DAMAGE as cause:
+        raise DataError(f"{path}: not a readable text file ({cause}).") from None
 
 
 def _encoding(path: Path) -> str:
     """Return UTF-8 or UTF-16 where the bytes are such, else what Windows writes."""
     with _opened(path, "latin-1") as stream:
-        start = stream.buffer.read(_SNIFFED)
+        start = stream.read(_SNIFFED).encode("latin-1")
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     try:
@@ -266,7 +261,7 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _bounded(path: Path, stream: TextIO) -> Iterator[str]:
+def _bounded(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
     """Yield lines that are not endless."""
     while line := stream.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
@@ -326,18 +321,14 @@ def load_matrices(folder: Path) -> LogTable:
 
 def _matrix(path: Path) -> NDArray[Any]:
     """Return samples × channels of one file."""
-    check_memory(path, _MOST_GROWTH * path.stat().st_size)
     try:
-        with path.open(encoding="utf-8") as stream:
-            delimiter = _delimiter(stream.read(_SNIFFED))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # An empty file is refused below.
-            matrix = np.loadtxt(path, delimiter=delimiter, ndmin=2, encoding="utf-8")
-    except (OSError, ValueError) as cause:
-        line = (str(cause).splitlines() or [type(cause).__name__])[0]
-        raise DataError(f"{path}: is no matrix of numbers ({printable(line)}).") from None
+        text = _Text(path)
+        matrix = np.column_stack([text.column(k) for k in range(len(text.names))])
+    except (DataError, TypeError) as cause:
+        why = str(cause).removeprefix(f"{path}: ") or type(cause).__name__
+        raise DataError(f"{path}: is no matrix of numbers ({printable(why)}).") from None
     rows, columns = matrix.shape
-    if rows == columns or not matrix.size:
+    if rows == columns:
         raise DataError(
             f"{path}: is {rows} × {columns} numbers, so that it is not known which side is time."
         )
