@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.arrays import Array, Mask, frozen_view, real_array
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.recording.floating import ContactKind as Kind
 from sdpid.experiment.recording.floating import offsets
@@ -18,15 +18,13 @@ from sdpid.experiment.recording.floating import offsets
 # axes. The moment that a line leaves free is about an axis that turns: all three are taken.
 TRANSMITS: dict[Kind, int] = {"point": 3, "line": 6, "plane": 6}
 
-# A covariance may be this far from symmetric, relative to its largest entry.
-_ASYMMETRY = 1e-6
-
-# Name, kind, offset and covariance of one contact.
-_Contact: TypeAlias = tuple[str, Kind, Array, Array]
+# A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
+# products, with room for one that came through a text file.
+ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ContactSamples:
+class ContactSamples(Shown):
     """Contacts of K samples: which are closed, and what is known of their forces.
 
     What a contact transmits and no sensor measures is eliminated from the equations of motion while
@@ -92,8 +90,8 @@ class ContactSamples:
         c = len(frames)
         others = _several(self.against or (None,) * c)
         if len(others) != c or any(
-            other is not None and (not isinstance(other, str) or other in ("", own))
-            for own, other in zip(frames, others, strict=False)
+            not isinstance(other, str | None) or other in ("", own)
+            for own, other in zip(frames, others, strict=True)
         ):
             raise DataError(
                 f"contacts: against is {self.against!r:.80}, expected a frame other than its own, "
@@ -106,54 +104,50 @@ class ContactSamples:
                 f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(TRANSMITS)} for "
                 f"all, or for each of {c} frames."
             )
-        down = np.ascontiguousarray(self.down)
-        if down.dtype != np.bool_ or down.ndim != 2 or down.shape[1] != c:
-            raise DataError(
-                f"contacts: down has shape {down.shape} and type {down.dtype}, expected (K, {c}) "
-                "and bool."
-            )
         object.__setattr__(self, "frames", frames)
         object.__setattr__(self, "against", others)
         object.__setattr__(self, "kind", kinds)
         object.__setattr__(self, "offset", offsets(self.offset, c, "contacts: offset"))
-        object.__setattr__(self, "down", frozen_view(down))
-        self._check_forces(c)
-
-    def _check_forces(self, c: int) -> None:
-        """Check measured forces and their covariance, and clear what is not transmitted."""
+        object.__setattr__(
+            self, "down", flags(self.down, "contacts: down", (*np.shape(self.down)[:1], c))
+        )
         if (self.forces is None) != (self.force_covariance is None):
             raise DataError(
                 "contacts: give forces and force_covariance together (zeros trust the forces as "
                 "they are), or neither, and forces are eliminated."
             )
-        if self.forces is None or self.force_covariance is None:
-            return
-        forces = np.ascontiguousarray(real_array(self.forces, "contacts: forces", ndim=3))
-        if forces.shape != (len(self.down), c, 6):
+        if self.forces is not None:
+            self._keep_forces(self.forces, self.force_covariance)
+
+    def _keep_forces(self, given: Any, covariance_of_it: Any) -> None:
+        """Check measured forces and their covariance, and clear what is not transmitted."""
+        forces = real_array(given, "contacts: forces", ndim=3)
+        shape = (*self.down.shape, 6)
+        if forces.shape != shape:
+            raise DataError(f"contacts: forces have shape {forces.shape}, expected {shape}.")
+        name, ndim = "contacts: force_covariance", np.ndim(covariance_of_it)
+        covariance = real_array(covariance_of_it, name, ndim=ndim, infinite=True)
+        if covariance.shape not in ((6, 6), (self.n, 6, 6)):
             raise DataError(
-                f"contacts: forces have shape {forces.shape}, expected {(len(self.down), c, 6)}."
+                f"{name} has shape {covariance.shape}, expected (6, 6) or {(self.n, 6, 6)}."
             )
-        given = real_array(
-            self.force_covariance,
-            "contacts: force_covariance",
-            ndim=np.ndim(self.force_covariance),
-            infinite=True,
-        )
-        if given.shape not in ((6, 6), (c, 6, 6)):
-            raise DataError(
-                f"contacts: force_covariance has shape {given.shape}, expected (6, 6) or "
-                f"{(c, 6, 6)}."
-            )
-        covariance = np.array(np.broadcast_to(given, (c, 6, 6)))
-        points = [i for i, kind in enumerate(self.kind) if kind == "point"]
-        covariance[points, 3:] = 0.0
-        covariance[points, :, 3:] = 0.0
-        if np.any(forces[:, points, 3:]):
-            forces = forces.copy()
-            forces[:, points, 3:] = 0.0
-        _check_covariance(covariance, self.frames)
-        object.__setattr__(self, "forces", frozen_view(forces))
-        object.__setattr__(self, "force_covariance", frozen(covariance))
+        acts = self._acts
+        covariance = np.where(acts[:, :, None] & acts[:, None], covariance, 0.0)
+        for frame, own in zip(self.frames, covariance, strict=True):
+            _check_covariance(own, f"{name} of {frame}")
+        object.__setattr__(self, "forces", frozen_view(np.where(acts, forces, 0.0)))
+        object.__setattr__(self, "force_covariance", frozen_view(covariance))
+
+    @property
+    def _acts(self) -> Mask:
+        """Which components of force and moment each contact transmits, (c, 6)."""
+        return np.arange(6) < np.array([[TRANSMITS[kind]] for kind in self.kind])
+
+    @property
+    def _uncertain(self) -> Array:
+        """Covariance of forces (c, 6, 6), infinite where they are eliminated."""
+        eliminated = np.where(self._acts[:, :, None] & np.eye(6, dtype=np.bool_), np.inf, 0.0)
+        return eliminated if self.force_covariance is None else self.force_covariance
 
     @property
     def n(self) -> int:
@@ -183,9 +177,9 @@ class ContactSamples:
 
     @staticmethod
     def join(
-        pieces: Sequence[ContactSamples | None], counts: Sequence[int]
+        pieces: Sequence[ContactSamples | None], rows: Sequence[slice]
     ) -> ContactSamples | None:
-        """Return the contacts of several pieces behind each other, each with those of all.
+        """Return the contacts of several pieces together, each with those of all.
 
         A robot may stand on its feet in one recording and hang in another. What does not occur in
         a piece is open there.
@@ -194,8 +188,8 @@ class ContactSamples:
         ----------
         pieces : sequence of ContactSamples or None
             Of each piece; None where nothing is touched.
-        counts : sequence of int
-            How many samples each piece has.
+        rows : sequence of slice
+            Which samples of the whole each piece has; the last of them ends the whole.
 
         Raises
         ------
@@ -203,55 +197,41 @@ class ContactSamples:
             When a contact is of another kind in another piece, or its forces are measured in one
             and not in another.
         """
-        given = [(number, each) for number, each in enumerate(pieces, 1) if each is not None]
+        given = [each for each in enumerate(pieces) if each[1] is not None]
+        known: dict[tuple[str, str | None], tuple[Kind, Array, Array]] = {}
+        columns = []
+        for i, contacts in given:
+            places = list(zip(contacts.frames, contacts.against, strict=True))
+            each = zip(contacts.kind, contacts.offset, contacts._uncertain, strict=True)
+            for place, name, contact in zip(places, contacts.names, each, strict=True):
+                _require_alike(known.setdefault(place, contact), contact, name, i + 1)
+            columns.append([list(known).index(place) for place in places])
         if not given:
             return None
-        known: dict[tuple[str, str | None], _Contact] = {}
-        columns = []
-        for number, contacts in given:
-            own = contacts._each()
-            for place, contact in own.items():
-                _require_alike(known.setdefault(place, contact), contact, number)
-            columns.append([list(known).index(place) for place in own])
+        down = np.zeros((rows[-1].stop, len(known)), dtype=np.bool_)
+        forces, landed = np.zeros((*down.shape, 6)), np.zeros(len(down), dtype=np.bool_)
+        for (i, contacts), at in zip(given, columns, strict=True):
+            down[rows[i], at] = contacts.down
+            if contacts.forces is not None:
+                forces[rows[i], at] = contacts.forces
+            if contacts.landed is not None:
+                landed[rows[i]] = contacts.landed
         frames, against = zip(*known, strict=True)
-        _, kinds, offsets, covariances = zip(*known.values(), strict=True)
-        covariance = np.array(covariances)
-        # A point has no moments, whose variance is zero whether forces are measured or not.
-        measured = bool(np.isfinite(np.einsum("cii->ci", covariance)[:, :3]).any())
-        down = np.zeros((sum(counts), len(known)), dtype=np.bool_)
-        forces = np.zeros((*down.shape, 6)) if measured else None
-        landed: Mask = np.zeros(len(down), dtype=np.bool_)
-        starts = np.cumsum([0, *counts])
-        for (number, contacts), at in zip(given, columns, strict=True):
-            rows = slice(starts[number - 1], starts[number])
-            down[rows, at] = contacts.down
-            landed[rows] = False if contacts.landed is None else contacts.landed
-            if forces is not None and contacts.forces is not None:
-                forces[rows, at] = contacts.forces
-        widened = [each.widened_s for _, each in given if each.widened_s is not None]
+        kinds, places, covariances = zip(*known.values(), strict=True)
+        measured = any(each.measured for _, each in given)
         return ContactSamples(
             frames=frames,
             against=against,
             kind=kinds,
-            offset=np.array(offsets),
+            offset=np.array(places),
             down=down,
-            forces=forces,
-            force_covariance=covariance if measured else None,
-            widened_s=max(widened, default=None),
+            forces=forces if measured else None,
+            force_covariance=np.array(covariances) if measured else None,
+            widened_s=max(
+                (s for _, each in given if (s := each.widened_s) is not None), default=None
+            ),
             landed=landed,
         )
-
-    def _each(self) -> dict[tuple[str, str | None], _Contact]:
-        """Return name, kind, offset and covariance of each contact by its frames.
-
-        The covariance is infinite where forces are eliminated.
-        """
-        covariance = self.force_covariance
-        if covariance is None:
-            moments = [0.0 if kind == "point" else np.inf for kind in self.kind]
-            covariance = np.array([np.diag([np.inf] * 3 + [each] * 3) for each in moments])
-        each = zip(self.names, self.kind, self.offset, covariance, strict=True)
-        return dict(zip(zip(self.frames, self.against, strict=True), each, strict=True))
 
     def __repr__(self) -> str:
         shares = [f"{100.0 * share:.0f} %" for share in self.down.mean(axis=0)]
@@ -260,17 +240,16 @@ class ContactSamples:
         forces = "measured" if self.measured else "eliminated"
         return f"ContactSamples({self.n_samples} samples, {said} closed, forces {forces})"
 
-    def _repr_html_(self) -> str:
-        columns: dict[str, Sequence[object]] = {
-            "frame": self.names,
-            "kind": self.kind,
-            "share closed": self.down.mean(axis=0).tolist(),
-        }
-        facts = {
+    def _shown(self) -> dict[str, object]:
+        return {
             "samples": self.n_samples,
             "forces": "measured" if self.measured else "eliminated",
         }
-        return facts_html("Contacts", facts, Table.of_columns(columns))
+
+    def _tables(self) -> tuple[Table, ...]:
+        shares = self.down.mean(axis=0).tolist()
+        columns = {"frame": self.names, "kind": self.kind, "share closed": shares}
+        return (Table.of_columns(columns),)
 
 
 def _several(given: Any) -> tuple[Any, ...]:
@@ -278,41 +257,48 @@ def _several(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
 
 
-def _require_alike(known: _Contact, contact: _Contact, number: int) -> None:
-    """Refuse a contact of a recording that was another one before."""
-    name, kind, offset, covariance = contact
-    if known[1] != kind or not np.array_equal(known[2], offset):
+def flags(given: Any, called: str, shape: tuple[int, ...]) -> Mask:
+    """Return flags of a shape, read-only."""
+    found = np.ascontiguousarray(given)
+    if found.dtype != np.bool_ or found.shape != shape:
         raise DataError(
-            f"contacts: '{name}' is a {kind} at {offset.tolist()} m in recording {number}, and a "
-            f"{known[1]} at {known[2].tolist()} m in one before it; give it the same kind and "
-            "offset in all."
+            f"{called} has shape {found.shape} and type {found.dtype}, expected {shape} and bool."
         )
-    if not np.array_equal(known[3], covariance):
+    return np.asarray(frozen_view(found))
+
+
+def _require_alike(
+    known: tuple[Kind, Array, Array], contact: tuple[Kind, Array, Array], name: str, number: int
+) -> None:
+    """Refuse a contact of a recording that was another one before."""
+    if known[0] != contact[0] or not np.array_equal(known[1], contact[1]):
+        raise DataError(
+            f"contacts: '{name}' is a {contact[0]} at {contact[1].tolist()} m in recording "
+            f"{number}, and a {known[0]} at {known[1].tolist()} m in one before it; give it the "
+            "same kind and offset in all."
+        )
+    if not np.array_equal(known[2], contact[2]):
         raise DataError(
             f"contacts: forces of '{name}' are measured in one recording and not, or not as well, "
             f"in recording {number}; process all of them alike (Processing.contact_force_std)."
         )
 
 
-def _check_covariance(covariance: Array, frames: Sequence[str]) -> None:
+def _check_covariance(own: Array, called: str) -> None:
     """Refuse what is no covariance of the components that are measured."""
-    for name, own in zip(frames, covariance, strict=True):
-        known = np.isfinite(np.diagonal(own))
-        finite = own[np.ix_(known, known)]
-        others = own[known][:, ~known]
-        size = float(np.abs(finite).max(initial=0.0))
-        if np.any(others != 0.0) or np.any(np.diagonal(own)[~known] < 0.0):
-            raise DataError(
-                f"contacts: force_covariance of {name}: a component with an infinite variance is "
-                "not measured; its other entries have to be zero."
-            )
-        if not np.isfinite(finite).all() or np.abs(finite - finite.T).max(initial=0.0) > (
-            _ASYMMETRY * size
-        ):
-            raise DataError(f"contacts: force_covariance of {name} is not finite and symmetric.")
-        least = float(np.linalg.eigvalsh(finite).min(initial=0.0))
-        if least < -_ASYMMETRY * size:
-            raise DataError(
-                f"contacts: force_covariance of {name} is no covariance: its least eigenvalue is "
-                f"{least:.3g}, the limit is 0."
-            )
+    variance = np.diagonal(own)
+    known = np.isfinite(variance)
+    finite = own[np.ix_(known, known)]
+    size = float(np.abs(finite).max(initial=0.0))
+    if np.any(own[known][:, ~known] != 0.0) or np.any(variance[~known] < 0.0):
+        raise DataError(
+            f"{called}: a component with an infinite variance is not measured; its other entries "
+            "have to be zero."
+        )
+    if not np.isfinite(finite).all() or not np.allclose(finite, finite.T, 0.0, ASYMMETRY * size):
+        raise DataError(f"{called} is not finite and symmetric.")
+    least = float(np.linalg.eigvalsh(finite).min(initial=0.0))
+    if least < -ASYMMETRY * size:
+        raise DataError(
+            f"{called} is no covariance: its least eigenvalue is {least:.3g}, the limit is 0."
+        )

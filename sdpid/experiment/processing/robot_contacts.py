@@ -61,29 +61,8 @@ def with_loops(robot: RobotModel, samples: Samples) -> Samples:
         kind=tuple(loop.kind for loop in robot.loops),
         down=np.ones((samples.n_samples, len(robot.loops)), dtype=np.bool_),
     )
-    feet = samples.contacts
-    return replace(samples, contacts=closed if feet is None else _beside(feet, closed))
-
-
-def _beside(feet: ContactSamples, loops: ContactSamples) -> ContactSamples:
-    """Return the contacts of feet, then those of loops."""
-    forces: Array | None = None
-    covariance: Array | None = None
-    if feet.forces is not None and feet.force_covariance is not None:
-        forces = np.concatenate([feet.forces, np.zeros((len(feet.down), loops.n, 6))], axis=1)
-        unknown = np.zeros((loops.n, 6, 6))
-        unknown[:] = np.diag(np.full(6, np.inf))
-        covariance = np.concatenate([feet.force_covariance, unknown])
-    return replace(
-        feet,
-        frames=(*feet.frames, *loops.frames),
-        against=(*feet.against, *loops.against),
-        kind=(*feet.kind, *loops.kind),
-        offset=np.concatenate([feet.offset, loops.offset]),
-        down=np.concatenate([feet.down, loops.down], axis=1),
-        forces=forces,
-        force_covariance=covariance,
-    )
+    both = [samples.contacts, closed]
+    return replace(samples, contacts=ContactSamples.join(both, [slice(0, samples.n_samples)] * 2))
 
 
 def base_held(robot: RobotModel, samples: Samples) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -11,20 +11,16 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen_view, is_number, real_array
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
+from sdpid.experiment.processing.contact_samples import ASYMMETRY, TRANSMITS, ContactSamples, flags
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.recording.recording import checked_names
 
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
 # at the default decimation, so that filtering a run costs less than twice its own number.
 _RUN = 256
-
-# A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
-# products, with room for one that came through a text file.
-_ASYMMETRY = 1e-6
 
 # Results that are kept: those of the terms of a model, with room for those tried beside them.
 _KEPT = 12
@@ -55,16 +51,16 @@ class WideVelocity:
     first: int
     stride: int
     count: int
-    _found: OrderedDict[Hashable, Array] = field(
-        default_factory=OrderedDict, repr=False, init=False
-    )
+    _found: dict[Hashable, Array] = field(default_factory=dict, repr=False, init=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields without the results kept."""
-        return {**self.__dict__, "_found": OrderedDict()}
+        return {**self.__dict__, "_found": {}}
 
     def part(self, start: int, stop: int) -> WideVelocity:
         """Return that of neighboring kept samples, from `start` up to `stop`."""
+        if stop - start == self.count:
+            return self
         lead = self.low_pass.lead
         low = max(0, self.first + self.stride * start - lead)
         high = self.first + self.stride * (stop - 1) + lead + 1
@@ -97,22 +93,22 @@ def filtered(
         if key not in wide._found:
             alike[wide.low_pass, len(wide.velocity)].append(wide)
     for (passed, length), own in alike.items():
-        rates = (np.gradient(wide.velocity, wide.step, axis=0) for wide in own)
-        values = [function(wide.velocity, rate) for wide, rate in zip(own, rates, strict=True)]
-        flat = passed.apply(np.concatenate([x.reshape(length, -1) for x in values], axis=1))
-        for wide, part in zip(own, np.split(flat, len(own), axis=1), strict=True):
-            kept = np.ascontiguousarray(part[wide.first :: wide.stride][: wide.count])
-            wide._found[key] = frozen_view(kept.reshape(wide.count, *values[0].shape[1:]))
+        rates = [np.gradient(wide.velocity, wide.step, axis=0) for wide in own]
+        values = np.stack(list(map(function, [wide.velocity for wide in own], rates)), axis=1)
+        smooth = passed.apply(values.reshape(length, -1)).reshape(values.shape)
+        for i, wide in enumerate(own):
+            kept = smooth[wide.first :: wide.stride, i][: wide.count]
+            wide._found[key] = frozen_view(np.ascontiguousarray(kept))
     found = [wide._found[key] for wide in wides]
     for wide in wides:
         wide._found.pop(None, None)
         while len(wide._found) > _KEPT:
-            wide._found.popitem(last=False)
+            del wide._found[next(iter(wide._found))]
     return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Samples:
+class Samples(Shown):
     """States and efforts, sample by sample, ready for a regression.
 
     Parameters
@@ -204,12 +200,12 @@ class Samples:
                 f"position: has shape {position.shape}, expected {(K, n)} as effort has (or more "
                 "columns with a free flyer)."
             )
-        shapes = {"velocity": (K, n), "acceleration": (K, n), "time": (K,)}
-        for name, shape in (shapes | {"effort_periods": (self.periods, K, n)}).items():
-            if getattr(self, name) is None and name in ("time", "effort_periods"):
-                continue
-            if (found := self._keep(name, len(shape)).shape) != shape:
-                raise DataError(f"{name}: has shape {found}, expected {shape} to match effort.")
+        self._keep("velocity", 2, (K, n))
+        self._keep("acceleration", 2, (K, n))
+        if self.time is not None:
+            self._keep("time", 1, (K,))
+        if self.effort_periods is not None:
+            self._keep("effort_periods", 3, (self.periods, K, n))
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
         if self.gains is not None and self.gains.n != n:
@@ -218,20 +214,33 @@ class Samples:
             raise DataError(
                 f"contacts: are of {self.contacts.n_samples} samples, expected {K} to match effort."
             )
-        self._check_covariance(K, n)
-        self._check_mask(K, n)
-        for name in ("periods", "block"):
-            if (value := getattr(self, name)) is not None or name == "block":
-                object.__setattr__(self, name, _counted(name, value))
+        if self.covariance is not None:
+            ndim = 2 if np.ndim(self.covariance) == 2 else 3
+            self._check_covariance(self._keep("covariance", ndim, (n, n), (K, n, n)))
+        if self.mask is not None:
+            object.__setattr__(self, "mask", flags(self.mask, "mask:", (K, n)))
+            if not self.mask.any():
+                raise DataError(
+                    f"mask: leaves none of {self.mask.size} rows, there is nothing to fit; True "
+                    "marks a row that is used."
+                )
+        object.__setattr__(self, "block", _counted("block", self.block))
+        if self.periods is not None:
+            object.__setattr__(self, "periods", _counted("periods", self.periods))
         object.__setattr__(self, "notes", tuple(self.notes))
         starts = tuple(int(start) for start in self.starts)
-        rising = all(first < second for first, second in pairwise((*starts, K)))
-        if starts[:1] != (0,) or not rising:
+        if starts[:1] != (0,) or any(first >= second for first, second in pairwise((*starts, K))):
             raise DataError(
                 f"starts: are {self.starts}, expected rising sample numbers from 0, below {K}."
             )
         object.__setattr__(self, "starts", starts)
-        self._check_wide()
+        if self.wide is not None:
+            object.__setattr__(self, "wide", tuple(self.wide))
+            sizes, given = [b - a for a, b in pairwise((*starts, K))], [w.count for w in self.wide]
+            if sizes != given or any(wide.velocity.shape[1] != n for wide in self.wide):
+                raise DataError(
+                    f"wide: is for pieces of {given} samples, expected {sizes}, of {n} joints."
+                )
 
     @staticmethod
     def join(pieces: Sequence[Samples]) -> Samples:
@@ -274,35 +283,55 @@ class Samples:
                     f"samples: the joints of piece {number} are {', '.join(piece.names)}, those "
                     f"of the first {', '.join(first.names)}; put them in one order."
                 )
+            _require_same_gains(first.gains, piece.gains, number)
         if any(piece.periods is not None for piece in pieces):
             raise DataError(
                 "samples: averages over periods cannot be joined with others; identify from one "
                 "periodic recording, or leave its period out."
             )
-        counts = [piece.n_samples for piece in pieces]
-        offsets = np.cumsum([0, *counts[:-1]]).tolist()
-        names = ["position", "velocity", "acceleration", "effort"]
-        if all(piece.time is not None for piece in pieces):
-            names.append("time")
+        covariances = _of_all(
+            pieces, "covariance", "a covariance of the effort; give it for all, or for none"
+        )
+        wides = _of_all(
+            pieces,
+            "wide",
+            "a wide velocity to filter friction columns with; process all of them alike "
+            "(Processing.filter_friction)",
+        )
+        common = all(np.array_equal(each, covariances[0]) for each in covariances)
+        if covariances and not (common and covariances[0].ndim == 2):
+            shapes = [(piece.n_samples, piece.n, piece.n) for piece in pieces]
+            covariances = [np.concatenate(list(map(np.broadcast_to, covariances, shapes)))]
         tables: dict[str, Any] = {
-            name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in names
+            name: np.concatenate([getattr(piece, name) for piece in pieces])
+            for name in ("position", "velocity", "acceleration", "effort", "time")
+            if all(getattr(piece, name) is not None for piece in pieces)
         }
         if any(piece.mask is not None for piece in pieces):
             tables["mask"] = np.concatenate([piece.used for piece in pieces])
+        ends = np.cumsum([piece.n_samples for piece in pieces]).tolist()
+        rows = [slice(*each) for each in pairwise((0, *ends))]
+        shared = [note for note in first.notes if all(note in piece.notes for piece in pieces)]
+        single = [
+            f"piece {number}: {note}"
+            for number, piece in enumerate(pieces, 1)
+            for note in piece.notes
+            if note not in shared
+        ]
         return Samples(
             **tables,
-            covariance=_joined_covariance(pieces),
+            covariance=covariances[0] if covariances else None,
             joint_names=first.joint_names,
             block=max(piece.block for piece in pieces),
-            notes=_joined_notes(pieces),
+            notes=(*shared, f"{len(pieces)} pieces joined", *single),
             starts=tuple(
-                offset + start
-                for offset, piece in zip(offsets, pieces, strict=True)
+                row.start + start
+                for row, piece in zip(rows, pieces, strict=True)
                 for start in piece.starts
             ),
-            wide=_joined_wide(pieces),
-            gains=_joined_gains(pieces),
-            contacts=ContactSamples.join([piece.contacts for piece in pieces], counts),
+            wide=tuple(wide for own in wides for wide in own) or None,
+            gains=first.gains,
+            contacts=ContactSamples.join([piece.contacts for piece in pieces], rows),
         )
 
     @property
@@ -315,8 +344,7 @@ class Samples:
         """The pieces, each by itself."""
         if len(self.starts) == 1:
             return (self,)
-        wide = self.wide or (None,) * len(self.starts)
-        return tuple(self._picked(p, w) for p, w in zip(self.parts, wide, strict=True))
+        return tuple(self._picked(i, part) for i, part in enumerate(self.parts))
 
     def through_filter(
         self,
@@ -356,12 +384,8 @@ class Samples:
         DataError
             When there are none.
         """
-        found = []
-        for piece, part in zip(self.pieces, self.parts, strict=True):
-            first, last = max(start - part.start, 0), min(stop, part.stop) - part.start
-            if first < last:
-                wide = None if piece.wide is None else piece.wide[0].part(first, last)
-                found.append(piece._picked(slice(first, last), wide))
+        cut = [slice(max(start, part.start), min(stop, part.stop)) for part in self.parts]
+        found = [self._picked(i, each) for i, each in enumerate(cut) if each.start < each.stop]
         if not found:
             raise DataError(f"samples: there are none from {start} to {stop} of {self.n_samples}.")
         return Samples.join(found)
@@ -377,40 +401,33 @@ class Samples:
         """
         if step == 1:
             return self
-        if self.wide is None:
-            return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
-        runs = []
-        for piece in self.pieces:
-            (wide,) = piece.wide or ()
-            for start in range(0, piece.n_samples, _RUN * step):
-                stop = min(start + _RUN, piece.n_samples)
-                runs.append(piece._picked(slice(start, stop), wide.part(start, stop)))
-        return Samples.join(runs)
+        found = []
+        for i, part in enumerate(self.parts):
+            if self.wide is None:
+                found.append(self._picked(i, slice(part.start, part.stop, step)))
+                continue
+            for start in range(part.start, part.stop, _RUN * step):
+                found.append(self._picked(i, slice(start, min(start + _RUN, part.stop))))
+        return Samples.join(found)
 
-    def _picked(self, which: slice, wide: WideVelocity | None = None) -> Samples:
-        """Return some samples of one piece, without `periods` and the single periods' efforts."""
-        names = ["position", "velocity", "acceleration", "effort", "time"]
-        if self.covariance is not None and self.covariance.ndim == 3:
-            names.append("covariance")
-        tables = {name: getattr(self, name) for name in names}
-        cut: dict[str, Any] = {
-            name: None if table is None else table[which] for name, table in tables.items()
+    def _picked(self, i: int, which: slice) -> Samples:
+        """Return some samples of piece i, without `periods` and the single periods' efforts."""
+        picked: dict[str, Any] = {
+            name: table[which]
+            for name in ("position", "velocity", "acceleration", "effort", "time", "covariance")
+            if (table := getattr(self, name)) is not None and len(table) == self.n_samples
         }
-        picked = replace(
-            self,
-            **cut,
-            mask=None,
-            periods=None,
-            notes=(),
-            effort_periods=None,
-            starts=(0,),
-            wide=None if wide is None else (wide,),
-            contacts=None if self.contacts is None else self.contacts.picked(which),
-        )
+        if self.wide is not None:
+            before = self.starts[i]
+            picked["wide"] = (self.wide[i].part(which.start - before, which.stop - before),)
+        if self.contacts is not None:
+            picked["contacts"] = self.contacts.picked(which)
+        alone: dict[str, Any] = dict.fromkeys(("mask", "periods", "effort_periods"))
+        samples = replace(self, **alone, **picked, notes=(), starts=(0,))
         if self.mask is not None:
             # Unlike a whole, a part may have no row that is used.
-            object.__setattr__(picked, "mask", frozen_view(np.ascontiguousarray(self.mask[which])))
-        return picked
+            object.__setattr__(samples, "mask", frozen_view(self.mask[which]))
+        return samples
 
     def __repr__(self) -> str:
         parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
@@ -422,23 +439,24 @@ class Samples:
             parts.append(f"{self.contacts.n} contacts")
         return f"Samples({', '.join(parts)})"
 
-    def _repr_html_(self) -> str:
-        table = Table.of_columns(
-            {
-                "joint": list(self.names),
-                "rows used": np.count_nonzero(self.used, axis=0).tolist(),
-                "rms velocity": np.sqrt(np.mean(np.square(self.velocity), axis=0)).tolist(),
-                "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
-            }
-        )
+    def _shown(self) -> dict[str, object]:
         facts: dict[str, object] = {
             "samples": self.n_samples,
             "rows used": self.n_rows,
             "pieces": len(self.starts),
         }
-        if self.contacts is not None:
-            facts["contacts"] = ", ".join(self.contacts.names)
-        return facts_html("Samples", facts, table)
+        return (
+            facts if self.contacts is None else facts | {"contacts": ", ".join(self.contacts.names)}
+        )
+
+    def _tables(self) -> tuple[Table, ...]:
+        columns = {
+            "joint": list(self.names),
+            "rows used": np.count_nonzero(self.used, axis=0).tolist(),
+            "rms velocity": np.sqrt(np.mean(np.square(self.velocity), axis=0)).tolist(),
+            "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
+        }
+        return (Table.of_columns(columns),)
 
     @property
     def n(self) -> int:
@@ -483,25 +501,22 @@ class Samples:
             return self.joint_names
         return tuple(str(j + 1) for j in range(self.n))
 
-    def _keep(self, name: str, ndim: int) -> Array:
+    def _keep(self, name: str, ndim: int, *shapes: tuple[int | None, ...]) -> Array:
         """Check the array in a field and put it back as a read-only contiguous view."""
         array = np.ascontiguousarray(real_array(getattr(self, name), name, ndim=ndim))
-        view: Array = frozen_view(array)
-        object.__setattr__(self, name, view)
-        return view
-
-    def _check_covariance(self, K: int, n: int) -> None:
-        """Check shape, symmetry, and what every covariance satisfies entry by entry."""
-        if self.covariance is None:
-            return
-        covariance = self._keep("covariance", 2 if np.ndim(self.covariance) == 2 else 3)
-        if covariance.shape not in ((n, n), (K, n, n)):
+        if shapes and array.shape not in shapes:
             raise DataError(
-                f"covariance: has shape {covariance.shape}, expected {(n, n)} or {(K, n, n)}."
+                f"{name}: has shape {array.shape}, expected {' or '.join(map(str, shapes))} to "
+                "match effort."
             )
+        object.__setattr__(self, name, frozen_view(array))
+        return array
+
+    def _check_covariance(self, covariance: Array) -> None:
+        """Check symmetry, and what every covariance satisfies entry by entry."""
         scale = float(np.abs(covariance).max())
         gap = float(np.abs(covariance - np.swapaxes(covariance, -1, -2)).max())
-        if gap > _ASYMMETRY * scale:
+        if gap > ASYMMETRY * scale:
             raise DataError(
                 f"covariance: is not symmetric; entries differ by {gap:.3g}, the largest is "
                 f"{scale:.3g}."
@@ -516,39 +531,11 @@ class Samples:
             )
         bound = np.sqrt(variance[..., :, None] * variance[..., None, :])
         excess = float((np.abs(covariance) - bound).max())
-        if excess > _ASYMMETRY * scale:
+        if excess > ASYMMETRY * scale:
             raise DataError(
                 "covariance: is not positive semidefinite; an entry exceeds the geometric mean of "
                 f"its two variances by {excess:.3g}."
             )
-
-    def _check_wide(self) -> None:
-        """Check that there is a wide velocity for each piece, of its size."""
-        if self.wide is None:
-            return
-        object.__setattr__(self, "wide", tuple(self.wide))
-        sizes = [part.stop - part.start for part in self.parts]
-        given = [wide.count for wide in self.wide]
-        if sizes != given or any(w.velocity.shape[1] != self.n for w in self.wide):
-            raise DataError(
-                f"wide: is for pieces of {given} samples, expected {sizes}, of {self.n} joints."
-            )
-
-    def _check_mask(self, K: int, n: int) -> None:
-        """Check shape and type of the mask, and that it leaves something."""
-        if self.mask is None:
-            return
-        mask = np.ascontiguousarray(self.mask)
-        if mask.dtype != np.bool_ or mask.shape != (K, n):
-            raise DataError(
-                f"mask: has shape {mask.shape} and type {mask.dtype}, expected {(K, n)} and bool."
-            )
-        if not mask.any():
-            raise DataError(
-                f"mask: leaves none of {mask.size} rows, there is nothing to fit; True marks a row "
-                "that is used."
-            )
-        object.__setattr__(self, "mask", frozen_view(mask))
 
 
 def _counted(name: str, value: Any) -> int:
@@ -559,58 +546,20 @@ def _counted(name: str, value: Any) -> int:
     return int(value)
 
 
-def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:
-    """Return one covariance for all pieces, or one a sample where they differ."""
-    given = [piece.covariance for piece in pieces if piece.covariance is not None]
-    if not given:
-        return None
-    if len(given) < len(pieces):
-        raise DataError(
-            f"samples: {len(given)} of {len(pieces)} pieces have a covariance of the effort; give "
-            "it for all, or for none."
-        )
-    if all(each.ndim == 2 and np.array_equal(each, given[0]) for each in given):
-        return given[0]
-    n = pieces[0].n
-    shapes = [(piece.n_samples, n, n) for piece in pieces]
-    return np.concatenate([np.broadcast_to(c, s) for c, s in zip(given, shapes, strict=True)])
-
-
-def _joined_wide(pieces: Sequence[Samples]) -> tuple[WideVelocity, ...] | None:
-    """Return the wide velocities of all pieces, None where none has them."""
-    given = [piece.wide for piece in pieces if piece.wide is not None]
+def _of_all(pieces: Sequence[Samples], name: str, what: str) -> list[Any]:
+    """Return what all pieces have in a field, nothing where none has it."""
+    given = [each for piece in pieces if (each := getattr(piece, name)) is not None]
     if given and len(given) < len(pieces):
+        raise DataError(f"samples: {len(given)} of {len(pieces)} pieces have {what}.")
+    return given
+
+
+def _require_same_gains(first: DriveGains | None, own: DriveGains | None, number: int) -> None:
+    """Refuse a piece with other gains than the first: they would make errors of another kind."""
+    alike = first is own if first is None or own is None else first.same_errors(own)
+    if not alike:
+        said = ["none" if gains is None else gains.in_words for gains in (first, own)]
         raise DataError(
-            f"samples: {len(given)} of {len(pieces)} pieces have a wide velocity to filter "
-            "friction columns with; process all of them alike (Processing.filter_friction)."
+            f"gains: those of piece {number} ({said[1]}) are others than those of the first "
+            f"({said[0]}); read all recordings that are used together with the same gains."
         )
-    return tuple(wide for own in given for wide in own) or None
-
-
-def _joined_gains(pieces: Sequence[Samples]) -> DriveGains | None:
-    """Return the gains that all pieces have; others would make errors of another kind."""
-    first = pieces[0].gains
-    for number, piece in enumerate(pieces[1:], 2):
-        if first is None or piece.gains is None:
-            alike = first is piece.gains
-        else:
-            alike = first.same_errors(piece.gains)
-        if not alike:
-            said = ["none" if gains is None else gains.in_words for gains in (first, piece.gains)]
-            raise DataError(
-                f"gains: those of piece {number} ({said[1]}) are others than those of the first "
-                f"({said[0]}); read all recordings that are used together with the same gains."
-            )
-    return first
-
-
-def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:
-    """Return the notes that all pieces share, then those of single pieces."""
-    common = [note for note in pieces[0].notes if all(note in p.notes for p in pieces)]
-    single = [
-        f"piece {number}: {note}"
-        for number, piece in enumerate(pieces, 1)
-        for note in piece.notes
-        if note not in common
-    ]
-    return (*common, f"{len(pieces)} pieces joined", *single)
