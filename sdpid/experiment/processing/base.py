@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,8 +29,6 @@ from sdpid.experiment.recording.recording import Recording
 BASE_NAMES = tuple(f"root_joint/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz"))
 # Where no robot says another: that of `load_robot`, m/s².
 GRAVITY = (0.0, 0.0, -9.81)
-# Below this sine of half an angle its logarithm is taken from the series.
-_SMALL = 1e-6
 
 
 def require_finite(log: Recording, processing: Processing) -> None:
@@ -90,11 +88,19 @@ def with_base(
     assert log.base is not None
     states, note = base_states(log.base, pipeline, np.array(gravity), processing.base_motion)
     states["effort"] = np.zeros((joints.n_samples, len(BASE_NAMES)))
-    mask, contacts, notes = joints.mask, None, [*joints.notes, note]
-    if mask is not None:
-        mask = np.pad(mask, ((0, 0), (len(BASE_NAMES), 0)), constant_values=True)
+    tables: dict[str, Any] = {
+        name: np.hstack([table, getattr(joints, name)]) for name, table in states.items()
+    }
+    before = ((0, 0), (len(BASE_NAMES), 0))
+    if joints.mask is not None:
+        tables["mask"] = np.pad(joints.mask, before, constant_values=True)
+    if joints.wide is not None:
+        speeds = [frozen_view(np.pad(wide.velocity, before)) for wide in joints.wide]
+        pairs = zip(joints.wide, speeds, strict=True)
+        tables["wide"] = tuple(replace(wide, velocity=speed) for wide, speed in pairs)
+    notes = [*joints.notes, note]
     if log.contacts is not None:
-        contacts, clear, told = feet_of(log.contacts, pipeline, processing)
+        tables["contacts"], clear, told = feet_of(log.contacts, pipeline, processing)
         notes += told
         if not clear.any():
             raise DataError(
@@ -102,27 +108,10 @@ def with_base(
                 "it shorter, or leave it out (None)."
             )
         if not clear.all():
-            every = np.ones((joints.n_samples, len(BASE_NAMES) + joints.n), dtype=np.bool_)
-            mask = (every if mask is None else mask) & clear[:, None]
-    wide = joints.wide
-    if wide is not None:
-        speeds = [np.pad(each.velocity, ((0, 0), (len(BASE_NAMES), 0))) for each in wide]
-        wide = tuple(
-            replace(each, velocity=frozen_view(speed))
-            for each, speed in zip(wide, speeds, strict=True)
-        )
-    tables: dict[str, Any] = {
-        name: np.hstack([table, getattr(joints, name)]) for name, table in states.items()
-    }
-    return replace(
-        joints,
-        **tables,
-        mask=mask,
-        joint_names=joints.joint_names and (*BASE_NAMES, *joints.joint_names),
-        notes=tuple(notes),
-        wide=wide,
-        contacts=contacts,
-    )
+            every = np.ones(tables["effort"].shape, dtype=np.bool_)
+            tables["mask"] = tables.get("mask", every) & clear[:, None]
+    names = joints.joint_names and (*BASE_NAMES, *joints.joint_names)
+    return replace(joints, **tables, joint_names=names, notes=tuple(notes))
 
 
 def base_states(
@@ -168,7 +157,7 @@ def base_states(
     states = {
         "position": [place, orientation],
         "velocity": [np.zeros_like(smooth_rate), smooth_rate],
-        "acceleration": [acceleration, _rate(pipeline, smooth_rate)],
+        "acceleration": [acceleration, _derivative(pipeline, smooth_rate)],
     }
     kept = {name: pipeline.kept(np.hstack(parts)) for name, parts in states.items()}
     return kept, f"accelerations of the base: linear from {linear_source}, angular from {source}"
@@ -178,19 +167,17 @@ def _angular(
     base: BaseMotion, pipeline: Pipeline, raw: Array, wanted: BaseSource
 ) -> tuple[str, Array]:
     """Return the source and the angular velocity (M, 3) in body axes, not filtered."""
-    imu = base.imu
-    if wanted in ("auto", "imu") and imu is not None and imu.gyroscope is not None:
-        return "the gyroscope", pipeline.whole(imu.gyroscope) @ np.asarray(imu.rotation).T
+    sensed = base.sensed("gyroscope")
+    if wanted in ("auto", "imu") and sensed is not None:
+        return "the gyroscope", pipeline.whole(sensed)
     told = ""
-    if wanted in ("auto", "imu", "twist") and base.angular_velocity is not None:
-        rate = pipeline.whole(base.angular_velocity)
-        chosen = True
+    if wanted != "pose" and base.angular_velocity is not None:
+        rate, chosen = pipeline.whole(base.angular_velocity), True
         if wanted != "twist":
             chosen, told = quieter(pipeline, rate, angle_noise(raw), "rad/s²")
         if chosen:
-            if base.velocity_frame == "world":
-                rate = into_body(raw, rate)
-            return f"the recorded angular velocity{told}", rate
+            own = base.velocity_frame == "base"
+            return f"the recorded angular velocity{told}", rate if own else into_body(raw, rate)
     if wanted == "twist":
         raise DataError(
             "base_motion: is 'twist', and the recording has no angular velocity of the base; use "
@@ -209,52 +196,45 @@ def _specific_force(
     wanted: BaseSource,
 ) -> tuple[str, Array]:
     """Return the source and the specific force (M, 3) at the base's origin, not filtered."""
-    imu = base.imu
-    if wanted in ("auto", "imu") and imu is not None and imu.accelerometer is not None:
-        lever = np.asarray(imu.translation)
-        measured = pipeline.whole(imu.accelerometer) @ np.asarray(imu.rotation).T
-        turning = np.cross(rate, np.cross(rate, lever))
-        return "the accelerometer", measured - np.cross(_rate(pipeline, rate), lever) - turning
+    sensed = base.sensed("accelerometer")
+    if wanted in ("auto", "imu") and base.imu is not None and sensed is not None:
+        lever = np.asarray(base.imu.translation)
+        turning = np.cross(_derivative(pipeline, rate), lever)
+        turning += np.cross(rate, np.cross(rate, lever))
+        return "the accelerometer", pipeline.whole(sensed) - turning
     if wanted == "imu":
         raise DataError(
             "base_motion: is 'imu', and the recording has no accelerometer; give base.imu, or use "
             "'twist', 'pose' or 'auto'."
         )
+    place = None if base.position is None else pipeline.whole(base.position)
     told = ""
-    if wanted in ("auto", "twist") and base.linear_velocity is not None:
-        velocity = pipeline.whole(base.linear_velocity)
-        chosen = True
-        if wanted == "auto" and base.position is not None:
-            place = white_noise(pipeline.whole(base.position))
-            chosen, told = quieter(pipeline, velocity, place, "m/s²")
+    if wanted != "pose" and base.linear_velocity is not None:
+        velocity, chosen = pipeline.whole(base.linear_velocity), True
+        if wanted != "twist" and place is not None:
+            chosen, told = quieter(pipeline, velocity, white_noise(place), "m/s²")
         if chosen:
-            source = f"the recorded linear velocity{told}"
+            found = _derivative(pipeline, velocity)
             if base.velocity_frame == "base":
-                own = _rate(pipeline, velocity) + np.cross(rate, velocity)
-                return source, own - into_body(orientation, gravity)
-            return source, into_body(orientation, _rate(pipeline, velocity) - gravity)
-    if wanted == "twist" or base.position is None:
+                found += np.cross(rate, velocity) - into_body(orientation, gravity)
+            else:
+                found = into_body(orientation, found - gravity)
+            return f"the recorded linear velocity{told}", found
+    if wanted == "twist" or place is None:
         lacks = "linear velocity" if wanted == "twist" else "accelerometer, velocity or position"
         raise DataError(
             f"base_motion: is '{wanted}', and the recording has no {lacks} of the base; its linear "
             "acceleration is not known. Record one of them."
         )
-    position = pipeline.whole(base.position)
-    return f"the position{told}", into_body(orientation, _second(pipeline, position) - gravity)
+    found = _derivative(pipeline, place, 2)
+    return f"the position{told}", into_body(orientation, found - gravity)
 
 
-def _rate(pipeline: Pipeline, values: Array) -> Array:
-    """Return the derivative of channels (M, c), their ends continued by point reflection."""
-    margin = pipeline.differences.margin
-    extended = reflected(values, margin, margin)
-    return pipeline.differences.velocity(extended, pipeline.grid.step)
-
-
-def _second(pipeline: Pipeline, values: Array) -> Array:
-    """Return the second derivative of channels (M, c), their ends continued likewise."""
-    margin = pipeline.differences.margin
-    extended = reflected(values, margin, margin)
-    return pipeline.differences.acceleration(extended, pipeline.grid.step)
+def _derivative(pipeline: Pipeline, values: Array, order: Literal[1, 2] = 1) -> Array:
+    """Return a derivative of channels (M, c), their ends continued by point reflection."""
+    weights, step = pipeline.differences, pipeline.grid.step
+    extended = reflected(values, weights.margin, weights.margin)
+    return (weights.velocity if order == 1 else weights.acceleration)(extended, step)
 
 
 def quieter(pipeline: Pipeline, velocity: Array, pose_noise: float, unit: str) -> tuple[bool, str]:
@@ -279,11 +259,11 @@ def quieter(pipeline: Pipeline, velocity: Array, pose_noise: float, unit: str) -
     around = 2 * pipeline.low_pass.reach + 2 * pipeline.differences.margin
     impulse = np.zeros((2 * around + 1, 1))
     impulse[around] = 1.0
-    once, twice = (
-        float(np.linalg.norm(pipeline.low_pass.whole(differentiated(pipeline, impulse))))
-        for differentiated in (_rate, _second)
+    of_velocity, of_pose = (
+        noise
+        * float(np.linalg.norm(pipeline.low_pass.whole(_derivative(pipeline, impulse, order))))
+        for noise, order in ((white_noise(velocity), 1), (pose_noise, 2))
     )
-    of_velocity, of_pose = white_noise(velocity) * once, pose_noise * twice
     chosen = of_velocity < of_pose
     less, more = sorted((of_velocity, of_pose))
     other = "the pose" if chosen else "the recorded velocity"
@@ -305,7 +285,7 @@ def base_limit(base: BaseMotion, rate_hz: float, share: float, wanted: str = "au
     accelerations may be from (`wanted`, see `base_states`) decides; infinite with an accelerometer,
     or without noise.
     """
-    if wanted in ("auto", "imu") and base.imu is not None and base.imu.accelerometer is not None:
+    if wanted in ("auto", "imu") and base.sensed("accelerometer") is not None:
         return np.inf
     limits = []
     for source, table, order in (
@@ -328,9 +308,9 @@ def unit(quaternions: Array) -> Array:
 
 def into_body(quaternions: Array, vectors: Array) -> Array:
     """Return vectors (M, 3) or (3,) in body axes, given in world axes."""
-    axis, w = -quaternions[:, :3], quaternions[:, 3:]
-    twice = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + w * twice + np.cross(axis, twice))
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternions).apply(vectors, inverse=True))
 
 
 def body_rate(quaternions: Array, weights: Array, step: float) -> Array:
@@ -349,27 +329,13 @@ def body_rate(quaternions: Array, weights: Array, step: float) -> Array:
     step : float
         Distance of two samples, s.
     """
+    from scipy.spatial.transform import Rotation
+
     margin = weights.size // 2
     inner = len(quaternions) - 2 * margin
+    turns = Rotation.from_quat(quaternions)
     rate = np.zeros((inner, 3))
     for lag in range(1, margin + 1):
-        before = quaternions[margin - lag : margin - lag + inner]
-        after = quaternions[margin + lag : margin + lag + inner]
-        rate += weights[margin + lag] * _logarithm(_between(before, after))
+        before, after = (turns[margin + each : margin + each + inner] for each in (-lag, lag))
+        rate += weights[margin + lag] * (before.inv() * after).as_rotvec()
     return np.pad(rate / step, ((margin, margin), (0, 0)), mode="edge")
-
-
-def _between(a: Array, b: Array) -> Array:
-    """Return the rotations from `a` to `b`, in the axes of `a`: conj(a)·b."""
-    vector = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(a[:, :3], b[:, :3])
-    scalar = np.einsum("ki,ki->k", a, b)
-    return np.concatenate([vector, scalar[:, None]], axis=1)
-
-
-def _logarithm(q: Array) -> Array:
-    """Return rotation vectors (M, 3) of quaternions, of at most half a turn."""
-    q = np.where(q[:, 3:] < 0.0, -q, q)
-    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[:, 3:])
-    scale = np.where(sine > _SMALL, angle / np.maximum(sine, _SMALL), 2.0)
-    return np.asarray(scale * q[:, :3])
