@@ -19,7 +19,7 @@ from sdpid.experiment.preparation.prepare import (
     read_logs,
     require_joint_covariance,
 )
-from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, efforts_of, states_of
+from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous
@@ -100,15 +100,15 @@ class Twin:
         pipelines = tuple(
             tuple(_pipeline(piece, chosen) for piece in continuous(each)[0]) for each in logs
         )
-        if measured is None:
-            measured = Samples.join([subject.processed(chosen) for subject in subjects])
-            return cls(
-                robot=robot, logs=logs, processing=chosen, measured=measured, _pipelines=pipelines
-            )
         twin = cls(
-            robot=robot, logs=logs, processing=chosen, measured=measured, _pipelines=pipelines
+            robot=robot,
+            logs=logs,
+            processing=chosen,
+            measured=measured or Samples.join([each.processed(chosen) for each in subjects]),
+            _pipelines=pipelines,
         )
-        _require_same(twin, measured)
+        if measured is not None:
+            _require_same(twin, measured)
         return twin
 
     def __repr__(self) -> str:
@@ -145,35 +145,22 @@ class Twin:
         DataError
             When arrays are not finite or do not have the recordings' shapes.
         """
-        positions = self._arrays(position, "position")
-        count = len(self.logs)
-        velocities = [None] * count if velocity is None else self._arrays(velocity, "velocity")
-        efforts = [None] * count if effort is None else self._arrays(effort, "effort")
-        states, forces = [], []
-        for log, pipelines, q, v, tau in zip(
-            self.logs, self._pipelines, positions, velocities, efforts, strict=True
-        ):
-            if v is None and self.processing.velocity == "measured":
-                v = _spline_velocity(log.time, q)
-            moved = replace(log, position=q, velocity=v, effort=log.effort if tau is None else tau)
-            for piece, pipeline in zip(continuous(moved)[0], pipelines, strict=True):
-                if pipeline is None:
-                    continue
-                states.append(states_of(piece, pipeline, self.processing, repeats=False))
-                if tau is not None:
-                    forces.append(efforts_of(piece, pipeline)[0])
-        wide = tuple(own for each in states for own in each["wide"] or ())
+        given = {"position": position, "velocity": velocity, "effort": effort}
+        arrays = {name: self._arrays(x, name) for name, x in given.items() if x is not None}
+        if velocity is None and self.processing.velocity == "measured":
+            pairs = zip(self.logs, arrays["position"], strict=True)
+            arrays["velocity"] = [_spline_velocity(log.time, q) for log, q in pairs]
+        moved = self._moved(arrays)
+        states = [states_of(*each, self.processing, repeats=False) for each in moved]
         changed: dict[str, Any] = {
             name: np.concatenate([each[name] for each in states])
             for name in ("position", "velocity", "acceleration")
         }
-        if forces:
-            changed |= {"effort": np.concatenate(forces), "effort_periods": None}
-        return replace(
-            self.measured,
-            wide=wide or None,
-            **changed,
-        )
+        if effort is not None:
+            efforts = [pipeline.means(piece.effort) for piece, pipeline in moved]
+            changed |= {"effort": np.concatenate(efforts), "effort_periods": None}
+        wide = tuple(own for each in states for own in each["wide"] or ())
+        return replace(self.measured, wide=wide or None, **changed)
 
     @one_thread
     def positions(self, position: Motions) -> Array:
@@ -185,15 +172,17 @@ class Twin:
             As for `samples`. Filtering is linear, so derivatives of positions by parameters pass
             like positions.
         """
+        moved = self._moved({"position": self._arrays(position, "position")})
+        return np.concatenate([pipeline.means(piece.position) for piece, pipeline in moved])
+
+    def _moved(self, arrays: dict[str, list[Array]]) -> list[tuple[Recording, Pipeline]]:
+        """Return the pieces of the recordings with other channels, and how each is processed."""
         found = []
-        for log, pipelines, q in zip(
-            self.logs, self._pipelines, self._arrays(position, "position"), strict=True
-        ):
-            pieces = continuous(replace(log, position=q))[0]
-            for piece, pipeline in zip(pieces, pipelines, strict=True):
-                if pipeline is not None:
-                    found.append(_filtered(piece, pipeline))
-        return np.concatenate(found)
+        for i, (log, pipelines) in enumerate(zip(self.logs, self._pipelines, strict=True)):
+            own: dict[str, Any] = {"velocity": None} | {name: x[i] for name, x in arrays.items()}
+            pieces = continuous(replace(log, **own))[0]
+            found += [each for each in zip(pieces, pipelines, strict=True) if each[1] is not None]
+        return found
 
     def _arrays(self, given: Any, name: str) -> list[Array]:
         """Return one checked array (N, n) a recording."""
@@ -222,16 +211,6 @@ def _pipeline(piece: Recording, processing: Processing) -> Pipeline | None:
         return None
 
 
-def _filtered(piece: Recording, pipeline: Pipeline) -> Array:
-    """Return the positions of a piece, filtered."""
-
-    def once(part: Pipeline, j: int) -> tuple[Array]:
-        return (part.kept(part.mean(piece.position[:, j])[0]),)
-
-    (position,) = pipeline.tables(piece.n, once)
-    return np.asarray(position)
-
-
 def _spline_velocity(time: Array, position: Array) -> Array:
     """Return the derivative of the cubic splines through positions (N, n)."""
     from scipy.interpolate import CubicSpline
@@ -248,12 +227,8 @@ def _require_same(twin: Twin, measured: Samples) -> None:
             f"recording: the samples have {measured.n} joints, the robot '{twin.robot.name}' has "
             f"{twin.robot.n}."
         )
-    kept = [
-        pipeline.count
-        for pipelines in twin._pipelines
-        for pipeline in pipelines
-        if pipeline is not None
-    ]
+    pipelines = [each for own in twin._pipelines for each in own if each is not None]
+    kept = [pipeline.count for pipeline in pipelines]
     remedy = (
         "give the recordings that the problem was built of, and the same processing "
         "(processing=sdpid.Processing(...))."
@@ -264,14 +239,10 @@ def _require_same(twin: Twin, measured: Samples) -> None:
             f"recording: is processed to {_listed(kept)} samples, the problem's pieces have "
             f"{_listed(sizes)}; {remedy}"
         )
+    velocities: Any = [log.velocity for log in twin.logs]
     own = twin.samples(
         [log.position for log in twin.logs],
-        velocity=(
-            [np.asarray(log.velocity) for log in twin.logs]
-            if twin.processing.velocity == "measured"
-            and all(log.velocity is not None for log in twin.logs)
-            else None
-        ),
+        velocity=None if any(each is None for each in velocities) else velocities,
     )
     for name in ("position", "velocity", "acceleration"):
         mine, theirs = getattr(own, name), getattr(measured, name)

@@ -183,63 +183,53 @@ class Pipeline:
         Points of the neighborhood are those recorded, where all of them were; else the record is
         continued as `circular` says.
         """
-        pad = self.low_pass.reach + self.margin
+        pad, count = self.low_pass.reach + self.margin, self.grid.count
         start = self.first + period * self.length
-        stop = start + self.length
-        low, high, count = start - pad, stop + pad, self.grid.count
-        if not self.circular:
+        low, high = start - pad, start + self.length + pad
+        if not self.circular or (low >= 0 and high <= count):
             inner = self.grid.read(column, max(low, 0), min(high, count))
             return reflected(inner, max(0, -low), max(0, high - count))
-        left = self._wrapped(column, low, start) if low < 0 else []
-        right = self._wrapped(column, stop, high) if high > count else []
-        middle = self.grid.read(column, start if left else low, stop if right else high)
-        return np.concatenate([*left, middle, *right])
-
-    def _wrapped(self, column: Array, low: int, high: int) -> list[Array]:
-        """Return grid points that lie outside the periods from inside them, cyclically."""
-        total = self.periods * self.length
-        parts = []
-        while low < high:
-            begin = (low - self.first) % total
-            end = min(total, begin + high - low)
-            parts.append(self.grid.read(column, self.first + begin, self.first + end))
-            low += end - begin
-        return parts
+        beside = -(-pad // self.length)
+        turns = np.arange(period - beside, period + beside + 1) % self.periods
+        starts = (self.first + turns * self.length).tolist()
+        whole = [self.grid.read(column, each, each + self.length) for each in starts]
+        surplus = beside * self.length - pad
+        return np.concatenate(whole)[surplus : len(whole) * self.length - surplus]
 
     def once(self, column: Array, period: int) -> Array:
-        """Return a stretch of a channel with its margins, filtered once."""
-        return self._inner(self.low_pass.apply(self.read(column, period)))
+        """Return a stretch of a channel at the kept samples, filtered once."""
+        kept: Array = self.kept(self.low_pass.apply(self.read(column, period)))
+        return kept
 
-    def mean(self, column: Array) -> tuple[Array, Array, float]:
-        """Return the averages after one and after `passes` passes, and the periods' spread.
+    def mean(self, column: Array) -> tuple[list[Array], float]:
+        """Return the average after each of `passes` passes, and the spread of the periods.
 
-        The averages still have their margins; with one pass they are the same array. Averaging
-        commutes with the filter, so only averages are filtered. The spread is the rms deviation of
-        the unfiltered periods from their mean: at least as large as that of the filtered ones,
-        which `spread` returns.
+        The averages still have their margins. Averaging commutes with the filter, so only averages
+        are filtered. The spread is the rms deviation of the unfiltered periods from their mean: at
+        least as large as that of the filtered ones.
         """
-        signal, squares = self.read(column, 0), 0.0
-        inner = slice(pad := self.low_pass.reach + self.margin, pad + self.length)
+        signal, squares, reach = self.read(column, 0), 0.0, self.low_pass.reach
+        inner = slice(reach + self.margin, reach + self.margin + self.length)
         for p in range(1, self.periods):
             change = self.read(column, p) - signal
             squares += p / (p + 1) * float(np.dot(change[inner], change[inner]))
             change /= p + 1
             signal = signal + change
-        once = signal = self.low_pass.apply(signal)
-        for _ in range(self.passes - 1):
+        passed = []
+        for _ in range(self.passes):
             signal = self.low_pass.apply(signal)
-        spread = math.sqrt(squares / (self.periods * self.length))
-        return self._inner(once), self._inner(signal), spread
+            passed.append(signal[reach : len(signal) - reach])
+        return passed, math.sqrt(squares / (self.periods * self.length))
 
-    def spread(self, column: Array) -> float:
-        """Return the rms deviation of the kept samples, filtered, from their mean over periods."""
-        kept = np.array([self.kept(self.once(column, p)) for p in range(self.periods)])
-        kept -= kept.mean(axis=0)
-        return float(np.sqrt(np.mean(kept**2)))
+    def means(self, table: Array) -> Array:
+        """Return channels (N, n) filtered once, as averages over the periods, (K, n)."""
+        alone = replace(self, passes=1)
 
-    def _inner(self, signal: Array) -> Array:
-        """Return a signal without what the filter alone needed on either side."""
-        return signal[self.low_pass.reach : len(signal) - self.low_pass.reach]
+        def mean(part: Pipeline, j: int) -> tuple[Array]:
+            return (part.kept(part.mean(table[:, j])[0][0]),)
+
+        found: Array = alone.tables(table.shape[1], mean)[0]
+        return found
 
     def tables(
         self,
@@ -325,19 +315,19 @@ def states_of(
     measured = log.velocity if processing.velocity == "measured" else None
 
     def states(part: Pipeline, j: int) -> tuple[NDArray[Any], ...]:
-        once, last, spread = part.mean(log.position[:, j])
+        positions, spread = part.mean(log.position[:, j])
         if repeats:
-            _check_repeats(log, part, j, last, spread)
+            _check_repeats(log, part, j, positions[-1], spread)
         if measured is None:
-            velocity = differences.velocity(last, step)
-            acceleration = differences.acceleration(last, step)
+            velocity = differences.velocity(positions[-1], step)
+            acceleration = differences.acceleration(positions[-1], step)
         else:
-            signal, last, _ = part.mean(measured[:, j])
-            velocity = _without(signal, differences.margin)
-            acceleration = differences.velocity(last, step)
-        speed = processing.reversal_speed
-        slow = near(_slow(velocity, speed, part.circular), part.masked, circular=part.circular)
-        return tuple(part.kept(each) for each in (once, velocity, acceleration, ~slow))
+            velocities, _ = part.mean(measured[:, j])
+            velocity = velocities[0][differences.margin : len(velocities[0]) - differences.margin]
+            acceleration = differences.velocity(velocities[-1], step)
+        slow = _slow(velocity, processing.reversal_speed, part.circular)
+        moves = ~near(slow, part.masked, circular=part.circular)
+        return tuple(part.kept(each) for each in (positions[0], velocity, acceleration, moves))
 
     position, velocity, acceleration, mask = pipeline.tables(log.n, states, advance)
     # Noise of a joint at rest would be scaled up like any other motion.
@@ -345,7 +335,7 @@ def states_of(
     velocity[:, resting] = acceleration[:, resting] = 0.0
     wide = None
     if processing.filter_friction:
-        wide = (_wide_velocity(log, pipeline, processing, resting),)
+        wide = (_wide_velocity(log, measured, pipeline, processing, resting),)
     return {
         "position": position,
         "velocity": velocity,
@@ -359,8 +349,11 @@ def _check_repeats(log: Recording, part: Pipeline, j: int, last: Array, spread: 
     """Raise when the periods of a joint do not look alike."""
     motion = float(np.std(last))
     limit = max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR)
-    # What the filter removes does not count, but that is only looked at where it matters.
-    if spread > limit and (spread := part.spread(log.position[:, j])) > limit:
+    if spread > limit:
+        # What the filter removes does not count, but that is only looked at where it matters.
+        periods = [part.once(log.position[:, j], p) for p in range(part.periods)]
+        spread = float(np.sqrt(np.mean(np.var(periods, axis=0))))
+    if spread > limit:
         raise DataError(
             f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
             f"by {spread:.3g} rad (rms) where the mean period moves by {motion:.3g} rad (rms), "
@@ -369,20 +362,18 @@ def _check_repeats(log: Recording, part: Pipeline, j: int, last: Array, spread: 
         )
 
 
-def _without(signal: Array, margin: int) -> Array:
-    """Return a signal without a margin at either end."""
-    return signal[margin : len(signal) - margin]
-
-
 def _wide_velocity(
-    log: Recording, pipeline: Pipeline, processing: Processing, resting: Mask
+    log: Recording,
+    measured: Array | None,
+    pipeline: Pipeline,
+    processing: Processing,
+    resting: Mask,
 ) -> WideVelocity:
     """Return the wide velocity of a record, zero for joints at rest: their noise has no sign."""
     rate, cutoff = 1.0 / pipeline.grid.step, processing.cutoff_hz
-    differences = pipeline.differences
+    differences, decimation = pipeline.differences, pipeline.decimation
     band = min(_WIDE_BAND * cutoff, max(BAND_OVER_RATE * rate, cutoff))
     most = max(rate / (_WIDE_RATE_OVER_CUTOFF * cutoff), 1.0)
-    decimation = pipeline.decimation
     stride = max(d for d in range(1, decimation + 1) if decimation % d == 0 and d <= most)
     filter_of_efforts = processing.low_pass(rate / stride)
     lead = filter_of_efforts.lead
@@ -396,13 +387,12 @@ def _wide_velocity(
         passes=1,
         margin=differences.margin,
     )
-    measured = log.velocity if processing.velocity == "measured" else None
 
     def speed(part: Pipeline, j: int) -> tuple[Array]:
+        smooth = part.mean((log.position if measured is None else measured)[:, j])[0][0]
         if measured is None:
-            smooth = part.mean(log.position[:, j])[0]
-            return (part.kept(differences.velocity(smooth, part.grid.step)),)
-        return (part.kept(_without(part.mean(measured[:, j])[0], differences.margin)),)
+            smooth = differences.velocity(smooth, part.grid.step)
+        return (part.kept(smooth),)
 
     (velocity,) = wide.tables(log.n, speed)
     velocity[:, resting] = 0.0
@@ -441,7 +431,7 @@ def efforts_of(
     for p in range(P):
 
         def effort(part: Pipeline, j: int, p: int = p) -> tuple[Array]:
-            return (part.kept(part.once(log.effort[:, j], p)),)
+            return (part.once(log.effort[:, j], p),)
 
         (values,) = pipeline.tables(n, effort)
         change = values - mean
