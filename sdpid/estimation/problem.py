@@ -29,7 +29,7 @@ from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
-from sdpid.experiment.preparation.prepare import Piece, all_samples
+from sdpid.experiment.preparation.prepare import Piece, samples_of
 from sdpid.experiment.processing.robot_contacts import require_places
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
@@ -419,7 +419,7 @@ def build_problem(
             "such as sdpid.load_robot(name)."
         )
     elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
-    here = elsewhere.samples if elsewhere else all_samples(robot, samples, processing)
+    here = elsewhere.samples if elsewhere else samples_of(robot, samples, processing)
     check_samples(robot, here)
     if here.contacts is not None and weighting in PRINTED:
         raise DataError(

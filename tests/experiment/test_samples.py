@@ -114,7 +114,6 @@ def test_long_records_are_averaged_first(
     log = replace(log, position=position, effort=position)
     expected = motion_frequency(replace(log, position=position[:, :2], effort=position[:, :2]))
     monkeypatch.setattr(motion_module, "_LONG", 1000)
-    monkeypatch.setattr(motion_module, "_BLOCK", 777)
     if stored:
         log.to_parquet(tmp_path / "log.parquet")
         log = sdpid.read_recording(tmp_path / "log.parquet", stored=True)

@@ -235,17 +235,14 @@ def read_logs(
     DataError
         When there are none, or a file cannot be read.
     """
-    kinds = (Recording, str, os.PathLike)
-    alone = isinstance(logs, kinds) or is_frame(logs)
-    given = tuple(logs) if isinstance(logs, Iterable) and not alone else (logs,)
+    given = _several(
+        logs,
+        (Recording, str, os.PathLike),
+        f"{name}: is or holds",
+        "a Recording, the path of a log, a data frame, or a list of these",
+    )
     if not given:
         raise DataError(f"{name}: there are none; give at least one.")
-    for log in given:
-        if not (isinstance(log, kinds) or is_frame(log)):
-            raise DataError(
-                f"{name}: is or holds {type(log).__name__} {log!r:.80}; give a Recording, the path "
-                "of a log, a data frame, or a list of these."
-            )
     absent = columns_without(robot, without_effort)
     known = as_gains(gains)
     read = []
@@ -363,23 +360,19 @@ def with_delays(
         With a reason for each delay that was found.
     """
     each = [subject.delays(unused) for subject in subjects if subject.given.base is not None]
-    changes: dict[str, Any] = {}
     reasons = []
     for channel, delay in pooled_delays(each).items():
         field = f"{channel}_delay_s"
         if field in (given or {}) or not is_significant(channel, delay):
             continue
-        value = round(delay.value, _DIGITS)
-        count = sum(channel in found for found in each)
-        shown = (
-            "the recording shows" if len(each) == 1 else f"{count} of {len(each)} recordings show"
-        )
+        value, count = round(delay.value, _DIGITS), sum(channel in found for found in each)
+        shown = f"{count} of {len(each)} recordings show"
         text = (
             f"{CHANNELS[channel]} late by {1e3 * value:.3g} ± {1e3 * delay.error:.2g} ms against "
-            f"the joints, as {shown}"
+            f"the joints, as {'the recording shows' if len(each) == 1 else shown}"
         )
-        changes[field] = value
         reasons.append(Reason(field=field, value=value, text=text))
+    changes: dict[str, Any] = {reason.field: reason.value for reason in reasons}
     return replace(processing, **changes, reasons=(*processing.reasons, *reasons))
 
 
@@ -440,29 +433,23 @@ def as_pieces(given: object) -> tuple[Piece, ...]:
         When it is, or holds, something else.
     """
     kinds = (Samples, Recording, str, os.PathLike)
-    if isinstance(given, kinds) or is_frame(given):
-        one: Any = given
-        return (one,)
-    pieces = tuple(given) if isinstance(given, Iterable) else (given,)
-    for piece in pieces:
-        if not (isinstance(piece, kinds) or is_frame(piece)):
-            raise DataError(
-                f"samples: hold {type(piece).__name__} {piece!r:.80}; give Samples (see "
-                "sdpid.process), recordings or paths of logs."
-            )
-    return pieces
+    return _several(
+        given, kinds, "samples: hold", "Samples (see sdpid.process), recordings or paths of logs"
+    )
 
 
-def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None = None) -> Samples:
-    """Return the samples of a piece: read, matched to the robot and processed where need be."""
-    if isinstance(piece, Samples):
-        return piece
-    log = piece if isinstance(piece, Recording) else read_recording(piece)
-    return Subject.of(log, robot).processed(processing)
+def _several(given: Any, kinds: tuple[type, ...], refused: str, wanted: str) -> tuple[Any, ...]:
+    """Return one thing or several, of some kinds or data frames, as a tuple."""
+    alone = isinstance(given, kinds) or is_frame(given) or not isinstance(given, Iterable)
+    found = (given,) if alone else tuple(given)
+    for each in found:
+        if not (isinstance(each, kinds) or is_frame(each)):
+            raise DataError(f"{refused} {type(each).__name__} {each!r:.80}; give {wanted}.")
+    return found
 
 
-def all_samples(robot: RobotModel, given: object, processing: Processing | None) -> Samples:
-    """Return the samples of one or several pieces, joined.
+def samples_of(robot: RobotModel, given: object, processing: Processing | None = None) -> Samples:
+    """Return the samples of one or several pieces: read, matched, processed and joined.
 
     Parameters
     ----------
@@ -478,17 +465,19 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
     DataError
         When a piece is something else, cannot be read, or the pieces cannot be joined.
     """
-    if isinstance(given, Samples):
-        return given
-    pieces: list[Any] = [
-        piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
-        for piece in as_pieces(given)
-    ]
-    subjects = [Subject.of(piece, robot) for piece in pieces if isinstance(piece, Recording)]
-    why = None
+    pieces: list[Samples | Subject] = []
+    for piece in as_pieces(given):
+        if isinstance(piece, Samples):
+            pieces.append(piece)
+        else:
+            log = piece if isinstance(piece, Recording) else read_recording(piece)
+            pieces.append(Subject.of(log, robot))
+    subjects, why = [each for each in pieces if isinstance(each, Subject)], None
     if processing is None and subjects:
         processing, why = chosen_processing(subjects)
-    samples = Samples.join([samples_of(robot, piece, processing) for piece in pieces])
+    samples = Samples.join(
+        [each if isinstance(each, Samples) else each.processed(processing) for each in pieces]
+    )
     return samples if why is None else replace(samples, notes=(*samples.notes, why))
 
 

@@ -181,7 +181,8 @@ class Twin:
         for i, (log, pipelines) in enumerate(zip(self.logs, self._pipelines, strict=True)):
             own: dict[str, Any] = {"velocity": None} | {name: x[i] for name, x in arrays.items()}
             pieces = continuous(replace(log, **own))[0]
-            found += [each for each in zip(pieces, pipelines, strict=True) if each[1] is not None]
+            pairs = zip(pieces, pipelines, strict=True)
+            found += [(piece, pipeline) for piece, pipeline in pairs if pipeline is not None]
         return found
 
     def _arrays(self, given: Any, name: str) -> list[Array]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -230,8 +230,8 @@ def _specific_force(
     return f"the position{told}", into_body(orientation, found - gravity)
 
 
-def _derivative(pipeline: Pipeline, values: Array, order: Literal[1, 2] = 1) -> Array:
-    """Return a derivative of channels (M, c), their ends continued by point reflection."""
+def _derivative(pipeline: Pipeline, values: Array, order: int = 1) -> Array:
+    """Return the first or second derivative of channels (M, c), continued by point reflection."""
     weights, step = pipeline.differences, pipeline.grid.step
     extended = reflected(values, weights.margin, weights.margin)
     return (weights.velocity if order == 1 else weights.acceleration)(extended, step)

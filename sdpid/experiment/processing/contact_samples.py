@@ -197,7 +197,7 @@ class ContactSamples(Shown):
             When a contact is of another kind in another piece, or its forces are measured in one
             and not in another.
         """
-        given = [each for each in enumerate(pieces) if each[1] is not None]
+        given = [(i, contacts) for i, contacts in enumerate(pieces) if contacts is not None]
         known: dict[tuple[str, str | None], tuple[Kind, Array, Array]] = {}
         columns = []
         for i, contacts in given:
@@ -217,19 +217,18 @@ class ContactSamples(Shown):
             if contacts.landed is not None:
                 landed[rows[i]] = contacts.landed
         frames, against = zip(*known, strict=True)
-        kinds, places, covariances = zip(*known.values(), strict=True)
-        measured = any(each.measured for _, each in given)
+        kinds, offsets, covariances = zip(*known.values(), strict=True)
+        measured = any(contacts.measured for _, contacts in given)
+        widened = [each.widened_s for _, each in given if each.widened_s is not None]
         return ContactSamples(
             frames=frames,
             against=against,
             kind=kinds,
-            offset=np.array(places),
+            offset=np.array(offsets),
             down=down,
             forces=forces if measured else None,
             force_covariance=np.array(covariances) if measured else None,
-            widened_s=max(
-                (s for _, each in given if (s := each.widened_s) is not None), default=None
-            ),
+            widened_s=max(widened, default=None),
             landed=landed,
         )
 

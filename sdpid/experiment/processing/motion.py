@@ -24,8 +24,6 @@ _NOISE_ONLY = 2.0 / 3.0
 # white noise of variance one has a variance of this in them: 1 + 16 + 36 + 16 + 1.
 _DIFFERENCES = 4
 _GAIN = 70.0
-# Samples averaged at a time: the rows of all joints stay in a core's cache.
-_BLOCK = 1 << 14
 
 
 def motion_frequency(log: Recording) -> float:
@@ -138,22 +136,19 @@ def _on_top(frequency: Array, power: Array) -> float:
 
 def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:
     """Yield frequencies in Hz, and the power of the motion at them, for each joint."""
-    if log.n_samples <= _LONG:
-        for j in range(log.n):
-            yield spectrum(np.asarray(log.position[:, j]), log.rate_hz, log.n_samples)
-        return
-    means, count = _averaged(log)
+    long = log.n_samples > _LONG
+    each = max(int(log.rate_hz / _RATE_OF_MOTION), 1) if long else 1
+    count = log.n_samples // each
     # A product of small factors is transformed several times faster than any other length.
-    step = 1 << max(means.shape[1].bit_length() - 5, 0)
-    length = -(-means.shape[1] // step) * step
-    for position in means:
+    step = 1 << max(count.bit_length() - 5, 0) if long else 1
+    for j in range(log.n):
+        means = np.asarray(log.position[: each * count, j]).reshape(count, each).mean(axis=1)
         # Of a joint that does not move nothing is left, not even rounding.
-        frequency, power = spectrum(position - position[0], log.rate_hz / count, length)
-        # The share of an oscillation's amplitude that the average over `count` samples leaves.
-        angle = np.pi * frequency / log.rate_hz
-        kept = np.ones_like(angle)
-        kept[1:] = np.sin(count * angle[1:]) / (count * np.sin(angle[1:]))
-        yield frequency, power / kept**2
+        frequency, power = spectrum(means - means[0], log.rate_hz / each, -(-count // step) * step)
+        # The share of an oscillation's amplitude that the average over its neighbors leaves.
+        angle = np.pi * frequency[1:] / log.rate_hz
+        power[1:] /= (np.sin(each * angle) / (each * np.sin(angle))) ** 2
+        yield frequency, power
 
 
 def spectrum(position: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
@@ -162,19 +157,3 @@ def spectrum(position: Array, rate_hz: float, length: int) -> tuple[Array, Array
     centered = np.hanning(position.size) * (position - position.mean())
     power: Array = np.abs(np.fft.rfft(centered, length)) ** 2
     return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64), power
-
-
-def _averaged(log: Recording) -> tuple[Array, int]:
-    """Return means of successive positions, (n, means), and the number of samples in each."""
-    each = max(int(log.rate_hz / _RATE_OF_MOTION), 1)
-    count = log.n_samples // each
-    out = np.empty((log.n, count))
-    # Stored columns are read on from where each was left.
-    columns = [log.position[:, j] for j in range(log.n)]
-    size = max(_BLOCK // each, 1)
-    for start in range(0, count, size):
-        stop = min(start + size, count)
-        for mean, column in zip(out, columns, strict=True):
-            part = column[each * start : each * stop]
-            np.mean(part.reshape(-1, each), axis=1, out=mean[start:stop])
-    return out, each

@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.floating import BaseMotion, Sampled
+from sdpid.experiment.recording.floating import T
 from sdpid.experiment.recording.recording import Recording, rows_of
 
 # Groups of channels that share a clock, as words; joint positions are what all are compared with.
@@ -77,11 +77,12 @@ def on_time(log: Recording, processing: Processing) -> Recording:
     changes: dict[str, Any] = {}
     if "effort" in delays:
         changes["effort"] = _later(log, log.effort, delays["effort"])
-    if log.base is not None and delays.keys() & {"base", "imu"}:
-        changes["base"] = _base(log, log.base, delays)
-    if log.contacts is not None and "contacts" in delays:
-        channels = _channels(log, log.contacts, delays["contacts"])
-        changes["contacts"] = replace(log.contacts, **channels)
+    if log.contacts is not None:
+        changes["contacts"] = _shifted(log, log.contacts, delays.get("contacts"))
+    if log.base is not None:
+        base = _shifted(log, log.base, delays.get("base"))
+        imu = base.imu and _shifted(log, base.imu, delays.get("imu"))
+        changes["base"] = replace(base, imu=imu)
     shifted = replace(log, **changes)
     if log.period is not None:
         return shifted
@@ -112,18 +113,12 @@ def _later(log: Recording, table: Any, delay: float) -> Any:
     return np.asarray(spline(wanted - time[0]))
 
 
-def _channels(log: Recording, owner: Sampled, delay: float) -> dict[str, Any]:
-    """Return all channels of a base, an IMU or contacts from `delay` later."""
-    return {name: _later(log, table, delay) for name, table in owner.channels.items()}
-
-
-def _base(log: Recording, base: BaseMotion, delays: dict[str, float]) -> BaseMotion:
-    """Return the motion of a base on time."""
-    changes: dict[str, Any] = {}
-    if "base" in delays:
-        changes = _channels(log, base, delays["base"])
-        turned = changes["orientation"]
-        changes["orientation"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
-    if base.imu is not None and "imu" in delays:
-        changes["imu"] = replace(base.imu, **_channels(log, base.imu, delays["imu"]))
-    return replace(base, **changes)
+def _shifted(log: Recording, owner: T, delay: float | None) -> T:
+    """Return a base, an IMU or contacts with all channels from `delay` later."""
+    if delay is None:
+        return owner
+    later = {name: _later(log, table, delay) for name, table in owner.channels.items()}
+    if "orientation" in later:
+        norms = np.linalg.norm(later["orientation"], axis=1, keepdims=True)
+        later["orientation"] = later["orientation"] / norms
+    return replace(owner, **later)  # type: ignore[type-var]

@@ -287,37 +287,35 @@ class Processing(Settings):
                 f"joint {joint} does not exist; the recording has {log.n}, counted from 0."
             )
         smooth, difference = self.low_pass(1.0 / log.step), self.stencil()
-        margin = difference.margin
+        pad = 2 * smooth.reach + 2 * difference.margin
         first, last = map(int, np.searchsorted(log.time, window))
-        pad = 2 * smooth.reach + 2 * margin
         start, stop = max(0, first - pad), min(log.n_samples, last + pad)
         if last - first < 2 or stop - start <= 2 * pad:
             raise DataError(
                 f"window {window[0]:g} … {window[1]:g} s: {last - first} samples, too few to "
                 f"filter; the recording runs from {log.time[0]:g} to {log.time[-1]:g} s."
             )
-        position = np.ascontiguousarray(log.position[start:stop, joint])
-        torque = np.ascontiguousarray(log.effort[start:stop, joint])
-        once = smooth.apply(position)
-        before = {
-            "position": position[margin:-margin],
-            "torque": torque[margin:-margin],
-            "velocity": difference.velocity(once, log.step),
-            "acceleration": difference.acceleration(once, log.step),
+        tables = {"position": log.position, "torque": log.effort}
+        raw = {name: np.asarray(table[start:stop, joint]) for name, table in tables.items()}
+        once = {name: smooth.apply(signal) for name, signal in raw.items()}
+        rates = {
+            "velocity": difference.velocity(once["position"], log.step),
+            "acceleration": difference.acceleration(once["position"], log.step),
         }
-        after = {
-            **before,
-            "position": once[margin:-margin],
-            "torque": smooth.apply(torque)[margin:-margin],
-        }
+        passed = rates
         if not self.filter_alike:
-            after |= {name: smooth.apply(before[name]) for name in ("velocity", "acceleration")}
-        inner = slice(first - start - margin, last - start - margin)
-        return Stages(
-            time=np.array(log.time[first:last]),
-            before={name: signal[inner] for name, signal in before.items()},
-            after={name: signal[inner] for name, signal in after.items()},
-        )
+            passed = {name: smooth.apply(rate) for name, rate in rates.items()}
+
+        def shown(signals: dict[str, Array]) -> dict[str, Array]:
+            # Derivatives lack the margin of their differences at either end.
+            skipped = {name: (len(raw["position"]) - len(s)) // 2 for name, s in signals.items()}
+            begin, end = first - start, last - start
+            return {
+                name: s[begin - skipped[name] : end - skipped[name]] for name, s in signals.items()
+            }
+
+        time = np.array(log.time[first:last])
+        return Stages(time=time, before=shown(raw | rates), after=shown(once | passed))
 
     @staticmethod
     def paper() -> Processing:
