@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sdpid._common.arrays import generator
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.paper import filled, quiet_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.arms import require_fixed_robot
@@ -84,23 +85,15 @@ def default_motion(
     series = filled(period, ranges, harmonics, phases, _RATE)
     fastest = np.abs(series.one_period(round(period * _RATE), derivative=1)).max(axis=0)
     slower = np.minimum(1.0, _SPEED_PART * speeds / fastest)
-    series = FourierSeries(
-        period=period,
-        center=series.center,
-        harmonics=harmonics,
-        amplitudes=series.amplitudes * slower[:, None],
-        phases=phases,
-    )
-    names = robot.joint_names
-    shift, notes = quiet_start(series, ranges, speeds, names, _RATE, _CONNECTION)
-    return Trajectory(
-        joint_names=names,
-        series=series.delayed(shift),
+    series = replace(series, amplitudes=series.amplitudes * slower[:, None])
+    drawn = Trajectory(
+        joint_names=robot.joint_names,
+        series=series,
         rate_hz=_RATE,
         periods=_PERIODS if periods is None else periods,
         rest=_REST,
         connection=_CONNECTION,
         position_range=ranges,
         velocity_limit=speeds,
-        notes=tuple(notes),
     )
+    return quiet_start(drawn, series)

@@ -224,14 +224,11 @@ def default_drives(robot: RobotModel, theta: Array, trajectory: Trajectory) -> D
     Gains follow the inertia that each joint feels, so that the fastest pole of the velocity loop
     is at 400/s. Encoders have 2^19 counts a turn, efforts noise of 1 % of their rms.
     """
-    bodies = theta[: 10 * robot.n_links].reshape(-1, 10)
-    positions = _states(trajectory)[0]
-    felt = np.full(robot.n, np.inf)
-    for q in positions:
-        felt = np.minimum(felt, 1.0 / np.diagonal(np.linalg.inv(robot.mass_matrix(bodies, q))))
-    fastest = _fastest(robot, bodies, positions, felt)
+    mobility = np.linalg.inv(robot.mass_matrix(theta, _states(trajectory)[0]))
+    felt = (1.0 / np.diagonal(mobility, axis1=1, axis2=2)).min(axis=0)
+    fastest = _fastest(mobility, felt)
     ones = np.ones(robot.n)
-    effort, _ = _usual(robot, bodies, trajectory)
+    effort, _ = _usual(robot, theta, trajectory)
     return Drives(
         torque_constant=ones,
         gear_ratio=ones,
@@ -253,14 +250,11 @@ def follows(robot: RobotModel, theta: Array, drives: Drives, trajectory: Traject
     return bool(np.all(lag <= _MOST_LAG * np.ptp(trajectory.position_period, axis=0)))
 
 
-def _states(trajectory: Trajectory) -> tuple[Array, Array, Array]:
+def _states(trajectory: Trajectory) -> list[Array]:
     """Return positions, velocities and accelerations spread over a period."""
-    step = max(1, trajectory.samples_per_period // _STATES)
-    return (
-        trajectory.position_period[::step],
-        trajectory.velocity_period[::step],
-        trajectory.acceleration_period[::step],
-    )
+    step, first = max(1, trajectory.samples_per_period // _STATES), trajectory.lead_samples
+    period = trajectory.sample(first, first + trajectory.samples_per_period)
+    return [values[::step] for values in period]
 
 
 def _usual(robot: RobotModel, bodies: Array, trajectory: Trajectory) -> tuple[Array, Array]:
@@ -279,17 +273,17 @@ def fastest_pole(
     """Return the velocity loop's fastest pole along a trajectory, and the limit of it, in 1/s."""
     damping = drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
     period = trajectory.position_period
-    fastest = _fastest(robot, theta, period[:: max(1, len(period) // 20)], damping)
+    few = period[:: max(1, len(period) // 20)]
+    mobility = np.linalg.inv(robot.mass_matrix(theta, few))
     steps = np.ceil(1.0 / (trajectory.rate_hz * LONGEST_STEP) - 1e-9)
-    return fastest, float(_RESOLVED * trajectory.rate_hz * steps)
+    return _fastest(mobility, damping), float(_RESOLVED * trajectory.rate_hz * steps)
 
 
-def _fastest(robot: RobotModel, bodies: Array, positions: Array, damping: Array) -> float:
-    """Return the fastest pole of M·a = −D·v at some positions, 1/s."""
+def _fastest(mobility: Any, damping: Array) -> float:
+    """Return the fastest pole of M·a = −D·v, 1/s."""
     # M⁻¹·D has the eigenvalues of D^½·M⁻¹·D^½.
     root = np.sqrt(damping)
-    inverses = np.linalg.inv([robot.mass_matrix(bodies, q) for q in positions])
-    return float(np.linalg.eigvalsh(root[:, None] * inverses * root).max())
+    return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
 
 
 def check_bodies(robot: RobotModel, bodies: Array) -> None:

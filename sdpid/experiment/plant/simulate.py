@@ -33,15 +33,12 @@ from sdpid.experiment.simulation.controllers import P
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_robots
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
 # A loop whose state after a period is the one before it to this (rad, rad/s) has settled: a
 # thousandth of an encoder count, and far above the rounding of a period's steps.
 SETTLED = 1e-9
-# Samples that are simulated at once: enough to drown what a call costs, few enough for memory.
-_CHUNK = 10_000
 
 # Moves a robot along samples start … stop − 1 from a state (2, n), None for the trajectory's first,
 # to positions, velocities and efforts (3, K, n), and the state after them.
@@ -159,9 +156,9 @@ def simulate(
         )
     if unmodeled and drives.unmodeled is None:
         raise DataError("simulate: these drives have no unmodeled effects; set them.")
-    move = (
-        _follow(robot, trajectory, theta) if exact else controlled(robot, trajectory, theta, drives)
-    )
+    terms = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
+    model = RobotDynamics(robot=robot, terms=terms, theta=theta)
+    move = _followed(model, trajectory) if exact else controlled(model, trajectory, drives)
     position, effort, reference = np.empty((3, trajectory.n_samples, robot.n))
     row, scale, resolution = 0, drives.effort_scale, drives.resolution
     settling = trajectory.samples_per_period if trajectory.closed else 0
@@ -192,7 +189,7 @@ def simulate(
     )
 
 
-def controlled(robot: RobotModel, trajectory: Trajectory, theta: Array, drives: Drives) -> Move:
+def controlled(model: RobotDynamics, trajectory: Trajectory, drives: Drives) -> Move:
     """Return what moves a robot in closed loop along samples of a trajectory.
 
     Raises
@@ -205,59 +202,43 @@ def controlled(robot: RobotModel, trajectory: Trajectory, theta: Array, drives: 
         When the velocity loop is too fast for the sample rate.
     """
     require("numba", extra="fast")
-    instead = "On its legs, sdpid.simulate_legged simulates it."
-    require_fixed_robot(robot, "plant", instead=instead)
-    require_open_chain(robot, "plant")
-    check_bodies(robot, theta[: 10 * robot.n_links].reshape(-1, 10))
-    fastest, limit = fastest_pole(robot, trajectory, theta, drives)
+    robot, rate = model.robot, trajectory.rate_hz
+    arm = SimulatedArm.of(model)
+    check_bodies(robot, model.theta[: 10 * robot.n_links].reshape(-1, 10))
+    fastest, limit = fastest_pole(robot, trajectory, model.theta, drives)
     if not fastest < limit:
         raise DataError(
             f"plant of '{robot.name}': the velocity loop's fastest pole is at {fastest:.4g}/s, "
-            f"too fast for a rate of {trajectory.rate_hz:g} Hz (limit {limit:.4g}/s); lower "
-            "velocity_gain or raise the sample rate."
+            f"too fast for a rate of {rate:g} Hz (limit {limit:.4g}/s); lower velocity_gain or "
+            "raise the sample rate."
         )
-    arm = SimulatedArm.of(_model(robot, theta))
     law = P(drives.proportional_gain, drives.velocity_gain)
-    rest = trajectory.sample(0, 1)[0][0]
 
     def move(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
-        out = np.empty((3, stop - start, robot.n))
-        state = np.stack([rest, 0.0 * rest]) if state is None else state
-        for first in range(start, stop, _CHUNK):
-            last = min(first + _CHUNK, stop)
-            told = _held(trajectory, first, last + 1)
-            rate = trajectory.rate_hz
-            found = simulate_closed_loop(arm, told, law, rate_hz=rate, start=tuple(state))
-            if found.diverged is not None:
-                raise DataError(
-                    f"plant: the motion diverges {found.diverged:.3g} s after sample {first}: the "
-                    "loop is unstable; lower velocity_gain or proportional_gain."
-                )
-            states = np.stack([found.position, found.velocity, found.effort])
-            out[:, first - start : last - start], state = states[:, :-1], states[:2, -1]
-        return out, state
+        # With the sample after these, which has the state after them.
+        told = np.stack(trajectory.sample(start, min(stop + 1, trajectory.n_samples)))
+        # A last sample alone is held.
+        told = told if told.shape[1] > 1 else np.repeat(told, 2, axis=1)
+        begin = (told[0][0], np.zeros(robot.n)) if state is None else tuple(state)
+        found = simulate_closed_loop(arm, tuple(told), law, rate_hz=rate, start=begin)
+        if found.diverged is not None:
+            raise DataError(
+                f"plant: the motion diverges {found.diverged:.3g} s after sample {start}: the loop "
+                "is unstable; lower velocity_gain or proportional_gain."
+            )
+        states = np.stack([found.position, found.velocity, found.effort])
+        return states[:, : stop - start], states[:2, -1]
 
     return move
 
 
-def _held(trajectory: Trajectory, start: int, stop: int) -> tuple[Array, ...]:
-    """Return positions, velocities and accelerations of samples; the end is held."""
-    states = np.stack(trajectory.sample(start, min(stop, trajectory.n_samples)))
-    if (missing := stop - trajectory.n_samples) > 0:
-        end = states[:, -1:] * np.array([1.0, 0.0, 0.0])[:, None, None]
-        states = np.concatenate([states, np.repeat(end, missing, axis=1)], axis=1)
-    return tuple(states)
-
-
-def _follow(robot: RobotModel, trajectory: Trajectory, theta: Array) -> Move:
+def _followed(model: RobotDynamics, trajectory: Trajectory) -> Move:
     """Return what follows a trajectory exactly; its state never changes."""
-    model = _model(robot, theta)
-    bodies = theta[: 10 * robot.n_links].reshape(-1, 10)
 
     def move(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
-        q, v, a = trajectory.sample(start, stop)
-        effort = robot.inverse_dynamics(bodies, q, v, a) + model.friction(v)
-        return np.stack([q, v, effort]), np.zeros((2, robot.n))
+        states = trajectory.sample(start, stop)
+        effort = model.inverse_dynamics(*states)
+        return np.stack([*states[:2], effort]), np.zeros((2, model.robot.n))
 
     return move
 
@@ -267,25 +248,21 @@ def _parts(
 ) -> Iterator[tuple[int, Array]]:
     """Yield the record in parts: the first sample, and positions, velocities and efforts."""
     lead, end, period = trajectory.lead_samples, trajectory.n_samples, trajectory.samples_per_period
-    # Rest, connection and the settling period; the record begins within them.
-    states, now = move(0, lead + settling, None)
-    advance(lead + settling)
-    yield settling, states[:, settling:]
-    settled = False
-    for _ in range(trajectory.periods):
-        if not settled:
-            before = now
-            states, now = move(lead, lead + period, before)
-            settled = bool(np.abs(now - before).max() <= SETTLED)
-        advance(period)
-        yield lead, states
-    yield end - lead, move(end - lead, end, now)[0]
-    advance(lead)
-
-
-def _model(robot: RobotModel, theta: Array) -> RobotDynamics:
-    terms = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
-    return RobotDynamics(robot=robot, terms=terms, theta=theta)
+    # Rest, connection and the settling period, within which the record begins; then the periods.
+    spans = [(0, lead + settling, settling), *[(lead, lead + period, 0)] * trajectory.periods]
+    state: Array | None = None
+    done, settled = (0, 0, 0), False
+    for span in (*spans, (end - lead, end, 0)):
+        start, stop, skipped = span
+        if start == stop:
+            continue
+        # A loop that has settled moves as in the period before.
+        if span != done or not settled:
+            states, after = move(start, stop, state)
+            settled = state is not None and bool(np.abs(after - state).max() <= SETTLED)
+            done, state = span, after
+        advance(stop - start)
+        yield start + skipped, states[:, skipped:]
 
 
 def plant_parts(

@@ -111,18 +111,18 @@ def paper_excitation(
         harmonics[j, :count] = np.sort(drawn)
         phases[j, :count] = rng.uniform(0.0, 2.0 * np.pi, count)
     series = filled(period, ranges, harmonics, phases, rate)
-    shift, warnings = quiet_start(series, ranges, velocity, names, rate, connection)
-    return Trajectory(
+    motion = Trajectory(
         joint_names=names,
-        series=series.delayed(shift),
+        series=series,
         rate_hz=rate,
         periods=periods,
         rest=rest,
         connection=connection,
         position_range=ranges,
         velocity_limit=velocity,
-        notes=(*notes, *warnings),
+        notes=tuple(notes),
     )
+    return quiet_start(motion, series)
 
 
 def _excitation_file(folder: str | os.PathLike[str]) -> Path:
@@ -149,18 +149,12 @@ def filled(
     return replace(unit, center=ranges.mean(axis=1), amplitudes=amplitudes)
 
 
-def quiet_start(
-    series: FourierSeries,
-    ranges: Array,
-    velocity_limit: Array,
-    names: Sequence[str],
-    rate: float,
-    connection: float,
-) -> tuple[Array, list[str]]:
-    """Return when each joint's period should start, (n,) in s, and notes where none is good."""
+def quiet_start(trajectory: Trajectory, series: FourierSeries) -> Trajectory:
+    """Let each joint's period start where connections are quiet; note where no start is."""
     from scipy.interpolate import BPoly
 
-    samples = round(series.period * rate)
+    ranges, connection = trajectory.position_range, trajectory.connection
+    samples = trajectory.samples_per_period
     stride = max(1, samples // _STARTS)
     states = [series.one_period(samples, derivative=order)[::stride] for order in range(3)]
     states[0] = states[0] - series.center
@@ -173,19 +167,19 @@ def quiet_start(
         inside = np.minimum(ranges[:, 1] - position, position - ranges[:, 0]).min(axis=0)
         # In units of the half range and of the limit, so that the worse of the two counts.
         inside /= 0.5 * (ranges[:, 1] - ranges[:, 0])
-        slow = 1.0 - (np.abs(velocity / connection) / velocity_limit).max(axis=0)
+        slow = 1.0 - (np.abs(velocity / connection) / trajectory.velocity_limit).max(axis=0)
         margins.append(np.minimum(inside, slow))
     margin = np.minimum(*margins)
     shift = np.empty(series.n)
-    notes = []
-    for j in range(series.n):
+    notes = list(trajectory.notes)
+    for j, name in enumerate(trajectory.joint_names):
         good = np.flatnonzero(margin[:, j] >= _CLEAR)
         best = int(good[0]) if good.size else int(np.argmax(margin[:, j]))
-        shift[j] = best * stride / rate
+        shift[j] = best * stride / trajectory.rate_hz
         if not good.size:
             notes.append(
-                f"{names[j]}: from every start of the period the connection comes closer than "
+                f"{name}: from every start of the period the connection comes closer than "
                 f"{100.0 * _CLEAR:g} % to the end of the range or the velocity limit; from the "
                 f"one taken {100.0 * margin[best, j]:.1f} % are left."
             )
-    return shift, notes
+    return replace(trajectory, series=series.delayed(shift), notes=tuple(notes))

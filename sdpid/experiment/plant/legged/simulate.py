@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, generator, real_array
 from sdpid._common.tables import Shown
 from sdpid.errors import DataError
+from sdpid.experiment.plant.legged.model import run_plan
 from sdpid.experiment.plant.legged.motions import LEAD, follow, plan_motion
-from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
