@@ -199,7 +199,7 @@ def test_quintic_and_cubic_motions_are_met_exactly() -> None:
     [
         ({"time": [0.0, 1.0, 1.0]}, "does not increase at sample 2"),
         ({"time": [0.0]}, "at least two"),
-        ({"velocity": np.zeros((3, 1))}, r"velocity has shape \(3, 1\)"),
+        ({"velocity": np.zeros((3, 1))}, r"velocity: has shape \(3, 1\)"),
         ({"position": [[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]]}, "not finite"),
         ({"acceleration": np.zeros((3, 2))}, "without velocities"),
     ],

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array, require_probability
+from sdpid._common.arrays import Array, frozen, real_array, require_probability, shaped
 from sdpid._common.files import Source, atomic_write_text, load_toml, printable
-from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 
 # An eigenvalue of a covariance below minus this share of the largest is no rounding.
@@ -23,7 +23,7 @@ _UNIT = "N.m/A"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DriveGains:
+class DriveGains(Shown):
     """Drive gains: the joint torque per ampere of each joint, with their errors.
 
     The torque of joint j is ``gains[j]`` times its current. A gain is torque constant × gear ratio
@@ -72,12 +72,14 @@ class DriveGains:
     array([[10., 16.]])
     """
 
+    _facts = ("basis", "common_factor")
+
     joint_names: tuple[str, ...]
     gains: Array
     covariance: Array = None  # type: ignore[assignment]  # zeros when built
     freedom: Array = None  # type: ignore[assignment]  # infinite when built
     basis: str = "given"
-    sources: Mapping[str, str] = None  # type: ignore[assignment]  # empty when built
+    sources: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     source: Source | None = field(init=False, default=None)
 
@@ -86,19 +88,11 @@ class DriveGains:
         n = len(names)
         if n == 0 or len(set(names)) < n:
             raise DataError(f"gains: joint_names are {list(names)}; give each joint a name.")
-        given: dict[str, Any] = {
-            "gains": self.gains,
-            "covariance": np.zeros((n, n)) if self.covariance is None else self.covariance,
-            "freedom": np.full(n, np.inf) if self.freedom is None else self.freedom,
-        }
-        for name, values in given.items():
-            shape = (n, n) if name == "covariance" else (n,)
-            infinite = name == "freedom"
-            array = real_array(values, f"gains: {name}", ndim=len(shape), infinite=infinite)
-            if array.shape != shape:
-                raise DataError(f"gains: {name} has shape {array.shape}, expected {shape}.")
-            given[name] = frozen(array)
-        gains, freedom = given["gains"], given["freedom"]
+        covariance = np.zeros((n, n)) if self.covariance is None else self.covariance
+        freedom = np.full(n, np.inf) if self.freedom is None else self.freedom
+        gains = shaped(self.gains, "gains: gains", (n,))
+        covariance = shaped(covariance, "gains: covariance", (n, n))
+        freedom = shaped(freedom, "gains: freedom", (n,), infinite=True)
         if not np.all(gains > 0.0):
             j = int(np.argmin(gains))
             raise DataError(
@@ -107,10 +101,10 @@ class DriveGains:
             )
         if not np.all(freedom > 0.0):
             raise DataError(f"gains: freedom is {freedom.tolist()}; give {n} positive numbers.")
-        given["covariance"] = frozen(0.5 * given["covariance"] + 0.5 * given["covariance"].T)
+        covariance = frozen(0.5 * covariance + 0.5 * covariance.T)
         # By one gain after the other: their product may be too small for a number.
         with np.errstate(over="ignore"):
-            relative = given["covariance"] / gains / gains[:, None]
+            relative = covariance / gains / gains[:, None]
         if not np.all(np.isfinite(relative)):
             raise DataError(
                 "gains: covariance is too large beside gains of "
@@ -124,13 +118,16 @@ class DriveGains:
             )
         if not isinstance(self.basis, str):
             raise DataError(f"gains: basis is {self.basis!r:.80}, expected a text.")
-        sources: Any = {} if self.sources is None else self.sources
-        if not isinstance(sources, Mapping):
+        if not isinstance(sources := self.sources, Mapping):
             raise DataError(f"gains: sources are {sources!r:.80}, expected names and digests.")
-        given |= {"joint_names": names, "notes": _texts(self.notes, "notes")}
-        given["sources"] = {str(key): str(value) for key, value in sources.items()}
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            joint_names=names,
+            gains=gains,
+            covariance=covariance,
+            freedom=freedom,
+            sources={str(key): str(value) for key, value in sources.items()},
+            notes=_texts(self.notes, "notes"),
+        )
 
     @property
     def n(self) -> int:
@@ -212,20 +209,22 @@ class DriveGains:
     def picked(self, order: Sequence[int], joint_names: Sequence[str]) -> DriveGains:
         """Return some of the gains, by their numbers, under other names."""
         order = list(order)
-        result = replace(
-            self,
+        return self._from(
+            self.source,
             joint_names=tuple(joint_names),
             gains=self.gains[order],
             covariance=self.covariance[np.ix_(order, order)],
             freedom=self.freedom[order],
         )
-        object.__setattr__(result, "source", self.source)
+
+    def _from(self, source: Source | None, **changes: Any) -> DriveGains:
+        """Return these gains, or some changed ones, as those of a file."""
+        result = replace(self, **changes)
+        object.__setattr__(result, "source", source)
         return result
 
     def renamed(self, joint_names: Sequence[str]) -> DriveGains:
         """Return the gains under other names of the joints."""
-        if tuple(joint_names) == self.joint_names:
-            return self
         return self.picked(range(self.n), joint_names)
 
     def same_errors(self, other: DriveGains) -> bool:
@@ -241,17 +240,15 @@ class DriveGains:
         level : float, optional
             Probability of each interval.
         """
-        ends = self.intervals(level)
-        return Table.of_columns(
-            {
-                "joint": self.joint_names,
-                "gain (N·m/A)": self.gains.tolist(),
-                "error (%)": (100.0 * self.standard_errors / self.gains).tolist(),
-                "lower": ends[:, 0].tolist(),
-                "upper": ends[:, 1].tolist(),
-            },
-            {"error (%)": ".2g"},
-        )
+        lower, upper = self.intervals(level).T
+        columns: dict[str, Sequence[object]] = {
+            "joint": self.joint_names,
+            "gain (N·m/A)": self.gains.tolist(),
+            "error (%)": (100.0 * self.standard_errors / self.gains).tolist(),
+            "lower": lower.tolist(),
+            "upper": upper.tolist(),
+        }
+        return Table.of_columns(columns, {"error (%)": ".2g"})
 
     def describe(self, level: float = 0.95) -> str:
         """Return the gains in words and numbers, one joint a line.
@@ -281,18 +278,12 @@ class DriveGains:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        file = self.source
-        read = file and {"name": file.name, "bytes": file.size, "sha256": file.sha256}
-        found: dict[str, Any] = plain(
-            {
-                "unit": _UNIT,
-                "file": read,
-                **{key: getattr(self, key) for key in _KEYS},
-                "standard_errors": self.standard_errors,
-                "common_factor": self.common_factor,
-            }
+        read = self.source
+        file = read and {"name": read.name, "bytes": read.size, "sha256": read.sha256}
+        facts = ("standard_errors", "common_factor")
+        return plain_dict(
+            {"unit": _UNIT, "file": file} | {k: getattr(self, k) for k in (*_KEYS, *facts)}
         )
-        return found
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
         """Write the gains to a TOML file, without loss, whole or not at all.
@@ -304,9 +295,10 @@ class DriveGains:
         """
         import tomli_w
 
-        table = {"unit": _UNIT, **{key: getattr(self, key) for key in _KEYS}}
-        for key in ("gains", "covariance", "freedom"):
-            table[key] = table[key].tolist()
+        table: dict[str, Any] = {"unit": _UNIT}
+        for key in _KEYS:
+            value = getattr(self, key)
+            table[key] = value.tolist() if isinstance(value, np.ndarray) else value
         title = "Drive gains: joint torque per current."
         heading = f"# {title} common_factor = {self.common_factor:.3g}\n"
         atomic_write_text(Path(path), heading + tomli_w.dumps(table))
@@ -320,8 +312,7 @@ class DriveGains:
         DataError
             When it cannot be read, lacks an entry, has an unknown one, or holds no gains.
         """
-        given = Path(path)
-        table = load_toml(given)
+        table = load_toml(path)
         unit = table.pop("unit", _UNIT)
         if unit != _UNIT:
             raise DataError(f"{path}: unit is {unit!r}, expected '{_UNIT}'.")
@@ -332,11 +323,9 @@ class DriveGains:
                 f"{path}: {', '.join(unknown)} is not known; known are unit, {', '.join(_KEYS)}."
             )
         try:
-            result = cls(**table)
+            return cls(**table)._from(Source.of(Path(path)))
         except (DataError, TypeError) as cause:
             raise DataError(f"{path}: {cause}") from None
-        object.__setattr__(result, "source", Source.of(given))
-        return result
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> DriveGains:
@@ -350,29 +339,24 @@ class DriveGains:
         try:
             values = {key: given[key] for key in _KEYS}
             values["freedom"] = [np.inf if each is None else each for each in values["freedom"]]
-            result = cls(**values)
-            file = given.get("file")
+            source, file = None, given.get("file")
             if file is not None:
                 name, size, digest = (file[key] for key in ("name", "bytes", "sha256"))
                 source = Source(name=str(name), size=int(size), sha256=str(digest))
-                object.__setattr__(result, "source", source)
+            return cls(**values)._from(source)
         except (KeyError, TypeError, ValueError, AttributeError) as cause:
             raise DataError(f"gains: are no gains of to_dict ({cause!r:.80}).") from None
-        return result
 
     def __repr__(self) -> str:
+        each = zip(self.joint_names, self.gains, self.standard_errors, strict=True)
         shown = [
-            f"{printable(name[:_NAME])} {gain:.4g} ± {error:.2g}"
-            for name, gain, error in zip(
-                self.joint_names, self.gains, self.standard_errors, strict=True
-            )
+            f"{printable(name[:_NAME])} {gain:.4g} ± {error:.2g}" for name, gain, error in each
         ]
         more = f", … {self.n - _SHOWN} more" if self.n > _SHOWN else ""
         return f"DriveGains({', '.join(shown[:_SHOWN])}{more} N·m/A)"
 
-    def _repr_html_(self) -> str:
-        facts = {"rest on": self.basis, "common factor": self.common_factor}
-        return facts_html("DriveGains", facts, self.table())
+    def _tables(self) -> list[Table]:
+        return [self.table()]
 
 
 # How many joints a line shows, and how many characters of their names.

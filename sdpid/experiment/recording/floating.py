@@ -25,6 +25,8 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
 
 T = TypeVar("T", bound="Sampled")
+# Names along each axis, or the attribute that has them.
+_Axes = tuple[str | tuple[str, ...], ...]
 
 XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 XYZW = (*XYZ, "w")
@@ -74,7 +76,8 @@ class Sampled(Shown):
     @property
     def channels(self) -> dict[str, Any]:
         """The channels that there are, by their names."""
-        return {name: getattr(self, name) for name in self._declared}
+        given = {name: getattr(self, name) for name in self._fields()}
+        return {name: table for name, table in given.items() if table is not None}
 
     @property
     def n_samples(self) -> int:
@@ -90,38 +93,43 @@ class Sampled(Shown):
     def columns(self) -> dict[str, Array]:
         """Return all samples by the names that readers find columns by."""
         found: dict[str, Array] = {}
-        for name, (column, axes, _) in self._declared.items():
-            ends = product([column.format(self=self)], *self._along(axes))
-            table = np.asarray(getattr(self, name), dtype=np.float64)
-            table = table.reshape(len(table), -1)
-            found |= dict(zip(map("_".join, ends), table.T, strict=True))
+        for name, names in self.layout(self).items():
+            if (table := getattr(self, name)) is not None:
+                columns = np.asarray(table, dtype=np.float64).reshape(len(table), -1).T
+                found |= dict(zip(names, columns, strict=True))
         for _, part in self._parts:
             found |= part.columns()
         return found
 
-    @property
-    def _declared(self) -> dict[str, tuple[str, Sequence[str | tuple[str, ...]], str]]:
-        """What `samples` says of the channels that there are."""
-        found = {each.name: each.metadata.get("samples") for each in fields(self)}  # type: ignore[arg-type]
-        return {k: said for k, said in found.items() if said and getattr(self, k) is not None}
+    @classmethod
+    def layout(cls, known: Any) -> dict[str, list[str]]:
+        """Return the names of the columns of each channel, of an object with the names on axes."""
+        return {
+            name: [
+                "_".join(ends) for ends in product([column.format(self=known)], *_on(axes, known))
+            ]
+            for name, (column, axes, _) in cls._fields().items()
+        }
+
+    @classmethod
+    def _fields(cls) -> dict[str, tuple[str, _Axes, str]]:
+        """Return what `samples` says of each channel."""
+        found = {each.name: each.metadata.get("samples") for each in fields(cls)}  # type: ignore[arg-type]
+        return {name: said for name, said in found.items() if said is not None}
 
     @property
     def _parts(self) -> list[tuple[str, Any]]:
         """The fields that have channels of their own."""
         return [(name, part) for name, part in vars(self).items() if isinstance(part, Sampled)]
 
-    def _along(self, axes: Sequence[str | tuple[str, ...]]) -> list[Sequence[str]]:
-        """Return the names along each axis."""
-        return [getattr(self, axis) if isinstance(axis, str) else axis for axis in axes]
-
     def _keep_samples(self, **parts: type[Sampled]) -> None:
         """Check all channels and the parts of a class, and put channels back read-only."""
         first = count = None
-        for name, (_, axes, what) in self._declared.items():
-            given, called = getattr(self, name), f"{self._called}{name}"
+        for name, given in self.channels.items():
+            called, (_, axes, what) = f"{self._called}{name}", self._fields()[name]
             array = _flags(given, called) if name == "down" else _numbers(given, called, len(axes))
             object.__setattr__(self, name, array)
-            tail = tuple(max(len(names), 1) for names in self._along(axes))
+            tail = tuple(max(len(names), 1) for names in _on(axes, self))
             if array.shape != (count or len(array), *tail) or not len(array):
                 like = f", as many rows as {first}" if first else ""
                 wanted = ", ".join(map(str, [count or "N", *tail]))
@@ -143,7 +151,7 @@ class Sampled(Shown):
 
     def _words(self) -> list[str]:
         """Return what is there, in words."""
-        return [name.replace("_", " ") for name in self._declared]
+        return [name.replace("_", " ") for name in self.channels]
 
     def __repr__(self) -> str:
         words = [f"{self.n_samples} samples", *self._words()]
@@ -152,6 +160,11 @@ class Sampled(Shown):
     def _shown(self) -> dict[str, object]:
         """Return what a notebook shows."""
         return {"samples": self.n_samples, "measured": ", ".join(self._words())}
+
+
+def _on(axes: _Axes, known: Any) -> list[Sequence[str]]:
+    """Return the names along each axis."""
+    return [getattr(known, axis) if isinstance(axis, str) else axis for axis in axes]
 
 
 def _numbers(given: Any, called: str, axes: int) -> Any:

@@ -24,7 +24,7 @@ _EPOCH = (1e9, 4e9)
 _EPOCH_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Stamps:
     """First and last time stamp, shortest and longest step, and lost samples of a record.
 
@@ -76,15 +76,13 @@ class Stamps:
                 f"({wrong.size} such rows); sort the rows or remove the duplicates."
             )
         first, last, row = float(time[0]), float(time[-1]), int(np.argmax(steps)) + 1
-        least, most = float(steps.min()), float(steps[row - 1])
         if last - first < _SHORTEST * steps.size:
             raise DataError(
                 f"time: {len(time)} samples within {last - first:.3g} s; say their unit."
             )
+        least, most = float(steps.min()), float(steps.max())
         lost = 0 if most < _LONG * least else _lost_samples(np.asarray(time))
-        return Stamps(
-            first=first, last=last, count=len(time), least=least, most=most, row=row, lost=lost
-        )
+        return Stamps(first, last, len(time), least, most, row, lost)
 
     @property
     def step(self) -> float:

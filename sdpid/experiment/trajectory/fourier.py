@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen, frozen_view, real_array
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.curve import ROUNDING, cells_within
 
@@ -54,37 +54,30 @@ class FourierSeries:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.period) and self.period > 0.0):
             raise DataError(f"Fourier series: period is {self.period}; give a positive time in s.")
-        center = real_array(self.center, "center", ndim=1)
-        harmonics = real_array(self.harmonics, "harmonics", ndim=2)
-        amplitudes = real_array(self.amplitudes, "amplitudes", ndim=2)
-        phases = real_array(self.phases, "phases", ndim=2)
-        if not (harmonics.shape == amplitudes.shape == phases.shape) or len(center) != len(
-            harmonics
-        ):
+        axes = {"center": 1, "harmonics": 2, "amplitudes": 2, "phases": 2}
+        given = {name: real_array(getattr(self, name), name, ndim=d) for name, d in axes.items()}
+        shapes = [given[name].shape for name in axes]
+        if len({(*shapes[0], *shapes[1][1:]), *shapes[1:]}) > 1:
+            listed = ", ".join(f"{name} {array.shape}" for name, array in given.items())
             raise DataError(
-                f"Fourier series: center {center.shape}, harmonics {harmonics.shape}, amplitudes "
-                f"{amplitudes.shape} and phases {phases.shape} do not fit; give (n,) and three "
-                "times (n, H)."
+                f"Fourier series: {listed} do not fit; give (n,) and three times (n, H)."
             )
-        if max(np.abs(each).max(initial=0.0) for each in (center, amplitudes)) > _LARGEST:
+        if any((np.abs(given[name]) > _LARGEST).any() for name in ("center", "amplitudes")):
             raise DataError(
                 f"Fourier series: center and amplitudes pass {_LARGEST:g} rad, which no joint does."
             )
-        whole = np.rint(harmonics)
+        harmonics = given["harmonics"]
         # A double beyond that is whole, and no harmonic of anything.
-        if np.any(whole != harmonics) or np.any(whole < 0) or np.any(whole > 2**53):
+        if np.any((np.rint(harmonics) != harmonics) | (harmonics < 0) | (harmonics > 2**53)):
             raise DataError("Fourier series: harmonics must be whole numbers of at least 0.")
-        if np.any((whole == 0) & (amplitudes != 0.0)):
+        if np.any((harmonics == 0) & (given["amplitudes"] != 0.0)):
             raise DataError(
                 "Fourier series: harmonic 0 with an amplitude; put a constant into the center."
             )
-        whole = whole.astype(np.int64)
-        whole.setflags(write=False)
         object.__setattr__(self, "period", float(self.period))
-        object.__setattr__(self, "center", frozen(center))
-        object.__setattr__(self, "harmonics", whole)
-        object.__setattr__(self, "amplitudes", frozen(amplitudes))
-        object.__setattr__(self, "phases", frozen(phases))
+        for name, array in given.items():
+            object.__setattr__(self, name, frozen(array))
+        object.__setattr__(self, "harmonics", frozen_view(harmonics.astype(np.int64)))
 
     @property
     def n(self) -> int:
@@ -137,13 +130,12 @@ class FourierSeries:
         """
         edges = cells_within(edges, self.period)
         rate = 2.0 * np.pi * self.harmonics / self.period
-        lengths = np.diff(edges)
-        parts = np.maximum(np.ceil(lengths * rate.max(initial=0.0) / _TURN), 1.0).astype(np.intp)
+        turns = np.ceil(np.diff(edges) * rate.max(initial=0.0) / _TURN)
+        parts = np.maximum(turns, 1.0).astype(np.intp)
         first = np.cumsum(parts) - parts
-        within = (np.arange(parts.sum()) - np.repeat(first, parts)) / np.repeat(parts, parts)
-        points = np.append(
-            np.repeat(edges[:-1], parts) + within * np.repeat(lengths, parts), edges[-1]
-        )
+        own = np.repeat(np.arange(len(parts)), parts)
+        within = (np.arange(len(own)) - first[own]) / parts[own]
+        points = np.append(edges[own] + within * np.diff(edges)[own], edges[-1])
         step = np.diff(points)[:, None]
         middle = points[:-1] + 0.5 * step[:, 0]
 

@@ -65,7 +65,7 @@ def read_trajectory(
     if file.suffix.lower() == ".toml":
         motion = Trajectory.from_toml(file)
         if joint_names is not None and motion.joint_names != tuple(joint_names):
-            raise _other_joints(file, motion.joint_names, joint_names)
+            raise DataError(f"{file}: {_other_joints(motion.joint_names, joint_names)}")
         return motion
     known = {suffix: each for suffix, each in sorted(BY_SUFFIX.items()) if each.moves}
     suffix = suffix_of(file)
@@ -75,7 +75,11 @@ def read_trajectory(
         )
     if not file.is_file():
         raise DataError(f"{file}: there is no such file.")
-    curve, names = _sampled(file, known[suffix].load(file), joint_names)
+    try:
+        curve, names = _sampled(file, known[suffix].load(file), joint_names)
+    except DataError as cause:
+        named = str(cause).startswith(str(file))
+        raise DataError(str(cause) if named else f"{file}: {cause}") from None
     return Trajectory(
         joint_names=names,
         series=curve,
@@ -110,51 +114,58 @@ def _sampled(
     position, labels = log.read("position", wanted)
     if time is None or position is None:
         raise DataError(
-            f"{file}: column {'time' if time is None else 'position_<joint>'} is missing; give "
-            "time in s, position_<joint> and, where there are any, velocity_<joint> and "
+            f"column {'time' if time is None else 'position_<joint>'} is missing; give time in s, "
+            "position_<joint> and, where there are any, velocity_<joint> and "
             f"acceleration_<joint>. Found: {', '.join(list(table.arrays)[:40]) or 'nothing'}."
         )
-    names, order = _joints(file, labels or log.names(), wanted, position.shape[1])
+    names: Sequence[str] | None = labels or log.names()
+    unnamed = names is None or all(name.isdigit() for name in names)
+    if wanted is None or (unnamed and len(wanted) == position.shape[1]):
+        # Numbers are no names of a robot's joints.
+        names = wanted or names or [f"joint_{j + 1}" for j in range(position.shape[1])]
+        order = list(range(position.shape[1]))
+    elif names is None or set(names) != set(wanted):
+        raise DataError(_other_joints(names or (), wanted))
+    else:
+        order = [list(names).index(name) for name in wanted]
+        names = wanted
     values = {"time": in_seconds(np.asarray(time).ravel()), "position": position}
     for quantity in ("velocity", "acceleration"):
         found, label = log.read(quantity, labels)
         if found is not None and (label != labels or found.shape != position.shape):
             raise DataError(
-                f"{file}: {quantity} has {found.shape[1]} columns ({_listed(label)}), position "
-                f"has {position.shape[1]} ({_listed(labels)}); give the same joints."
+                f"{quantity} has {found.shape[1]} columns ({_listed(label)}), position has "
+                f"{position.shape[1]} ({_listed(labels)}); give the same joints."
             )
         if found is not None:
             values[quantity] = found
     for quantity, array in values.items():
-        _check_finite(file, table, log.used[quantity], array)
+        columns = log.used[quantity]
+        if array.dtype.kind not in "fiu":
+            raise DataError(f"{', '.join(columns)}: holds {array.dtype}, expected numbers.")
+        bad = np.argwhere(~np.isfinite(array.reshape(len(array), -1)))
+        if len(bad):
+            row, column = bad[0].tolist()
+            whole = len(columns) <= column
+            name = f"{columns[0]}, column {column + 1}" if whole else columns[column]
+            raise DataError(f"{table.place(row)}: {name} has no finite value; repair it.")
         array = in_si(quantity, array, log.implied, None)
         values[quantity] = array if quantity == "time" else array[:, order]
     short = np.flatnonzero(np.diff(values["time"]) <= 0.0)
     if short.size:
         k = int(short[0]) + 1
         raise DataError(
-            f"{file}: {table.place(k)}: time does not increase: {values['time'][k]} s after "
+            f"{table.place(k)}: time does not increase: {values['time'][k]} s after "
             f"{values['time'][k - 1]} s; leave out repeated samples."
         )
-    try:
-        curve = SampledCurve(**values)
-    except DataError as cause:
-        raise DataError(f"{file}: {cause}") from None
-    _check_derivatives(file, curve, names)
-    return curve, names
-
-
-def _joints(
-    file: Path, names: Sequence[str] | None, wanted: Sequence[str] | None, count: int
-) -> tuple[tuple[str, ...], list[int]]:
-    """Return the names of the joints, and their columns; numbers are no names of a robot's."""
-    unnamed = names is None or (all(name.isdigit() for name in names) and len(names) == count)
-    if wanted is None or (unnamed and len(wanted) == count):
-        names = wanted or names or [f"joint_{j + 1}" for j in range(count)]
-        return tuple(names), list(range(count))
-    if names is None or set(names) != set(wanted):
-        raise _other_joints(file, names or (), wanted)
-    return tuple(wanted), [list(names).index(name) for name in wanted]
+    curve = SampledCurve(**values)
+    for word, value, rate in (
+        ("velocity", curve.position, curve.velocity),
+        ("acceleration", curve.velocity, curve.acceleration),
+    ):
+        if value is not None and rate is not None:
+            _check_derivative(word, curve.time, value, rate, names)
+    return curve, tuple(names)
 
 
 def _begins(key: str, table: LogTable) -> bool:
@@ -163,50 +174,33 @@ def _begins(key: str, table: LogTable) -> bool:
     return any(pattern.match(name) for name in table.arrays)
 
 
-def _check_finite(file: Path, table: LogTable, columns: Sequence[str], values: Array) -> None:
-    """Raise where a value is missing, with its row and column."""
-    if values.dtype.kind not in "fiu":
-        raise DataError(f"{file}: {', '.join(columns)}: holds {values.dtype}, expected numbers.")
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        row, column = int(bad[0, 0]), int(bad[0, -1]) if values.ndim == 2 else 0
-        name = columns[column] if len(columns) > column else f"{columns[0]}, column {column + 1}"
-        raise DataError(f"{file}: {table.place(row)}: {name} has no finite value; repair it.")
-
-
-def _check_derivatives(file: Path, curve: SampledCurve, names: Sequence[str]) -> None:
-    """Raise where velocities or accelerations are far from derivatives: in other units, often."""
-    h = np.diff(curve.time)[:, None]
-    pairs = (
-        ("velocity", curve.position, curve.velocity),
-        ("acceleration", curve.velocity, curve.acceleration),
-    )
-    for word, value, rate in pairs:
-        if value is None or rate is None:
+def _check_derivative(
+    word: str, time: Array, value: Array, rate: Array, names: Sequence[str]
+) -> None:
+    """Raise where a rate is far from the derivative of a value: in another unit, often."""
+    moved = value[1:] - value[0]
+    steps = 0.5 * np.diff(time)[:, None] * (rate[1:] + rate[:-1])
+    integral = np.cumsum(steps, axis=0)
+    for j, name in enumerate(names):
+        square, product = integral[:, j] @ integral[:, j], integral[:, j] @ moved[:, j]
+        if max(np.abs(moved[:, j]).max(), np.abs(integral[:, j]).max()) < _STILL:
             continue
-        moved = value[1:] - value[0]
-        integral = np.cumsum(0.5 * h * (rate[1:] + rate[:-1]), axis=0)
-        for j, name in enumerate(names):
-            square, product = integral[:, j] @ integral[:, j], integral[:, j] @ moved[:, j]
-            if max(np.abs(moved[:, j]).max(), np.abs(integral[:, j]).max()) < _STILL:
-                continue
-            factor = square / product if product else np.inf
-            if not 1.0 / _DERIVATIVE < factor < _DERIVATIVE:
-                raise DataError(
-                    f"{file}: the {word} of {name} is {factor:.3g} times what its other columns "
-                    "say; give rad, rad/s and rad/s² (m for prismatic joints), or leave it out."
-                )
+        factor = square / product if product else np.inf
+        if not 1.0 / _DERIVATIVE < factor < _DERIVATIVE:
+            raise DataError(
+                f"the {word} of {name} is {factor:.3g} times what its other columns say; give "
+                "rad, rad/s and rad/s² (m for prismatic joints), or leave it out."
+            )
 
 
-def _other_joints(file: Path, names: Sequence[str], wanted: Sequence[str]) -> DataError:
+def _other_joints(names: Sequence[str], wanted: Sequence[str]) -> str:
+    """Return what is wrong with the names of joints."""
     unknown = [name for name in names if name not in wanted]
     missing = [name for name in wanted if name not in names]
     parts = [f"the robot has no joint {_listed(unknown)}"] if unknown else []
     parts += [f"positions of {_listed(missing)} are missing"] if missing else []
-    return DataError(
-        f"{file}: {'; '.join(parts) or 'its joints are in another order'}. The robot's joints are "
-        f"{_listed(wanted)}."
-    )
+    said = "; ".join(parts) or "its joints are in another order"
+    return f"{said}. The robot's joints are {_listed(wanted)}."
 
 
 def _listed(names: Sequence[str] | None) -> str:

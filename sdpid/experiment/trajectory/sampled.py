@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen, real_array, shaped
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.curve import ROUNDING, Pieces
 
@@ -54,18 +54,12 @@ class SampledCurve(Pieces):
                 f"{time[k]} s."
             )
         object.__setattr__(self, "time", frozen(time))
-        position = real_array(self.position, "position", ndim=2)
+        n = real_array(self.position, "position", ndim=2).shape[1]
         for name in ("position", "velocity", "acceleration"):
-            values = getattr(self, name)
-            if values is None:
-                continue
-            values = real_array(values, name, ndim=2)
-            if values.shape != (len(time), position.shape[1]):
-                raise DataError(
-                    f"sampled motion: {name} has shape {values.shape}, expected "
-                    f"{(len(time), position.shape[1])}: one row a sample, one column a joint."
-                )
-            object.__setattr__(self, name, frozen(values))
+            if (values := getattr(self, name)) is not None:
+                what = ": one row a sample, one column a joint"
+                values = shaped(values, f"sampled motion: {name}", (len(time), n), what)
+                object.__setattr__(self, name, values)
         if self.acceleration is not None and self.velocity is None:
             raise DataError("sampled motion: accelerations without velocities; give both.")
 
@@ -98,16 +92,12 @@ class SampledCurve(Pieces):
             from scipy.interpolate import CubicSpline
 
             velocity = CubicSpline(self.breaks, self.position)(self.breaks, 1)
-        zero = np.zeros_like(moved)
-        if self.acceleration is None:
-            leave, arrive = velocity[:-1] * h / 3.0, velocity[1:] * h / 3.0
-            return np.stack([zero, leave, moved - arrive, moved])
-        leave, arrive = velocity[:-1] * h / 5.0, velocity[1:] * h / 5.0
-        first, last = (
-            values * h**2 / 20.0 for values in (self.acceleration[:-1], self.acceleration[1:])
-        )
-        inner = (leave, 2.0 * leave + first, moved - 2.0 * arrive + last, moved - arrive)
-        return np.stack([zero, *inner, moved])
+        inner = [velocity[:-1] * h / 3.0, moved - velocity[1:] * h / 3.0]
+        if self.acceleration is not None:
+            leave, arrive = velocity[:-1] * h / 5.0, velocity[1:] * h / 5.0
+            first, last = (a * h**2 / 20.0 for a in (self.acceleration[:-1], self.acceleration[1:]))
+            inner = [leave, 2.0 * leave + first, moved - 2.0 * arrive + last, moved - arrive]
+        return np.stack([np.zeros_like(moved), *inner, moved])
 
     @property
     def control_points(self) -> Array:
@@ -116,15 +106,16 @@ class SampledCurve(Pieces):
 
     def _polynomials(self, derivative: int, piece: Any) -> tuple[Array, Array, Array]:
         """Return control points (q+1, S, n), knots (2q, S) and rounding (S, n) of S pieces."""
-        points = self._offsets[:, piece]
-        h = np.diff(self.breaks)[piece, None]
-        scale = np.abs(points).max(axis=0)
-        for _ in range(derivative):
-            degree = len(points) - 1
-            points = np.diff(points, axis=0) * degree / h if degree else np.zeros_like(points)
-            scale = scale * 2.0 * degree / h
+        from scipy.interpolate import BPoly
+
+        h, degree = np.diff(self.breaks)[piece, None], len(self._offsets) - 1
         if derivative == 0:
-            points = points + self.position[piece]
+            points = self._offsets[:, piece] + self.position[piece]
             scale = np.abs(points).max(axis=0)
+        else:
+            points = BPoly(self._offsets, self.breaks).derivative(derivative).c[:, piece]
+            scale = np.abs(self._offsets[:, piece]).max(axis=0)
+        for order in range(derivative):
+            scale = scale * 2.0 * max(degree - order, 0) / h
         ends = self.breaks[np.stack([piece, piece + 1])]
         return points, np.repeat(ends, len(points) - 1, axis=0), ROUNDING * scale

@@ -7,13 +7,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen, frozen_view, real_array
+from sdpid._common.arrays import Array, frozen, frozen_view, shaped
 from sdpid._common.files import atomic_write_text, load_toml
-from sdpid._common.tables import facts_html
+from sdpid._common.tables import Shown, plain
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
 from sdpid.experiment.trajectory.fourier import FourierSeries
@@ -27,10 +27,21 @@ _WHOLE = 1e-6
 _LARGEST = 1e9
 # Samples of a motion as it is looked at; beyond as many the rate falls.
 _MOST_PLAYED = 6000
-# Entries of a trajectory's file.
+# How speeds are told of joints that turn.
+_DEGREES = 180.0 / np.pi, "deg/s", ".2f"
+# Entries of a trajectory's file: of all, and of each kind of curve by what its joints begin with,
+# those of the whole by the names of fields, those of each joint, and the axis of the joints.
 _DURATIONS = ("rate_hz", "rest", "connection")
-_SERIES = ("harmonics", "amplitudes", "phases")
-_SAMPLES = ("position", "velocity", "acceleration")
+_KINDS: dict[str, tuple[Any, dict[str, str], tuple[str, ...], int]] = {
+    "control_points": (Spline, {"period": "duration", "degree": "degree"}, ("control_points",), 1),
+    "position": (SampledCurve, {"time": "time"}, ("position", "velocity", "acceleration"), 1),
+    "center": (
+        FourierSeries,
+        {"period": "period"},
+        ("center", "harmonics", "amplitudes", "phases"),
+        0,
+    ),
+}
 
 
 def entries(curve: Curve) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -41,42 +52,32 @@ def entries(curve: Curve) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     ExportError
         When the curve is of another kind than those of this folder.
     """
-    if isinstance(curve, Spline):
-        whole = {"period": curve.duration, "degree": curve.degree}
-        return whole, [{"control_points": points.tolist()} for points in curve.control_points.T]
-    joints: list[dict[str, Any]] = []
-    if isinstance(curve, FourierSeries):
-        for j, center in enumerate(curve.center):
-            rows = {key: np.asarray(getattr(curve, key))[j].tolist() for key in _SERIES}
-            joints.append({"center": float(center), **rows})
-        return {"period": curve.period}, joints
-    if isinstance(curve, SampledCurve):
-        given = {key: getattr(curve, key) for key in _SAMPLES if getattr(curve, key) is not None}
-        joints = [{key: given[key][:, j].tolist() for key in given} for j in range(curve.n)]
-        return {"time": curve.time.tolist()}, joints
+    for kind, whole, of_joints, axis in _KINDS.values():
+        if isinstance(curve, kind):
+            given = {name: getattr(curve, name) for name in of_joints}
+            joints: list[dict[str, Any]] = [
+                {k: v.take(j, axis).tolist() for k, v in given.items() if v is not None}
+                for j in range(curve.n)
+            ]
+            return {key: plain(getattr(curve, name)) for key, name in whole.items()}, joints
     raise ExportError(f"trajectory: a curve of type {type(curve).__name__} cannot be written.")
 
 
 def curve_of(table: Mapping[str, Any]) -> Curve:
     """Return the curve of a file's table, whose joints are its list ``joint``."""
     joints = table["joint"]
-
-    def rows(key: str) -> Array:
-        return np.array([joint[key] for joint in joints])
-
-    if joints and "control_points" in joints[0]:
-        points = rows("control_points").T
-        return Spline(duration=table["period"], control_points=points, degree=table["degree"])
-    if joints and "position" in joints[0]:
-        given = {key: rows(key).T for key in _SAMPLES if key in joints[0]}
-        return SampledCurve(time=table["time"], **given)
-    return FourierSeries(
-        period=table["period"], center=rows("center"), **{key: rows(key) for key in _SERIES}
-    )
+    first = joints[0] if joints else {}
+    kind, whole, of_joints, axis = _KINDS[next((key for key in _KINDS if key in first), "center")]
+    given: dict[str, Any] = {name: table[key] for key, name in whole.items()}
+    for name in of_joints:
+        if name in first or kind is FourierSeries:
+            given[name] = np.stack([np.asarray(joint[name]) for joint in joints], axis=-axis)
+    curve: Curve = kind(**given)
+    return curve
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trajectory:
+class Trajectory(Shown):
     """A motion to run: rest, connection, whole periods of a curve, connection, rest.
 
     The joints rest at the center of a Fourier series; before and after any other curve they rest
@@ -132,31 +133,23 @@ class Trajectory:
     velocity_limit: Array
     notes: tuple[str, ...] = ()
 
+    _facts = ("joint_names", "periods", "period, s", "rate_hz", "duration, s")
+
     def __repr__(self) -> str:
         return (
             f"Trajectory({len(self.joint_names)} joints, {self.periods} periods of "
             f"{self.period:g} s at {self.rate_hz:g} Hz)"
         )
 
-    def _repr_html_(self) -> str:
-        facts: dict[str, object] = {
-            "joints": ", ".join(self.joint_names),
-            "periods": self.periods,
-            "period, s": self.period,
-            "rate, Hz": self.rate_hz,
-            "seconds in all": self.duration,
-        }
-        return facts_html("Trajectory", facts)
-
     def __post_init__(self) -> None:
-        ranges = real_array(self.position_range, "position_range", ndim=2, infinite=True)
-        limits = real_array(self.velocity_limit, "velocity_limit", ndim=1, infinite=True)
         n = self.series.n
-        if len(self.joint_names) != n or ranges.shape != (n, 2) or limits.shape != (n,):
+        if len(self.joint_names) != n:
             raise DataError(
-                f"trajectory: {n} joints in the series, {len(self.joint_names)} names, "
-                f"position_range {ranges.shape}, velocity_limit {limits.shape}; give {n} of each."
+                f"trajectory: {n} joints in the series, {len(self.joint_names)} names; give {n}."
             )
+        for name, shape in (("position_range", (n, 2)), ("velocity_limit", (n,))):
+            limits = shaped(getattr(self, name), f"trajectory: {name}", shape, infinite=True)
+            object.__setattr__(self, name, limits)
         if not 0.0 < self.rate_hz <= _LARGEST:
             raise DataError(
                 f"trajectory: rate_hz is {self.rate_hz:.6g}; give a positive rate, at most "
@@ -188,8 +181,6 @@ class Trajectory:
                 "trajectory: the motion does not start and end at rest; give a connection."
             )
         object.__setattr__(self, "periods", int(self.periods))
-        object.__setattr__(self, "position_range", frozen(ranges))
-        object.__setattr__(self, "velocity_limit", frozen(limits))
 
     @property
     def n(self) -> int:
@@ -239,28 +230,32 @@ class Trajectory:
         """Duration of the whole trajectory in s."""
         return self.n_samples / self.rate_hz
 
-    def _derivative(self, order: int) -> Array:
-        if isinstance(self.series, FourierSeries):
-            values = self.series.one_period(self.samples_per_period, derivative=order)
-        else:
-            time = np.arange(self.samples_per_period) / self.rate_hz
-            values = self.series.evaluate(time, derivative=order)
-        return np.asarray(frozen_view(values))
-
     @cached_property
+    def _states(self) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations of one period."""
+        count = self.samples_per_period
+        if isinstance(self.series, FourierSeries):
+            states = [self.series.one_period(count, derivative=order) for order in range(3)]
+        else:
+            time = np.arange(count) / self.rate_hz
+            states = [self.series.evaluate(time, derivative=order) for order in range(3)]
+        position, velocity, acceleration = map(frozen_view, states)
+        return position, velocity, acceleration
+
+    @property
     def position_period(self) -> Array:
         """Positions of one period, shape (samples_per_period, n), in rad."""
-        return self._derivative(0)
+        return self._states[0]
 
-    @cached_property
+    @property
     def velocity_period(self) -> Array:
         """Velocities of one period, shape (samples_per_period, n), in rad/s."""
-        return self._derivative(1)
+        return self._states[1]
 
-    @cached_property
+    @property
     def acceleration_period(self) -> Array:
         """Accelerations of one period, shape (samples_per_period, n), in rad/s²."""
-        return self._derivative(2)
+        return self._states[2]
 
     @property
     def velocity_peak(self) -> Array:
@@ -276,19 +271,16 @@ class Trajectory:
             Names of the prismatic joints, whose speeds are in m/s.
         """
         lines = []
-        for name, peak, limit in zip(
-            self.joint_names, self.velocity_peak, self.velocity_limit, strict=True
-        ):
-            verdict = "within" if peak <= limit else "ABOVE"
-            if name in sliding:
-                speeds = f"{peak:.4g} m/s", f"{limit:.4g} m/s"
-            else:
-                speeds = f"{np.degrees(peak):.2f} deg/s", f"{np.degrees(limit):.2f} deg/s"
-            # Of a limit next to zero no motion is a share worth telling.
-            share = f" ({100.0 * peak / limit:.0f} %)" if 1e-3 * peak < limit else ""
-            told = f"{verdict} the limit of {speeds[1]}{share}"
-            told = told if np.isfinite(limit) else "no limit"
-            lines.append(f"{name}: peak velocity {speeds[0]}, {told}")
+        speeds = zip(self.joint_names, self.velocity_peak, self.velocity_limit, strict=True)
+        for name, peak, limit in speeds:
+            scale, unit, digits = (1.0, "m/s", ".4g") if name in sliding else _DEGREES
+            told = "no limit"
+            if np.isfinite(limit):
+                told = f"{'within' if peak <= limit else 'ABOVE'} the limit of "
+                told += f"{scale * limit:{digits}} {unit}"
+                # Of a limit next to zero no motion is a share worth telling.
+                told += f" ({100.0 * peak / limit:.0f} %)" if 1e-3 * peak < limit else ""
+            lines.append(f"{name}: peak velocity {scale * peak:{digits}} {unit}, {told}")
         return tuple(lines)
 
     def with_periods(self, periods: int) -> Trajectory:
@@ -371,23 +363,19 @@ class Trajectory:
                 f"trajectory: samples {start} to {stop} are not within 0 to {self.n_samples}."
             )
         out = np.zeros((3, stop - start, self.n))
-        first, per_period = self.lead_samples, self.samples_per_period
-        end = first + self.periods * per_period
         index = np.arange(start, stop)
-        out[0] = np.where(index[:, None] < end, *self._poses)
-        inside = (index >= first) & (index < end)
-        rows = (index[inside] - first) % per_period
-        if rows.size:
-            out[0, inside] = self.position_period[rows]
-            out[1, inside] = self.velocity_period[rows]
-            out[2, inside] = self.acceleration_period[rows]
+        out[0] = np.where(index[:, None] < self.n_samples - self.lead_samples, *self._poses)
         for begin, curve in self.curves():
-            if curve is self.series:
-                continue
-            steps = index - round(begin * self.rate_hz)
-            inside = (steps >= 0) & (steps < round(self.connection * self.rate_hz))
-            for order in range(3 if inside.any() else 0):
-                out[order, inside] = curve.evaluate(steps[inside] / self.rate_hz, derivative=order)
+            periods = self.periods if curve is self.series else 1
+            steps, count = index - round(begin * self.rate_hz), round(curve.duration * self.rate_hz)
+            inside = (steps >= 0) & (steps < count * periods)
+            rows = steps[inside] % count
+            for order in range(3 if rows.size else 0):
+                if curve is self.series:
+                    out[order, inside] = self._states[order][rows]
+                else:
+                    time = rows / self.rate_hz
+                    out[order, inside] = curve.evaluate(time, derivative=order)
         return out[0], out[1], out[2]
 
     def curves(self) -> tuple[tuple[float, Curve], ...]:
@@ -400,24 +388,21 @@ class Trajectory:
         parts: list[tuple[float, Curve]] = [(start, self.series)]
         if self.connection:
             (before, after), c = self._poses, self.connection
-            enter = connection_points(before, c, *self._ends[0])
-            leave = connection_points(after, -c, *self._ends[1])[::-1]
+            enter = connection_points(before, c, *self._ends[:, 0])
+            leave = connection_points(after, -c, *self._ends[:, 1])[::-1]
             parts.insert(0, (self.rest, Spline(duration=c, control_points=enter)))
             end = start + self.periods * self.period
             parts.append((end, Spline(duration=c, control_points=leave)))
         return tuple(parts)
 
     @cached_property
-    def _ends(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Offset from the rest, velocity and acceleration where the curve starts and ends."""
-        first = np.zeros(1)
-        states = [
-            np.concatenate([self.series.evaluate(time, derivative=order) for order in range(3)])
-            for time in (first, first + (0.0 if self.closed else self.period))
-        ]
-        for state, pose in zip(states, self._poses, strict=True):
-            state[0] -= pose
-        return tuple(states[0]), tuple(states[1])
+    def _ends(self) -> Array:
+        """Offset from the rest, velocity, acceleration at the curve's start and end, (3, 2, n)."""
+        states = end_states(self.series)
+        if self.closed:
+            states[:, 1] = states[:, 0]
+        states[0] -= self._poses
+        return states
 
 
 def connection_points(pose: Array, seconds: float, *state: Array) -> Array:
@@ -439,8 +424,7 @@ def connection_points(pose: Array, seconds: float, *state: Array) -> Array:
     return np.stack(np.broadcast_arrays(pose, pose, pose, before, near, end))
 
 
-@dataclass(frozen=True)
-class Played:
+class Played(NamedTuple):
     """A trajectory as it is looked at: connection in, one period, connection out.
 
     Attributes
@@ -474,16 +458,14 @@ def played(trajectory: Trajectory, rate_hz: float) -> Played:
         About how many samples a second; fewer for a long motion.
     """
     parts = trajectory.with_periods(1).curves()
-    begin = parts[0][0]
-    seconds = parts[-1][0] + parts[-1][1].duration - begin
+    starts = np.array([start - parts[0][0] for start, _ in parts])
+    seconds = starts[-1] + parts[-1][1].duration
     count = min(max(int(np.ceil(seconds * rate_hz)) + 1, 2), _MOST_PLAYED)
     time = np.linspace(0.0, seconds, count)
     out = np.zeros((4, count, trajectory.n))
-    starts = np.array([start - begin for start, _ in parts])
     owner = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
     for k, (_, curve) in enumerate(parts):
-        inside = owner == k
-        own = np.clip(time[inside] - starts[k], 0.0, curve.duration)
+        own = np.clip(time[owner == k] - starts[k], 0.0, curve.duration)
         for order in range(4):
-            out[order, inside] = curve.evaluate(own, derivative=order)
+            out[order, owner == k] = curve.evaluate(own, derivative=order)
     return Played(time, *out)

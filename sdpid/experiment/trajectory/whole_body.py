@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
+from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import read_regular
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Table
 from sdpid.errors import DataError
+from sdpid.experiment.recording.floating import XYZ, XYZW, Sampled, samples
 
-_XYZ = ("x", "y", "z")
-_OF_JOINTS = ("position", "velocity", "acceleration", "effort")
+_EACH = "one column for each joint"
 
 # Minutes of a humanoid's motion have less.
 _MOST_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class WholeBodyMotion:
+class WholeBodyMotion(Sampled):
     """Joints, base, contacts and torques of a planned motion.
 
     Attributes
@@ -67,31 +67,19 @@ class WholeBodyMotion:
     """
 
     joint_names: tuple[str, ...]
-    time: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    effort: Array
-    base_position: Array
-    base_orientation: Array
+    time: Array = samples("time", what="stamps in s", needed=True)
+    position: Array = samples("position", "joint_names", what=_EACH, needed=True)
+    velocity: Array = samples("velocity", "joint_names", what=_EACH, needed=True)
+    acceleration: Array = samples("acceleration", "joint_names", what=_EACH, needed=True)
+    effort: Array = samples("effort", "joint_names", what=_EACH, needed=True)
+    base_position: Array = samples("base_position", XYZ, what="x, y, z in m", needed=True)
+    base_orientation: Array = samples("base_orientation", XYZW, what="x, y, z, w", needed=True)
     frames: tuple[str, ...]
-    down: Mask
-    forces: Array
+    down: Mask = samples("contact", "frames", what="one flag a foot", needed=True)
+    forces: Array = samples("contact_force", "frames", XYZ, what="x, y, z in N", needed=True)
 
     def __post_init__(self) -> None:
-        k, n, c = len(self.time), len(self.joint_names), len(self.frames)
-        shapes: dict[str, tuple[int, ...]] = {"time": (k,), "base_position": (k, 3)}
-        shapes |= dict.fromkeys(_OF_JOINTS, (k, n))
-        shapes |= {"base_orientation": (k, 4), "forces": (k, c, 3)}
-        for name, shape in shapes.items():
-            values = real_array(getattr(self, name), name, ndim=len(shape))
-            if values.shape != shape:
-                raise DataError(f"{name}: shape {values.shape}, expected {shape}.")
-            object.__setattr__(self, name, frozen(values))
-        down = np.array(self.down, dtype=bool)
-        if down.shape != (k, c):
-            raise DataError(f"down: shape {down.shape}, expected {(k, c)}: one flag a foot.")
-        object.__setattr__(self, "down", frozen_view(down))
+        self._keep_samples()
 
     @property
     def duration(self) -> float:
@@ -104,16 +92,8 @@ class WholeBodyMotion:
             f"{self.duration:g} s)"
         )
 
-    def _repr_html_(self) -> str:
-        return facts_html("WholeBodyMotion", {"joints": ", ".join(self.joint_names)})
-
-    def columns(self) -> dict[str, Array]:
-        """Return all columns by the names that readers of recordings find them by."""
-        found: dict[str, Array] = {}
-        for name, columns in _layout(self.joint_names, self.frames).items():
-            values = np.asarray(getattr(self, name), dtype=np.float64)
-            found |= dict(zip(columns, values.reshape(-1, len(columns)).T, strict=True))
-        return found
+    def _shown(self) -> dict[str, object]:
+        return {"joints": ", ".join(self.joint_names)}
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write all columns as CSV with all digits.
@@ -139,33 +119,19 @@ class WholeBodyMotion:
             names, table = header.strip().split(","), np.loadtxt(lines, delimiter=",", ndmin=2)
         except ValueError as cause:
             raise DataError(f"{path}: is no table of numbers ({cause}).") from None
-        joints = [name[9:] for name in names if name.startswith("position_")]
-        frames = [
-            name[8:]
-            for name in names
-            if name.startswith("contact_") and not name.startswith("contact_force_")
-        ]
-
+        feet = [name for name in names if name.startswith("contact_")]
+        known = SimpleNamespace(
+            joint_names=[name[9:] for name in names if name.startswith("position_")],
+            frames=[name[8:] for name in feet if not name.startswith("contact_force_")],
+        )
         values: dict[str, Any] = {}
-        for field, columns in _layout(joints, frames).items():
+        for field, columns in cls.layout(known).items():
             if missing := [name for name in columns if name not in names]:
                 raise DataError(
                     f"{path}: has no column '{missing[0]}'; give a motion of a whole robot, such "
                     "as trajectory.csv of sdpid excite --stand."
                 )
             values[field] = table[:, [names.index(name) for name in columns]]
-        values["time"], values["down"] = values["time"][:, 0], values["down"] > 0.5
-        values["forces"] = values["forces"].reshape(len(table), len(frames), 3)
-        return cls(joint_names=tuple(joints), frames=tuple(frames), **values)
-
-
-def _layout(joints: Sequence[str], frames: Sequence[str]) -> dict[str, list[str]]:
-    """Return the columns of each field, by the names that readers of recordings find them by."""
-    found = {"time": ["time"]}
-    for name in _OF_JOINTS:
-        found[name] = [f"{name}_{joint}" for joint in joints]
-    found["base_position"] = [f"base_position_{axis}" for axis in _XYZ]
-    found["base_orientation"] = [f"base_orientation_{axis}" for axis in (*_XYZ, "w")]
-    found["down"] = [f"contact_{frame}" for frame in frames]
-    found["forces"] = [f"contact_force_{frame}_{axis}" for frame in frames for axis in _XYZ]
-    return found
+        values["time"] = values["time"][:, 0]
+        values["forces"] = values["forces"].reshape(len(table), len(known.frames), len(XYZ))
+        return cls(joint_names=tuple(known.joint_names), frames=tuple(known.frames), **values)
