@@ -29,7 +29,7 @@ _WIDE, _HIGH = 6.0, 1.5
 
 
 class FrictionCurve(Protocol):
-    """Friction of one joint over its velocity, as `sdpid.robot.friction.curve` has it."""
+    """Friction of one joint over its velocity, as `sdpid.robot.friction.model` has it."""
 
     @property
     def velocity(self) -> Array:

@@ -33,7 +33,7 @@ from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.output.tables.parameter_tables import base_table, in_words, intervals_dict, theta_table
 from sdpid.output.tables.parameters_file import write_parameters
-from sdpid.robot.friction.curve import JointCurve
+from sdpid.robot.friction.model import JointCurve
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.verifier.manifest import NAME as MANIFEST
 from sdpid.verifier.manifest import SCHEMA, VERSION, sealed

@@ -20,7 +20,7 @@ from sdpid.output.tables.parameters_file import parameters_dict
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.stored import term_from_dict
+from sdpid.robot.friction.terms import term_from_dict
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from sdpid.verifier.reading import REFUSED, listed, numbers, parse, read_bytes, text

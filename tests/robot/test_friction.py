@@ -16,7 +16,6 @@ from sdpid.errors import ModelError
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
-from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
 from sdpid.robot.friction.terms import (
     BY_NAME,
@@ -29,6 +28,8 @@ from sdpid.robot.friction.terms import (
     SquareRootFriction,
     Stribeck,
     Viscous,
+    term_from_dict,
+    term_to_dict,
 )
 from sdpid.robot.model.base_parameters import BaseParameters, generic_states, structural_base
 from tests.helpers.data import friction_model, random_links

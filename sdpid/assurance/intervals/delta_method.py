@@ -22,7 +22,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Posterior, spectrum_of
-from sdpid.robot.friction.curve import JointCurve, joint_number
+from sdpid.robot.friction.model import JointCurve, joint_number
 from sdpid.robot.friction.term import SampledMotion
 from sdpid.robot.inertia import complement, physical_parameters, pseudo_inertia
 

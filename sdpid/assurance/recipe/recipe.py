@@ -19,8 +19,8 @@ from sdpid.experiment.preparation.prepare import Prepared
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.mapping import Arguments
 from sdpid.robot.friction.posed import PosedTerm
-from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import term_from_dict, term_to_dict
 from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.model import RobotModel
 

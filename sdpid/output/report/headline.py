@@ -21,7 +21,7 @@ from sdpid.output.report.kinds import GOES, LEVELS, percent
 from sdpid.output.report.subject import NEGLIGIBLE, Judged, VerdictSubject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings
 from sdpid.robot.description.urdf import LINK
-from sdpid.robot.friction.stored import CLASSES
+from sdpid.robot.friction.terms import CLASSES
 
 # What readers and processing made of the recordings, beside what is wrong with them.
 _CHANGED = ("time_unit", "units", "joints")

@@ -18,7 +18,7 @@ from sdpid.output.report.subject import Judged, VerdictSubject
 from sdpid.plots.figures import dress, panels
 from sdpid.plots.joints import FLOOR, WITHIN, detail, heights, plot_friction_curve, plot_joint
 from sdpid.plots.lines import TimeLine, decimate, spans, stretch
-from sdpid.robot.friction.curve import JointCurve, default_velocities
+from sdpid.robot.friction.model import JointCurve, default_velocities
 
 # Friction is shown up to the speed limit, but no further than this beyond what was recorded.
 _BEYOND = 1.5

@@ -25,8 +25,7 @@ from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
-from sdpid.robot.friction.stored import CLASSES, term_to_dict
-from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.friction.terms import CLASSES, Coupling, term_to_dict
 from sdpid.robot.model.dynamics import RobotDynamics
 
 SCHEMA, VERSION = "sdpid-friction", 1

@@ -1,4 +1,4 @@
-"""The friction model of a robot: its terms, their parameters and their columns.
+"""The friction model of a robot: its terms, their parameters and columns, and curves of joints.
 
 The interface of a term is in `sdpid.robot.friction.term`, the terms themselves are in
 `sdpid.robot.friction.terms`.
@@ -6,16 +6,22 @@ The interface of a term is in `sdpid.robot.friction.term`, the terms themselves 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.errors import ModelError
+from sdpid._common.tables import Shown, Table
+from sdpid.errors import DataError, ModelError
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion, TermParameter
 from sdpid.robot.friction.terms import BY_NAME
+
+# Points of a curve on either side of standstill, and the top speed (rad/s or m/s) of a joint whose
+# description gives no limit.
+_POINTS, _NOMINAL = 100, 1.0
 
 
 @dataclass(frozen=True)
@@ -86,24 +92,18 @@ class FrictionModel:
 
         Those of terms that depend on the position too are zero: `columns_in` has them.
         """
-        v, a = velocity[:, self.first :], acceleration[:, self.first :]
-        names = self.joint_names
-        return self._side_by_side(
-            len(v),
-            (
-                np.zeros((*v.shape, len(term.parameters(names))))
-                if term.posed
-                else term.columns(v, a, names)
-                for term in self.terms
-            ),
-        )
+        v, a, out = velocity[:, self.first :], acceleration[:, self.first :], self._zeros(velocity)
+        for term, own in self.placed:
+            if not term.posed:
+                out[:, self.first :, own] = term.columns(v, a, self.joint_names)
+        return out
 
     def columns_in(self, motion: SampledMotion) -> Array:
         """Return all columns as they stand in filtered efforts, (K, n, number of parameters)."""
-        return self._side_by_side(
-            len(motion.velocity),
-            (term.columns_in(motion, self.joint_names) for term in self.terms),
-        )
+        out = self._zeros(motion.velocity)
+        for term, own in self.placed:
+            out[:, self.first :, own] = term.columns_in(motion, self.joint_names)
+        return out
 
     def enclosed(
         self, velocity: tuple[Array, Array], acceleration: tuple[Array, Array]
@@ -113,27 +113,16 @@ class FrictionModel:
         Those of terms that depend on the position too are zero.
         """
         v, a = ([each[:, self.first :] for each in pair] for pair in (velocity, acceleration))
-        names = self.joint_names
-        blocks = [
-            (np.zeros((*v[0].shape, len(term.parameters(names)))),) * 2
-            if term.posed
-            else term.enclosed((v[0], v[1]), (a[0], a[1]), names)
-            for term in self.terms
-        ]
-        low, high = (
-            self._side_by_side(len(v[0]), [pair[side] for pair in blocks]) for side in (0, 1)
-        )
+        low, high = self._zeros(velocity[0]), self._zeros(velocity[0])
+        for term, own in self.placed:
+            if not term.posed:
+                bounds = term.enclosed((v[0], v[1]), (a[0], a[1]), self.joint_names)
+                low[:, self.first :, own], high[:, self.first :, own] = bounds
         return low, high
 
-    def _side_by_side(self, count: int, blocks: Iterable[Array]) -> Array:
-        """Return the terms' columns in one array, zero for a floating base."""
-        n = self.first + len(self.joint_names)
-        columns = np.zeros((count, n, len(self.parameters)))
-        start = 0
-        for block in blocks:
-            columns[:, self.first :, start : start + block.shape[2]] = block
-            start += block.shape[2]
-        return columns
+    def _zeros(self, states: Array) -> Array:
+        """Return columns of zeros at as many states, those of a floating base with them."""
+        return np.zeros((len(states), self.first + len(self.joint_names), len(self.parameters)))
 
     @property
     def alike(self) -> tuple[tuple[int, int], ...]:
@@ -164,3 +153,96 @@ class FrictionModel:
             names = [p.name for p in term.parameters(self.joint_names)]
             out.append({"term": type(term).__name__, **plain, "parameters": names})
         return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointCurve(Shown):
+    """Friction of one joint over its velocity, all other joints at rest.
+
+    Attributes
+    ----------
+    joint : str
+        The joint.
+    velocity : ndarray, shape (s,)
+        Velocities, rad/s or m/s.
+    effort : ndarray, shape (s,)
+        Friction and offset, N·m or N.
+    unit : str
+        Unit of the effort: ``"N·m"``, or ``"N"`` of a sliding joint.
+    lower, upper : ndarray, shape (s,), or None
+        Ends of the interval of each effort, where they are known.
+    level : float or None
+        Probability with which each interval should hold the truth.
+    """
+
+    joint: str
+    velocity: Array
+    effort: Array
+    unit: str = "N·m"
+    lower: Array | None = None
+    upper: Array | None = None
+    level: float | None = None
+
+    _facts = ("joint", "_range", "level")
+
+    def _tables(self) -> Iterator[Table]:
+        """Yield the curve at some velocities."""
+        some = np.unique(np.linspace(0, len(self.velocity) - 1, 11).astype(int))
+        columns = {"velocity": self.velocity, f"effort, {self.unit}": self.effort}
+        if self.lower is not None and self.upper is not None:
+            columns |= {"lower": self.lower, "upper": self.upper}
+        yield Table.of_columns({name: x[some].tolist() for name, x in columns.items()})
+
+    def plot(self, *, axes: Any = None) -> Any:
+        """Show the curve, with its band where that is known; needs the extra ``plot``.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from sdpid.plots.joints import plot_friction_curve
+
+        return plot_friction_curve(self, axes=axes)
+
+    @property
+    def _range(self) -> str:
+        if not self.velocity.size:
+            return "no velocity"
+        rate = "m/s" if self.unit == "N" else "rad/s"
+        ends = f"{self.velocity.min():.4g} to {self.velocity.max():.4g} {rate}"
+        return f"{len(self.velocity)} velocities from {ends}"
+
+
+def joint_number(joint_names: Sequence[str], joint: str | int) -> int:
+    """Return the place of a joint, given by name or by its place.
+
+    Raises
+    ------
+    DataError
+        When there is none.
+    """
+    n = len(joint_names)
+    if isinstance(joint, str):
+        if joint in joint_names:
+            return joint_names.index(joint)
+    elif isinstance(joint, int | np.integer) and not isinstance(joint, bool) and joint in range(n):
+        return int(joint)
+    raise DataError(
+        f"joint: {joint!r:.80} is none of the {n} joints that have friction; give a "
+        f"place from 0 to {n - 1}, or a name: {', '.join(joint_names)}."
+    )
+
+
+def default_velocities(limit: float) -> Array:
+    """Return velocities (s,) of both signs up to a limit, closer together near standstill.
+
+    Standstill itself is left out: there, friction may jump.
+    """
+    top = limit if 0.0 < limit < np.inf else _NOMINAL
+    ahead = top * np.linspace(0.0, 1.0, _POINTS + 1)[1:] ** 2
+    return np.concatenate([-ahead[::-1], ahead])

@@ -21,6 +21,7 @@ from sdpid.robot.friction.term import (
     SampledMotion,
     TermParameter,
     check_speeds,
+    diagonal,
     smooth_sign,
 )
 
@@ -75,10 +76,10 @@ class PosedTerm(FrictionTerm):
             "columns_in(SampledMotion(...), joint_names)."
         )
 
-    def _bodies(self, motion: SampledMotion) -> Array:
-        """Return the links' parameters (links, 10)."""
+    def _efforts(self, motion: SampledMotion, *rates: Array, gravity: Array | None = None) -> Array:
+        """Return the efforts (K, n) of the links at the motion's positions and some rates."""
         robot = motion.robot
-        bodies = robot.prior if self.bodies is None else np.asarray(self.bodies)
+        bodies = np.asarray(robot.prior if self.bodies is None else self.bodies)
         if bodies.shape != robot.prior.shape:
             raise ModelError(
                 f"{type(self).__name__}: bodies have shape {bodies.shape}, the robot "
@@ -88,7 +89,8 @@ class PosedTerm(FrictionTerm):
             raise ModelError(
                 f"{type(self).__name__}: the base of '{robot.name}' floats; leave this term out."
             )
-        return np.asarray(bodies)
+        found = robot.efforts_of_bodies(bodies, motion.position, *rates, gravity=gravity)
+        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -126,13 +128,8 @@ class Tilt(PosedTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return how the gravitational efforts of the bodies change with the angles."""
-        bodies, robot = self._bodies(motion), motion.robot
-        zero = np.zeros_like(motion.velocity)
-        columns = [
-            robot.efforts_of_bodies(bodies, motion.position, zero, zero, gravity=gravity)
-            for gravity in self.change(robot.gravity)
-        ]
-        return np.stack(columns, axis=2)
+        rest, changes = np.zeros_like(motion.velocity), self.change(motion.robot.gravity)
+        return np.stack([self._efforts(motion, rest, rest, gravity=g) for g in changes], axis=2)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield nothing: gravity is no friction."""
@@ -185,8 +182,7 @@ class LoadFriction(PosedTerm):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_speeds(self, ("width",))
-        check_speeds(self, ("velocity",), positive=True)
+        check_speeds(self, ("width", "velocity"))
         if not all(isinstance(x, (int, float)) and 0.0 <= x <= 1.0 for x in self.share):
             raise ModelError(f"LoadFriction: share is {self.share!r:.80}; give numbers in [0, 1].")
         if len(self.share) != len(self.velocity):
@@ -204,16 +200,9 @@ class LoadFriction(PosedTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the bodies' efforts times the filtered sign: they vary slowly beside it."""
-        load = np.abs(
-            motion.robot.efforts_of_bodies(
-                self._bodies(motion), motion.position, motion.velocity, motion.acceleration
-            )
-        )
+        load = np.abs(self._efforts(motion, motion.velocity, motion.acceleration))
         sign = motion.filtered(self.sign, ("load", self.width, self.share, self.velocity))
-        joints = np.arange(load.shape[1])
-        columns = np.zeros((*load.shape, len(joints)))
-        columns[:, joints, joints] = load * sign
-        return columns
+        return diagonal(load * sign)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the shares of the load, and where their signs jump."""
@@ -229,11 +218,11 @@ class LoadFriction(PosedTerm):
         """Return what the size of the load is multiplied by, (K, n)."""
         n = velocity.shape[1]
         sign = smooth_sign(velocity, self.speed("width", n), 0.0)
-        if not self.share:
-            return sign
-        share = np.asarray(self.share)
-        slow = np.tanh(velocity / self.speed("velocity", n))
-        return np.asarray((1.0 - share) * sign + share * slow)
+        if self.share:
+            slow = np.tanh(velocity / self.speed("velocity", n))
+            share = np.asarray(self.share)
+            sign = (1.0 - share) * sign + share * slow
+        return np.asarray(sign)
 
 
 def horizontal_axes(gravity: Array) -> Array:

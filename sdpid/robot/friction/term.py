@@ -12,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,21 +54,6 @@ _STANDING = 1.0
 OfMotion = Callable[[Array, Array], Array]
 
 
-class Filtered(Protocol):
-    """The filter that the efforts passed, for functions of the velocity."""
-
-    def __call__(self, function: OfMotion, key: Hashable | None = None) -> Array:
-        """Return the function's values (K, ...), filtered as the efforts were.
-
-        Parameters
-        ----------
-        function : callable
-            Of velocities and accelerations at a rate and a band well above the filter's.
-        key : hashable, optional
-            Identifies the function; its values are kept for the next call.
-        """
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledMotion:
     """States of K samples.
@@ -82,7 +67,9 @@ class SampledMotion:
     robot : RobotModel
         Whose joints these are.
     through_filter : callable or None
-        How functions of the velocity pass the filter of the efforts. None where there was none:
+        How functions of the velocity pass the filter of the efforts: from a function of velocities
+        and accelerations at a rate and a band well above the filter's, and a key under which its
+        values (K, ...) are kept for the next call, if any. None where there was no filter:
         friction then is that at the samples' own velocities.
     """
 
@@ -90,7 +77,7 @@ class SampledMotion:
     velocity: Array
     acceleration: Array
     robot: Any
-    through_filter: Filtered | None = None
+    through_filter: Callable[[OfMotion, Hashable | None], Array] | None = None
 
     def filtered(self, function: OfMotion, key: Hashable | None = None) -> Array:
         """Return a nonlinear function of the motion (K, ...), as it stands in the efforts.
@@ -283,6 +270,9 @@ class FrictionTerm(ABC):
     describes: ClassVar[str] = ""
     curve: ClassVar[bool] = False
     efforts: ClassVar[Mapping[str, str]] = {}
+
+    def __post_init__(self) -> None:
+        check_speeds(self, self.speed_fields)
 
     @abstractmethod
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
@@ -529,19 +519,20 @@ def simulated_curves(
     return FrictionTerm.simulated(term, values, joint_names)
 
 
-def diagonal(shape: Array) -> Array:
-    """Return columns (K, n, n) of which each joint has its own, from their values (K, n)."""
-    count, n = shape.shape
-    columns = np.zeros((count, n, n))
+def diagonal(*shapes: Array) -> Array:
+    """Return columns (K, n, n) of which each joint has its own, of every shape (K, n) in turn."""
+    count, n = shapes[0].shape
+    columns = np.zeros((count, n, len(shapes) * n))
     joints = np.arange(n)
-    columns[:, joints, joints] = shape
+    for k, shape in enumerate(shapes):
+        columns[:, joints, k * n + joints] = shape
     return columns
 
 
-def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:
+def check_speeds(term: FrictionTerm, fields: Sequence[str]) -> None:
     """Raise `ModelError` unless the fields hold None, a speed, or a tuple of speeds."""
     for field in fields:
-        value = getattr(term, field)
+        value, positive = getattr(term, field), field == "velocity"
         if value is None:
             continue
         numbers = value if isinstance(value, tuple) else (value,)

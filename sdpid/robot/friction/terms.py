@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.tables import plain
 from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import (
@@ -33,22 +35,15 @@ Speed = float | tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
-class _SignTerm(JointwiseTerm):
-    width: Speed = 0.0
-    dead_zone: float = 0.0
+class _OwnTerm(JointwiseTerm):
+    """One parameter a joint: an effort against the motion, unless a class says otherwise."""
+
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
-    speed_fields: ClassVar[tuple[str, ...]] = ("width",)
-
-    def __post_init__(self) -> None:
-        check_speeds(self, ("width", "dead_zone"))
-
-    def _sign(self, velocity: Array) -> Array:
-        return smooth_sign(velocity, self.speed("width", velocity.shape[-1]), self.dead_zone)
 
 
 @dataclass(frozen=True)
-class Coulomb(_SignTerm):
+class Coulomb(_OwnTerm):
     """Coulomb friction ``Fs·sign(v)``.
 
     Its name is ``"coulomb"``; Fs is in N·m, of sliding joints in N.
@@ -72,13 +67,19 @@ class Coulomb(_SignTerm):
     >>> smooth = sdpid.build_problem(robot, samples, friction=terms)
     """
 
+    width: Speed = 0.0
+    dead_zone: float = 0.0
     describes: ClassVar[str] = "Coulomb"
     symbol: ClassVar[str] = "Fs"
     efforts: ClassVar[Mapping[str, str]] = {"Fs": "{sign}"}
+    speed_fields: ClassVar[tuple[str, ...]] = ("width",)
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("width", "dead_zone"))
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sign of the velocity, or its smooth or dead-zone variant."""
-        return self._sign(velocity)
+        return smooth_sign(velocity, self.speed("width", velocity.shape[-1]), self.dead_zone)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the signs."""
@@ -87,7 +88,7 @@ class Coulomb(_SignTerm):
 
 
 @dataclass(frozen=True)
-class Viscous(JointwiseTerm):
+class Viscous(_OwnTerm):
     """Viscous friction ``Fv·v``.
 
     Its name is ``"viscous"``; Fv is in N·m·s/rad, of sliding joints in N·s/m.
@@ -103,7 +104,6 @@ class Viscous(JointwiseTerm):
     symbol: ClassVar[str] = "Fv"
     efforts: ClassVar[Mapping[str, str]] = {"Fv": "{v}"}
     unit: ClassVar[str] = "N.m.s/rad"
-    nonnegative: ClassVar[bool] = True
     linear: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
@@ -112,11 +112,12 @@ class Viscous(JointwiseTerm):
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the slopes."""
-        yield from (EffortCurve("slope", (j, j), value) for j, value in enumerate(values.tolist()))
+        for j, value in enumerate(values.tolist()):
+            yield EffortCurve("slope", (j, j), value)
 
 
 @dataclass(frozen=True)
-class Offset(JointwiseTerm):
+class Offset(_OwnTerm):
     """A constant effort ``Fo``: a sensor's or a current's zero error.
 
     Its name is ``"offset"``; Fo is in N·m, of sliding joints in N.
@@ -130,7 +131,6 @@ class Offset(JointwiseTerm):
 
     symbol: ClassVar[str] = "Fo"
     efforts: ClassVar[Mapping[str, str]] = {"Fo": ""}
-    unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = False
     linear: ClassVar[bool] = True
 
@@ -140,13 +140,12 @@ class Offset(JointwiseTerm):
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the constants."""
-        yield from (
-            EffortCurve("constant", (j, -1), value) for j, value in enumerate(values.tolist())
-        )
+        for j, value in enumerate(values.tolist()):
+            yield EffortCurve("constant", (j, -1), value)
 
 
 @dataclass(frozen=True)
-class RotorInertia(JointwiseTerm):
+class RotorInertia(_OwnTerm):
     """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects.
 
     Its name is ``"rotor_inertia"``; Ia is in kg·m², of sliding joints in kg.
@@ -164,7 +163,6 @@ class RotorInertia(JointwiseTerm):
     symbol: ClassVar[str] = "Ia"
     efforts: ClassVar[Mapping[str, str]] = {"Ia": "{a}"}
     unit: ClassVar[str] = "kg.m2"
-    nonnegative: ClassVar[bool] = True
     linear: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
@@ -177,7 +175,7 @@ class RotorInertia(JointwiseTerm):
 
 
 @dataclass(frozen=True)
-class SquareRootFriction(JointwiseTerm):
+class SquareRootFriction(_OwnTerm):
     """Square-root friction ``Fq·sign(v)·√|v|``.
 
     Between Coulomb and viscous friction, for harmonic drives and greased gears. Its name is
@@ -193,7 +191,6 @@ class SquareRootFriction(JointwiseTerm):
     symbol: ClassVar[str] = "Fq"
     efforts: ClassVar[Mapping[str, str]] = {"Fq": "root({v})"}
     unit: ClassVar[str] = "N.m.s^0.5/rad^0.5"
-    nonnegative: ClassVar[bool] = True
     curve: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
@@ -202,11 +199,12 @@ class SquareRootFriction(JointwiseTerm):
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the roots."""
-        yield from (EffortCurve("root", (j, -1), value) for j, value in enumerate(values.tolist()))
+        for j, value in enumerate(values.tolist()):
+            yield EffortCurve("root", (j, -1), value)
 
 
 @dataclass(frozen=True)
-class Stribeck(JointwiseTerm):
+class Stribeck(_OwnTerm):
     """Stribeck peak: friction above Coulomb's at low speed, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
 
     A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_. Its name is
@@ -239,14 +237,11 @@ class Stribeck(JointwiseTerm):
     efforts: ClassVar[Mapping[str, str]] = {
         "Fst": "peak({v} / {velocity!r}, {exponent!r}) * {sign}"
     }
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = True
     curve: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity", "width")
 
     def __post_init__(self) -> None:
-        check_speeds(self, ("velocity",), positive=True)
-        check_speeds(self, ("width",))
+        super().__post_init__()
         if not (np.isfinite(self.exponent) and self.exponent > 0.0):
             raise ModelError(f"Stribeck: exponent is {self.exponent}; give a positive number.")
 
@@ -284,13 +279,12 @@ class Stribeck(JointwiseTerm):
         peaks = replace(self, width=0.0).shape(np.maximum(slowest, SLOWEST), acceleration[0])
         # At standstill the peak is one, but for the speed that stands for it.
         peaks = np.where(slowest > 0.0, peaks, 1.0)
-        return diagonal(np.where(low < 0.0, -peaks, 0.0)), diagonal(
-            np.where(high > 0.0, peaks, 0.0)
-        )
+        least, most = np.where(low < 0.0, -peaks, 0.0), np.where(high > 0.0, peaks, 0.0)
+        return diagonal(least), diagonal(most)
 
 
 @dataclass(frozen=True)
-class SigmoidFriction(JointwiseTerm):
+class SigmoidFriction(_OwnTerm):
     """Friction that saturates, ``Fsg·tanh(v / w)``.
 
     The field's sigmoid ``c/(1 + exp(−2·v/w)) − c/2`` with Fsg = c/2 [gaz2019]_. Alone it is
@@ -316,8 +310,6 @@ class SigmoidFriction(JointwiseTerm):
     describes: ClassVar[str] = "Coulomb"
     symbol: ClassVar[str] = "Fsg"
     efforts: ClassVar[Mapping[str, str]] = {"Fsg": "tanh({v} / {velocity!r})"}
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = True
     curve: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
     # Samples this slow are masked by default, but the filter carries what happens there to others.
@@ -325,9 +317,6 @@ class SigmoidFriction(JointwiseTerm):
     # 83 % of the 95 % intervals of viscous friction held the truth of simulated logs, now 98 %.
     # What is narrower is left to `Coulomb`.
     slowest: ClassVar[float | None] = 0.02
-
-    def __post_init__(self) -> None:
-        check_speeds(self, ("velocity",), positive=True)
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sigmoid."""
@@ -379,19 +368,16 @@ class AsymmetricCoulomb(FrictionTerm):
 
     def _sides(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sign of the velocity where it is positive, then where not, (K, 2, n)."""
-        widths = self.speed("width", velocity.shape[-1])
-        sign = smooth_sign(velocity, widths, self.dead_zone)
-        return np.stack([np.where(sign > 0.0, sign, 0.0), np.where(sign < 0.0, sign, 0.0)], axis=1)
+        sign = smooth_sign(velocity, self.speed("width", velocity.shape[-1]), self.dead_zone)
+        return np.stack([np.maximum(sign, 0.0), np.minimum(sign, 0.0)], axis=1)
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns of the two sides."""
-        sides = self._sides(velocity, acceleration)
-        return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
+        return diagonal(*self._sides(velocity, acceleration).swapaxes(0, 1))
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns of the two sides as they stand in filtered efforts."""
-        sides = motion.filtered(self._sides, self)
-        return np.concatenate([diagonal(sides[:, 0]), diagonal(sides[:, 1])], axis=2)
+        return diagonal(*motion.filtered(self._sides, self).swapaxes(0, 1))
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the signs of both sides."""
@@ -438,7 +424,7 @@ class Coupling(FrictionTerm):
     def __post_init__(self) -> None:
         if isinstance(self.width, tuple):
             raise ModelError(f"Coupling: width is {self.width}; give one number for the motor.")
-        check_speeds(self, ("width",))
+        super().__post_init__()
 
     def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
         for name in (self.first, self.second):
@@ -464,25 +450,23 @@ class Coupling(FrictionTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the three columns as they stand in filtered efforts; two of them are linear."""
-        columns = self.columns(motion.velocity, motion.acceleration, joint_names)
         i, j = self._joints(joint_names)
-        width = float(self.speed("width", 1)[0])
+        width = self.speed("width", 1)
         sign = motion.filtered(
             lambda v, _: smooth_sign(v[:, i] + v[:, j], width, 0.0), (self, i, j)
         )
-        columns[:, i, 2] = columns[:, j, 2] = sign
+        columns = np.zeros((*motion.velocity.shape, 3))
+        columns[:, (i, j), 0] = motion.acceleration[:, (j, i)]
+        columns[:, (i, j), 1] = motion.velocity[:, (j, i)]
+        columns[:, (i, j), 2] = sign[:, None]
         return columns
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the three columns, which act on both joints."""
-        width = float(self.speed("width", 1)[0])
-        i, j = self._joints(joint_names)
-        columns = np.zeros((*velocity.shape, 3))
-        for own, other in ((i, j), (j, i)):
-            columns[:, own, 0] = acceleration[:, other]
-            columns[:, own, 1] = velocity[:, other]
-            columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], width, 0.0)
-        return columns
+        motion = SampledMotion(
+            position=velocity, velocity=velocity, acceleration=acceleration, robot=None
+        )
+        return self.columns_in(motion, joint_names)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the slopes and the sign of the motor's speed; its inertia is no friction."""
@@ -496,18 +480,18 @@ class Coupling(FrictionTerm):
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
         """Return the open width when it is None, with search limits from both joints' speeds."""
-        if self.width is not None:
-            return ()
         i, j = self._joints(joint_names)
         both = [np.concatenate([speeds[i], speeds[j]])]
-        (found,) = FrictionTerm.open_parameters(self, both, joint_names)
-        return (OpenParameter(f"width{i + 1}_{j + 1}", found.lower, found.upper, found.unit),)
+        return tuple(
+            replace(each, name=f"width{i + 1}_{j + 1}")
+            for each in super().open_parameters(both, joint_names)
+        )
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
         """Return a copy with this width."""
         if self.width is None and len(values) == 1:
             return replace(self, width=float(values[0]))
-        return FrictionTerm.with_values(self, values)
+        return super().with_values(values)
 
 
 # All terms that need nothing but a name.
@@ -523,3 +507,68 @@ BY_NAME: dict[str, type[FrictionTerm]] = {
     "load": LoadFriction,
     "tilt": Tilt,
 }
+
+# The classes whose settings say everything about a term; a class of someone else's may hold code.
+CLASSES = {each.__name__: each for each in BY_NAME.values()}
+CLASSES[Coupling.__name__] = Coupling
+
+
+def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
+    """Return the class and the settings of a term as JSON has them.
+
+    Raises
+    ------
+    ModelError
+        When the term is of a class that this package does not have.
+    """
+    name = type(term).__name__
+    if CLASSES.get(name) is not type(term):
+        raise ModelError(
+            f"friction: {name} is a class of your own, which no file can hold; its settings alone "
+            "do not say what it computes."
+        )
+    return {"term": name, **{each: plain(getattr(term, each)) for each in _settings(type(term))}}
+
+
+def term_from_dict(given: Mapping[str, Any]) -> FrictionTerm:
+    """Return the term of `term_to_dict`.
+
+    Raises
+    ------
+    ModelError
+        When class, settings or values are none of a term.
+    """
+    found = CLASSES.get(str(given.get("term")))
+    if found is None:
+        raise ModelError(
+            f"friction: no term is of the class {given.get('term')!r:.80}; there are "
+            f"{', '.join(CLASSES)}."
+        )
+    settings = {name: value for name, value in given.items() if name != "term"}
+    if wrong := settings.keys() ^ set(_settings(found)):
+        raise ModelError(
+            f"friction: {found.__name__} has the settings {', '.join(_settings(found)) or 'none'}; "
+            f"missing or not known: {', '.join(sorted(map(repr, wrong)))[:200]}."
+        )
+    try:
+        return found(**{name: _value(value) for name, value in settings.items()})
+    except (TypeError, ValueError) as cause:
+        raise ModelError(f"friction: {found.__name__}: {cause}.") from None
+
+
+def _settings(term: type[FrictionTerm]) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(term))  # type: ignore[arg-type]
+
+
+def _value(value: Any) -> Any:
+    """Return what JSON holds as a setting is held: numbers as floats, lists as tuples."""
+    if isinstance(value, list):
+        return tuple(_value(each) for each in value)
+    if isinstance(value, bool) or not isinstance(value, (int, float, str, type(None))):
+        raise TypeError(f"a setting is {value!r:.80}")
+    if isinstance(value, (int, float)):
+        number = float(value)
+        if not math.isfinite(number):
+            raise ValueError(f"a setting is {number}")
+        return number
+    return value

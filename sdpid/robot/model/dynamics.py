@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.friction.curve import JointCurve, default_velocities, joint_number
-from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.model import FrictionModel, JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.model import RobotModel
