@@ -3,7 +3,7 @@
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.robot.description.inertials import TENSOR_NAMES
+from sdpid.robot.description.bodies import TENSOR_NAMES
 from sdpid.robot.inertia import physical_parameters, tensor_entries
 
 

@@ -51,8 +51,14 @@ from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.mjcf_skeleton import inertial_values
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
 from sdpid.output.robots.urdf import write_urdf
-from sdpid.robot.description.bodies import read_urdf_bodies
-from sdpid.robot.description.inertials import central, exists, inside, rounded, tensor
+from sdpid.robot.description.bodies import (
+    central,
+    exists,
+    inside,
+    read_urdf_bodies,
+    rounded,
+    tensor_rows,
+)
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import parse_xml, undeclared, xml_text
 from sdpid.robot.friction.model import FrictionModel
@@ -784,7 +790,7 @@ def test_principal_axes(body: np.ndarray) -> None:
     found = inertial_values(written)
     moments = np.array(found["diaginertia"].split(), dtype=float)
     R = Rotation.from_quat(np.roll(np.array(found["quat"].split(), dtype=float), -1)).as_matrix()
-    wanted = np.array(tensor(written.moments))
+    wanted = np.array(tensor_rows(written.moments))
     assert np.abs(R @ np.diag(moments) @ R.T - wanted).max() <= 1e-14 * np.abs(wanted).max()
     assert moments.min() >= 0.0
     assert moments[0] + moments[1] >= moments[2]

@@ -18,7 +18,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.description.loops import pointing
-from sdpid.robot.description.origin import matrix_rpy, rpy_matrix
+from sdpid.robot.description.xml import matrix_rpy, rpy_matrix
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.contacts.jacobians import frame_axes, frame_gaps
 from sdpid.robot.model.model import RobotModel

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.description.bodies import read_urdf_bodies
+from sdpid.robot.description.bodies import inertial_element, read_urdf_bodies
 from sdpid.robot.description.catalog import (
     bundled_folder,
     bundled_robots,
@@ -24,7 +24,7 @@ from sdpid.robot.description.catalog import (
     find_robot,
 )
 from sdpid.robot.description.dh_table import DhJoint, DhTable
-from sdpid.robot.description.urdf import check_urdf, inertial_element
+from sdpid.robot.description.urdf import check_urdf
 from sdpid.robot.description.xml import encode_xml, is_mjcf, parse_xml, read_description
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.inertia import theta_from_physical
@@ -424,8 +424,11 @@ BAD: list[tuple[Any, str]] = [
     ("<sdf/>", "root element is <sdf>"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="j"/>')), "circle at 'j'"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x"/>')), "mimics 'x'"),
-    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="a"/>')), "not a number"),
-    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="nan"/>')), "not a n"),
+    (
+        urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="a"/>')),
+        "offset of <mimic> is 'a'",
+    ),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="nan"/>')), "is 'nan'"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="1e300"/>')), "at most"),
     (urdf(JOINT.format(kind="revolute", inside="").replace('"b"', '"c"')), "cannot read it"),
     (TREE_MIMIC.replace('joint="finger"', 'joint="weld"'), "mimics 'weld'"),
@@ -499,7 +502,7 @@ def test_joints_of_transmissions_do_not_count() -> None:
         '<transmission name="t"><joint name="k"/></transmission>'
         + JOINT.format(kind="prismatic", inside="")
     )
-    assert check_urdf(text, "it") == ("r", ())
+    assert check_urdf(text, "it")[1] == ()
     assert load_robot(text).n == 1
 
 

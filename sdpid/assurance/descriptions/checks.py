@@ -11,8 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.estimation.constraints.hull import Hull
-from sdpid.robot.description.bodies import DescribedBody
-from sdpid.robot.description.inertials import exists
+from sdpid.robot.description.bodies import DescribedBody, exists
 from sdpid.robot.inertia import complement, second_moment_from_inertia, transform
 
 # Loaders refuse what rounding cannot tell from impossible: principal moments below 1e-14 kg·m²

@@ -13,7 +13,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, real_array
 from sdpid._common.files import load_toml
 from sdpid.errors import DataError
-from sdpid.robot.description.origin import LARGEST, rpy_matrix
+from sdpid.robot.description.xml import LARGEST, rpy_matrix
 from sdpid.robot.model.shapes import mesh_faces, read_mesh
 
 _DIRECTIONS = {

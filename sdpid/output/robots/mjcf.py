@@ -25,10 +25,9 @@ from sdpid.output.robots.written_bodies import (
     source_text,
     standard_parameters,
 )
-from sdpid.robot.description.inertials import Inertial
+from sdpid.robot.description.bodies import Inertial
 from sdpid.robot.description.mjcf import MjcfTendon, read_mjcf
-from sdpid.robot.description.origin import numbers, relative
-from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, parse_xml
+from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, numbers, parse_xml, relative
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -215,7 +214,8 @@ class Mjcf(RobotText):
             found = read_mjcf(text, what, folder=folder)
         except ModelError as cause:
             raise ExportError(str(cause)) from None
-        self.bodies, self._values, self._tendons = found.bodies, found.joint_values, found.tendons
+        self.bodies, self._values = found.bodies, found.joint_values()
+        self._tendons = tuple(found.tendons())
         self.elements = self._elements()
         model = RobotModel.from_pinocchio(found.pin_model)
         names = {str(name): k for k, name in enumerate(found.pin_model.names) if k}

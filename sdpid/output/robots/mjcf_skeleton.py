@@ -14,9 +14,9 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import possible, possible_body
-from sdpid.robot.description.inertials import Inertial, tensor
+from sdpid.robot.description.bodies import Inertial, tensor_rows
 from sdpid.robot.description.mjcf import quaternion_of
-from sdpid.robot.description.origin import numbers
+from sdpid.robot.description.xml import numbers
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.regressor_kernel import PRISMATIC
 
@@ -32,7 +32,7 @@ def inertial_values(body: Inertial) -> dict[str, str]:
     """
     if not body.mass:
         return {"pos": "0 0 0", "mass": "0", "diaginertia": "0 0 0"}
-    moments, axes = np.linalg.eigh(np.array(tensor(body.moments), dtype=np.float64))
+    moments, axes = np.linalg.eigh(np.array(tensor_rows(body.moments), dtype=np.float64))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     # Readers would refuse a body that misses the triangle inequality by a rounding.
     moments[2] = min(moments[2], moments[0] + moments[1])

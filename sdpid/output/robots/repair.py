@@ -24,11 +24,12 @@ from sdpid.errors import ExportError
 from sdpid.output.robots.written_bodies import write_inertial
 from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.description.bodies import (
+    TENSOR_NAMES,
     DescribedBody,
     exact_decimal,
     read_urdf_bodies,
+    second_moment,
 )
-from sdpid.robot.description.inertials import TENSOR_NAMES, second_moment
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description, xml_text
 from sdpid.robot.inertia import (

@@ -23,15 +23,18 @@ from sdpid.output.robots.written_bodies import (
     standard_parameters,
     write_inertial,
 )
-from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
-from sdpid.robot.description.inertials import Inertial
+from sdpid.robot.description.bodies import (
+    DescribedBody,
+    Inertial,
+    read_urdf_bodies,
+    written_values,
+)
 from sdpid.robot.description.urdf import (
     LINK,
     base_turn,
     check_urdf,
     stand_on_level,
     without_level,
-    written_values,
 )
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel

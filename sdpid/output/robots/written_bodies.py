@@ -21,12 +21,10 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, FileErrors
 from sdpid.output.robots.joint_friction import JointAttributes
-from sdpid.robot.description.bodies import DescribedBody
-from sdpid.robot.description.inertials import NOTHING, Inertial, exists, inside, rounded
+from sdpid.robot.description.bodies import NOTHING, DescribedBody, Inertial, exists, inside, rounded
 from sdpid.robot.description.mjcf import MjcfBody
-from sdpid.robot.description.origin import relative
 from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import add_child, encode_xml, read_description, xml_text
+from sdpid.robot.description.xml import add_child, encode_xml, read_description, relative, xml_text
 from sdpid.robot.inertia import Consistency, margin, transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel

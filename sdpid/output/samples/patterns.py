@@ -27,7 +27,7 @@ from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
 from sdpid.output.robots.mjcf import Mjcf, open_source
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import source_text
-from sdpid.robot.description.inertials import NOTHING, Inertial
+from sdpid.robot.description.bodies import NOTHING, Inertial
 from sdpid.robot.description.mjcf import compiled
 
 # What the joints of one robot have: numbers by attribute, by joint.

@@ -29,8 +29,7 @@ from sdpid.output.samples.patterns import (
     urdf_pattern,
 )
 from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
-from sdpid.robot.description.bodies import DescribedBody, exact_decimal
-from sdpid.robot.description.inertials import Inertial
+from sdpid.robot.description.bodies import DescribedBody, Inertial, exact_decimal
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
 
 RobotKind = Literal["urdf", "mjcf"]

@@ -1,29 +1,50 @@
-"""Read the inertials of a URDF link by link, exactly as written and before links are merged.
+"""Bodies in robot files: read exactly as written, before links are merged, and written exactly.
 
 Loaders merge links that are fixed together and turn tensors into principal moments, which hides
 impossible bodies or refuses them without a reason. Here every number is read as written, tensors
 also as exact fractions, and nothing is refused: `DescribedBody.problems` lists what cannot be
 read.
+
+A body is (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about a joint's frame. A file has the mass,
+the center of mass and the inertia about it, each number the double nearest to what the parameters
+give in exact arithmetic. On the edge of consistency, where rounding could make a body that readers
+refuse, moments about the center of mass are raised first (`inside`).
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import ModelError
-from sdpid.robot.description.inertials import TENSOR_NAMES
-from sdpid.robot.description.inertials import tensor as rows_of
-from sdpid.robot.description.origin import LARGEST, read_origin
-from sdpid.robot.description.urdf import parse_urdf
-from sdpid.robot.inertia import theta_from_physical
+from sdpid.robot.description.urdf import TENSOR, parse_urdf
+from sdpid.robot.description.xml import LARGEST, numbers, read_origin
+from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
+from sdpid.verifier.bodies import has_margin
+from sdpid.verifier.exact import positive_semidefinite
+
+# Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
+# kg·m², or a triangle inequality missed by one bit). Written bodies are this far inside, kg·m²,
+# and by this share of their largest moment; it changes efforts by some 1e-13 N·m.
+_INSIDE, _SHARE = Fraction(1e-13), Fraction(1e-14)
+
+# Parameters may be outside by a solver's rounding, which so many doublings outgrow.
+_DOUBLINGS = 20
+
+# Names of the six moments, in the order of their places `TENSOR_INDEX`.
+TENSOR_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+
+Body = Sequence[Fraction]
+Number = TypeVar("Number", float, Fraction)
 
 # URDF defines the upper triangle only; some files write the lower one too.
 _TRANSPOSED = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
@@ -86,7 +107,9 @@ class DescribedBody:
     @property
     def tensor(self) -> Array | None:
         """The inertia about the center of mass along its own axes, shape (3, 3), kg·m²."""
-        return None if self.entries is None else np.array(rows_of(self.entries), dtype=np.float64)
+        return (
+            None if self.entries is None else np.array(tensor_rows(self.entries), dtype=np.float64)
+        )
 
     @property
     def theta(self) -> Array | None:
@@ -142,41 +165,33 @@ def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[Described
         if ends[1] in parents:
             raise ModelError(f"{what}: link '{ends[1]}' is the child of two joints.")
         parents[ends[1]] = joint
-    places: dict[str, _Place] = {}
-    for name in names:
-        _find_place(name, parents, places, what)
-    return root, tuple(_body(link, parents, places) for link in links)
+    fixed = {link: joint for link, joint in parents.items() if joint.get("type") == "fixed"}
+    above = TopologicalSorter({link: (_end(joint, "parent"),) for link, joint in fixed.items()})
+    places: dict[str, dict[str, Any]] = {}
+    try:
+        for name in (*above.static_order(), *names):
+            if name not in places:
+                places[name] = _place(name, parents.get(name), places)
+    except CycleError as cause:
+        name = cause.args[1][0]
+        raise ModelError(f"{what}: the joints above link '{name}' go in a circle.") from None
+    return root, tuple(_body(link, places[link.get("name", "")]) for link in links)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """The link that carries a link through fixed joints, and the placement in it."""
-
-    carrier: str
-    placement: Array
-    problems: tuple[str, ...] = ()
-
-
-def _find_place(
-    name: str, parents: Mapping[str, Any], places: dict[str, _Place], what: str
-) -> None:
-    """Store the places of a link and of the links between it and its carrier."""
-    chain: list[str] = []
-    while name not in places:
-        joint = parents.get(name)
-        if joint is None or joint.get("type") != "fixed":
-            places[name] = _Place(name, np.eye(4))
-            break
-        if name in chain:
-            raise ModelError(f"{what}: the joints above link '{name}' go in a circle.")
-        chain.append(name)
-        name = _end(joint, "parent")
-    for link in reversed(chain):
-        joint = parents[link]
-        problems: list[str] = []
-        own = _placement(joint, f"joint '{joint.get('name')}'", problems)
-        above = places[_end(joint, "parent")]
-        places[link] = _Place(above.carrier, above.placement @ own, (*above.problems, *problems))
+def _place(name: str, joint: Any, places: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return where a link is, by fields of `DescribedBody`, from where the one above it is."""
+    if joint is None:
+        return {"name": name, "carrier": name}
+    parent = _end(joint, "parent")
+    if joint.get("type") != "fixed":
+        moved = {"moving": True, "joint": joint.get("name", "?"), "parent": parent}
+        return {"name": name, "carrier": name, **moved}
+    before = places[parent]
+    problems: list[str] = []
+    own = _placement(joint, f"joint '{joint.get('name')}'", problems)
+    placement = before.get("placement", np.eye(4)) @ own
+    problems = [*before.get("problems", ()), *problems]
+    return {**before, "name": name, "placement": frozen(placement), "problems": tuple(problems)}
 
 
 def _end(joint: Any, which: str) -> str:
@@ -184,43 +199,28 @@ def _end(joint: Any, which: str) -> str:
     return "" if element is None else str(element.get("link", ""))
 
 
-def _body(link: Any, parents: Mapping[str, Any], places: Mapping[str, _Place]) -> DescribedBody:
-    name = link.get("name", "")
-    found = places[name]
-    problems, carrier = list(found.problems), found.carrier
-    mover = parents.get(carrier)
-    place: dict[str, Any] = {
-        "name": name,
-        "moving": mover is not None,
-        "carrier": carrier,
-        "joint": None if mover is None else mover.get("name", "?"),
-        "parent": None if mover is None else _end(mover, "parent"),
-        "placement": frozen(found.placement),
-    }
-    inertial = link.find("inertial")
+def _body(link: Any, place: Mapping[str, Any]) -> DescribedBody:
+    """Return the body of a ``<link>`` that is somewhere."""
+    inertial, problems = link.find("inertial"), [*place.get("problems", ())]
     if inertial is None:
-        return DescribedBody(described=False, problems=tuple(problems), **place)
+        return DescribedBody(described=False, **place)
     mass = _number(inertial.find("mass"), "value", "mass", problems)
     frame = _placement(inertial, "the inertial", problems)
     element = inertial.find("inertia")
     tensor = [_number(element, key, key, problems) for key in TENSOR_NAMES]
-    entries = None
-    half_digit = 0.0
-    numbers = [value for value in tensor if value is not None]
-    if len(numbers) == len(tensor):
-        entries = tuple(numbers)
+    entries, half_digit = tuple(value for value in tensor if value is not None), 0.0
+    if len(entries) == len(tensor):
         half_digit = max(_half_digit(element.get(key)) for key in TENSOR_NAMES)
-        _check_symmetry(element, dict(zip(TENSOR_NAMES, numbers, strict=True)), problems)
-    return DescribedBody(
-        described=True,
-        mass=None if mass is None else float(mass),
-        com=frozen(frame[:3, 3]) if np.isfinite(frame).all() else None,
-        rotation=frozen(frame[:3, :3]),
-        entries=entries,
-        half_digit=half_digit,
-        problems=tuple(problems),
-        **place,
-    )
+        problems += _asymmetries(element, dict(zip(TENSOR_NAMES, entries, strict=True)))
+    own: dict[str, Any] = {
+        "mass": None if mass is None else float(mass),
+        "com": frozen(frame[:3, 3]) if np.isfinite(frame).all() else None,
+        "rotation": frozen(frame[:3, :3]),
+        "entries": entries if len(entries) == len(tensor) else None,
+        "half_digit": half_digit,
+        "problems": tuple(problems),
+    }
+    return DescribedBody(described=True, **{**place, **own})
 
 
 def _number(element: Any, key: str, what: str, problems: list[str]) -> Fraction | None:
@@ -248,17 +248,12 @@ def _half_digit(text: str) -> float:
     return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
 
 
-def _check_symmetry(element: Any, values: Mapping[str, Fraction], problems: list[str]) -> None:
+def _asymmetries(element: Any, values: Mapping[str, Fraction]) -> Iterator[str]:
+    """Yield in words which entries below the diagonal are not those above it."""
     for lower, upper in _TRANSPOSED.items():
         text = element.get(lower)
-        if text is None:
-            continue
-        try:
-            same = exact_decimal(text) == values[upper]
-        except ValueError:
-            same = False
-        if not same:
-            problems.append(
+        if text is not None and _number(element, lower, lower, []) != values[upper]:
+            yield (
                 f"the tensor is not symmetric: {lower} is '{text}', {upper} is "
                 f"'{element.get(upper)}'"
             )
@@ -271,3 +266,105 @@ def _placement(element: Any, what: str, problems: list[str]) -> Array:
     except ValueError as cause:
         problems.append(f"the origin of {what}: {cause}")
         return np.full((4, 4), np.nan)
+
+
+class Inertial(NamedTuple):
+    """Mass in kg, center of mass in m, inertia about it in kg·m², along the frame's axes."""
+
+    mass: float
+    com: tuple[float, ...]
+    moments: tuple[float, ...]
+
+    def named(self) -> dict[str, float]:
+        """Return every number by name."""
+        names = ("mass", "x", "y", "z", *TENSOR_NAMES)
+        return dict(zip(names, (self.mass, *self.com, *self.moments), strict=True))
+
+
+NOTHING = Inertial(0.0, (0.0,) * 3, (0.0,) * 6)
+
+
+def tensor_rows(moments: Sequence[Number]) -> list[list[Number]]:
+    """Return the rows of the tensor with six moments."""
+    xx, xy, yy, xz, yz, zz = moments
+    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+
+
+def second_moment(moments: Sequence[Fraction]) -> list[list[Fraction]]:
+    """Return the rows of ``½·tr(I)·E − I`` exactly."""
+    rows = tensor_rows(moments)
+    half = (rows[0][0] + rows[1][1] + rows[2][2]) / 2
+    return [[half * (i == j) - rows[i][j] for j in range(3)] for i in range(3)]
+
+
+def central(body: Sequence[float | Fraction]) -> tuple[Fraction, list[Fraction], list[Fraction]]:
+    """Return mass, center of mass and moments about it, exactly; the mass must not be zero."""
+    mass, *others = (Fraction(x) for x in body)
+    com = [h / mass for h in others[:3]]
+    square = sum(c * c for c in com)
+    moments = [
+        value - mass * ((square if i == j else 0) - com[i] * com[j])
+        for value, (i, j) in zip(others[3:], TENSOR_INDEX, strict=True)
+    ]
+    return mass, com, moments
+
+
+def inside(body: Body, consistency: str) -> list[Fraction] | None:
+    """Return the body with its moments raised where it lies on the edge; None where it is none."""
+    least = _INSIDE + _SHARE * max(map(abs, body[4:]))
+    for step in (0, *(2**k for k in range(_DOUBLINGS))):
+        trial = list(body)
+        # Second moments of t in all directions are a rotational inertia of 2·t.
+        for k in (4, 6, 9):
+            trial[k] += step * least * (2 if consistency == "pseudo_inertia" else 1)
+        if trial[0] > 0 and has_margin(trial, least, consistency):
+            return trial
+    return None
+
+
+def rounded(body: Body) -> Inertial:
+    """Return the doubles nearest to mass, center of mass and moments about it."""
+    if not any(body):
+        return NOTHING
+    mass, com, moments = central(body)
+    return Inertial(float(mass), tuple(map(float, com)), tuple(map(float, moments)))
+
+
+def exists(mass: float, moments: Sequence[float | Fraction], consistency: str) -> bool:
+    """Return whether a mass with moments about its center is consistent, exactly."""
+    exact = [Fraction(x) for x in moments]
+    rows = second_moment(exact) if consistency == "pseudo_inertia" else tensor_rows(exact)
+    return mass > 0 and positive_semidefinite(rows)
+
+
+def written_values(inertial: Inertial) -> dict[str, dict[str, str]]:
+    """Return the attributes of origin, mass and inertia of an ``<inertial>``, in full precision.
+
+    The inertia is about the center of mass, along the axes of the link.
+    """
+    named = inertial.named()
+    return {
+        "origin": {"xyz": numbers(inertial.com), "rpy": "0 0 0"},
+        "mass": {"value": numbers(inertial.mass)},
+        "inertia": {key: numbers(named[key]) for key in TENSOR},
+    }
+
+
+def inertial_element(body: ArrayLike) -> Any:
+    """Return the ``<inertial>`` element of a body given by its ten parameters.
+
+    Raises
+    ------
+    ModelError
+        When the mass is not positive: there is no center of mass then.
+    """
+    from lxml import etree
+
+    body = np.asarray(body, dtype=np.float64)
+    if not body[0] > 0.0:
+        raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
+    element = etree.Element("inertial")
+    exact = [Fraction(x) for x in body.tolist()]
+    for tag, attributes in written_values(rounded(exact)).items():
+        etree.SubElement(element, tag, attributes)
+    return element

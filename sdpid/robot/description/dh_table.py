@@ -17,10 +17,11 @@ from sdpid._common.arrays import Array, real_array
 from sdpid._common.files import load_toml
 from sdpid._common.tables import Settings
 from sdpid.errors import ModelError
-from sdpid.robot.description.origin import axis_rotation, matrix_rpy, numbers, rpy_matrix
-from sdpid.robot.description.urdf import inertial_element
+from sdpid.robot.description.bodies import inertial_element
+from sdpid.robot.description.xml import axis_rotation, matrix_rpy, numbers, rpy_matrix
 
 _OPTIONAL = ("a", "lower", "upper", "velocity", "effort")
+_KINDS = ("revolute", "prismatic")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +91,12 @@ class DhJoint:
 
     def faults(self) -> Iterator[str]:
         """Yield what is wrong with the row by itself, in words."""
-        if self.kind not in ("revolute", "prismatic"):
+        if self.kind not in _KINDS:
             yield f"joint kind {self.kind!r} is not supported; use 'revolute' or 'prismatic'"
         for key in ("alpha", "d", "theta", "r", *_OPTIONAL):
             value = getattr(self, key)
-            if value is None and key in _OPTIONAL:
-                continue
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            number = isinstance(value, (int, float)) and math.isfinite(value)
+            if not (number or (value is None and key in _OPTIONAL)):
                 yield f"{key} is {value!r}; give a finite number"
         if (self.lower is None) != (self.upper is None):
             yield "give both limits or neither"
@@ -104,8 +104,9 @@ class DhJoint:
             yield f"lower limit {self.lower} is above the upper limit {self.upper}"
 
 
-def _translation(axis: int, length: float) -> Array:
-    transform = np.eye(4)
+def _screw(axis: int, angle: float, length: float) -> Array:
+    """Return the transform (4, 4) that turns about an axis and moves along it."""
+    transform = axis_rotation(axis, angle)
     transform[axis, 3] = length
     return transform
 
@@ -269,16 +270,20 @@ class DhTable(Settings):
         transform[:3, 3] = self.base_translation
         return transform
 
+    def _steps(self, joint: DhJoint, variable: float = 0.0) -> tuple[Array, Array]:
+        """Return the transforms of a row up to its joint's motion, that included, and behind it."""
+        along_x, along_z = self._lengths(joint)
+        turned, moved = (variable * (joint.kind == kind) for kind in _KINDS)
+        about_z = _screw(2, joint.theta + turned, along_z + moved)
+        about_x = _screw(0, joint.alpha, along_x)
+        if self.convention == "modified":
+            return about_x @ about_z, np.eye(4)
+        return about_z, about_x
+
     def link_transform(self, index: int, variable: float) -> Array:
         """Return the transform from frame `index` to the next at a joint variable."""
-        joint = self.joints[index]
-        along_x, along_z = self._lengths(joint)
-        revolute = joint.kind == "revolute"
-        about_z = axis_rotation(2, joint.theta + (variable if revolute else 0.0)) @ _translation(
-            2, along_z + (0.0 if revolute else variable)
-        )
-        about_x = axis_rotation(0, joint.alpha) @ _translation(0, along_x)
-        return about_x @ about_z if self.convention == "modified" else about_z @ about_x
+        before, behind = self._steps(self.joints[index], variable)
+        return before @ behind
 
     def forward_kinematics(self, q: ArrayLike) -> Array:
         """Return the placements of frames 1 … n in the base link, shape (n, 4, 4)."""
@@ -296,17 +301,13 @@ class DhTable(Settings):
         it is the table's own frame. For a standard one the fixed part after the joint belongs to
         the next placement, and the last of them places the tip.
         """
-        before = self.base_transform()
+        last = self.base_transform()
         placements = []
-        for i, joint in enumerate(self.joints):
-            if self.convention == "modified":
-                placements.append(before @ self.link_transform(i, 0.0))
-                before = np.eye(4)
-            else:
-                along_x, along_z = self._lengths(joint)
-                placements.append(before @ axis_rotation(2, joint.theta) @ _translation(2, along_z))
-                before = axis_rotation(0, joint.alpha) @ _translation(0, along_x)
-        return placements, before
+        for joint in self.joints:
+            before, behind = self._steps(joint)
+            placements.append(last @ before)
+            last = behind
+        return placements, last
 
     def to_urdf(self, inertias: ArrayLike | None = None) -> str:
         """Return the URDF of the table.
@@ -324,23 +325,20 @@ class DhTable(Settings):
         """
         from lxml import etree
 
-        robot = etree.Element("robot", name=self.name)
+        robot, n = etree.Element("robot", name=self.name), len(self.joints)
         robot.append(etree.Comment(" Generated from the kinematic table; edit the table. "))
-        etree.SubElement(robot, "link", name="base_link")
-        bodies = None
+        links = ["base_link", *(f"link_{i + 1}" for i in range(n))]
+        elements = [etree.SubElement(robot, "link", name=name) for name in links]
         if inertias is not None:
             bodies = real_array(inertias, "inertias", ndim=2, error=ModelError)
-            if bodies.shape != (len(self.joints), 10):
+            if bodies.shape != (n, 10):
                 raise ModelError(
-                    f"inertias: shape {bodies.shape}, expected {(len(self.joints), 10)}: ten "
-                    "parameters for each joint's link."
+                    f"inertias: shape {bodies.shape}, expected {(n, 10)}: ten parameters for each "
+                    "joint's link."
                 )
+            for link, body in zip(elements[1:], bodies, strict=True):
+                link.append(inertial_element(body))
         placements, tip = self.joint_placements()
-        links = ["base_link", *(f"link_{i + 1}" for i in range(len(self.joints)))]
-        for i, name in enumerate(links[1:]):
-            link = etree.SubElement(robot, "link", name=name)
-            if bodies is not None:
-                link.append(inertial_element(bodies[i]))
         for i, (joint, name) in enumerate(zip(self.joints, self.joint_names, strict=True)):
             limited = joint.lower is not None or joint.kind == "prismatic"
             kind = joint.kind if limited else "continuous"

@@ -14,7 +14,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.description.origin import LARGEST, read_triple, rpy_matrix
+from sdpid.robot.description.xml import LARGEST, read_triple, rpy_matrix
 
 LoopKind = Literal["point", "line", "plane"]
 # What the kinds of loop joints in a URDF transmit, as contacts call it: all forces; and all moments

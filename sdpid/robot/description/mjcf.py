@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.description.loops import Closure
 from sdpid.robot.description.urdf import Mimic
 from sdpid.robot.description.xml import MAX_BYTES, parse_xml
-from sdpid.robot.inertia import theta_from_physical, transform
+from sdpid.robot.inertia import theta_from_physical
 
 # Elements with all that is included and repeated: a scene of a humanoid has some thousands, and
 # MuJoCo takes about a minute for this many bodies.
@@ -131,8 +131,7 @@ def _files(element: Any, files: tuple[Path, ...]) -> Iterator[Path]:
         yield from [place for place in places if place.is_file()][:1]
 
 
-@dataclass(frozen=True, eq=False)
-class MjcfBody:
+class MjcfBody(NamedTuple):
     """A compiled body.
 
     Attributes
@@ -145,7 +144,7 @@ class MjcfBody:
         Its frame in that joint's.
     theta : ndarray, shape (10,)
         Its parameters in its own frame; zero without mass.
-    joints : tuple of int
+    joints : list of int
         Pinocchio's joints that are its own.
     """
 
@@ -153,7 +152,7 @@ class MjcfBody:
     carrier: int
     placement: Array
     theta: Array
-    joints: tuple[int, ...]
+    joints: list[int]
 
 
 @dataclass(frozen=True)
@@ -165,46 +164,6 @@ class MjcfTendon:
     armature: float
     damping: float
     frictionloss: float
-
-
-@dataclass(frozen=True, eq=False)
-class MjcfModel:
-    """A compiled MJCF.
-
-    Attributes
-    ----------
-    pin_model : pinocchio.Model
-        A joint for every hinge, slide and free joint.
-    bodies : tuple of MjcfBody
-        In MuJoCo's order, the world first.
-    joint_values : dict
-        ``armature``, ``damping`` and ``frictionloss`` by joint name.
-    mimics : tuple of Mimic
-        Joints that an active equality makes follow another.
-    closures : tuple of Closure
-        Loops that active equalities close.
-    others : tuple of str
-        Kinds of the other active equalities.
-    passive : tuple of str
-        Joints that no actuator moves; none where that is not plain.
-    tendons : tuple of MjcfTendon
-        Fixed tendons over two joints.
-    forces : tuple of str
-        Springs and compensated gravity, which no term of a robot stands for, in words.
-    actuators : tuple of str
-        Actuators that do not pass their control on as a joint's effort, in words.
-    """
-
-    pin_model: Any
-    bodies: tuple[MjcfBody, ...]
-    joint_values: dict[str, dict[str, float]]
-    mimics: tuple[Mimic, ...]
-    closures: tuple[Closure, ...]
-    others: tuple[str, ...]
-    passive: tuple[str, ...]
-    tendons: tuple[MjcfTendon, ...]
-    forces: tuple[str, ...]
-    actuators: tuple[str, ...]
 
 
 def read_mjcf(
@@ -240,91 +199,71 @@ def read_mjcf(
             raise ModelError(f"{what}: {name} is not finite in MuJoCo's model; repair the file.")
     if not np.isfinite(model.opt.gravity).all():
         raise ModelError(f"{what}: gravity is {model.opt.gravity}; give finite numbers, m/s².")
-    found = _Compiled(model, what)
-    mimics, closures, others = found.equalities()
-    values = {
-        name: {key: float(getattr(model, f"dof_{key}")[at]) for key in _OF_TENDONS}
-        for name, at in zip(found.names, model.jnt_dofadr, strict=True)
-    }
-    return MjcfModel(
-        pin_model=found.pin_model,
-        bodies=tuple(found.bodies),
-        joint_values=values,
-        mimics=mimics,
-        closures=closures,
-        others=others,
-        passive=found.passive(),
-        tendons=tuple(found.tendons()),
-        forces=tuple(found.forces()),
-        actuators=tuple(found.actuators()),
-    )
+    return MjcfModel(model, what)
 
 
-def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> MjcfModel:
-    """Return the Pinocchio model of an MJCF file, joints that mimic others, and what loops close.
+class MjcfModel:
+    """MuJoCo's model of a file, and the Pinocchio model that is built of it body by body.
 
-    Raises
-    ------
-    ModelError
-        As `read_mjcf` does, and when it has equalities of another kind.
-    MissingExtraError
-        When MuJoCo is not installed (extra ``sim``).
+    Attributes
+    ----------
+    pin_model : pinocchio.Model
+        A joint for every hinge, slide and free joint.
+    names : list of str
+        Names of MuJoCo's joints, which may have none of their own.
+    bodies : list of MjcfBody
+        In MuJoCo's order, the world first.
+    mimics : list of Mimic
+        Joints that an active equality makes follow another.
+    closures : list of Closure
+        Loops that active equalities close.
+    others : list of str
+        Kinds of the other active equalities.
     """
-    found = read_mjcf(text, what, path=path)
-    if found.others:
-        raise ModelError(
-            f"{what}: has a {found.others[0]} equality, which is not supported; supported are "
-            "linear equalities of two joints, and connect and weld of two bodies. Remove it, or "
-            "set active='false'."
-        )
-    return found
-
-
-class _Compiled:
-    """MuJoCo's model, and the Pinocchio model that is built of it body by body."""
 
     def __init__(self, model: Any, what: str) -> None:
         import mujoco
         import pinocchio as pin
 
         self.model, self.what, self.kinds = model, what, mujoco
-        # MuJoCo's names may be empty.
         self.names = [
             model.joint(i).name or f"{model.body(owner).name or f'body_{owner}'}_joint_{i}"
             for i, owner in enumerate(model.jnt_bodyid.tolist())
         ]
-        self.pin_model = pin.Model()
+        self.pin_model: Any = pin.Model()
         name = model.names.split(b"\0")[0].decode("utf-8", "replace")
         self.pin_model.name = name or "robot"
         self.pin_model.gravity.linear = np.array(model.opt.gravity)
-        # For each body, the joint that carries it and its placement in that joint's frame.
-        self.carriers: list[tuple[int, Any]] = [(0, pin.SE3.Identity())]
-        self.bodies = [MjcfBody("world", 0, np.eye(4), np.zeros(10), ())]
+        self.bodies = [MjcfBody("world", 0, np.eye(4), np.zeros(10), [])]
         for body in range(1, model.nbody):
             self._add(body)
+        self.mimics: list[Mimic] = []
+        self.closures: list[Closure] = []
+        self.others: list[str] = []
+        for number in np.flatnonzero(model.eq_active0).tolist():
+            self._add_equality(number)
 
     def _add(self, body: int) -> None:
         import pinocchio as pin
 
         model, built = self.model, self.pin_model
-        joint, place = self.carriers[model.body_parentid[body]]
+        before, joints = self.bodies[model.body_parentid[body]], []
+        joint, place = before.carrier, pin.SE3(before.placement)
         place = place * _placement(model.body_pos[body], model.body_quat[body])
-        first, own_joints = int(model.body_jntadr[body]), []
+        first = int(model.body_jntadr[body])
         for number in range(first, first + int(model.body_jntnum[body])):
             joint, place = self._add_joint(number, joint, place)
-            own_joints.append(joint)
-        self.carriers.append((joint, place))
+            joints.append(joint)
         theta, mass = np.zeros(10), float(model.body_mass[body])
         if mass > 0.0:
             R = _placement(np.zeros(3), model.body_iquat[body]).rotation
             inertia = R @ np.diag(model.body_inertia[body]) @ R.T
             theta = theta_from_physical(mass, model.body_ipos[body], inertia)
             if joint:
-                here = transform(theta, place.rotation, place.translation)
-                moved = pin.Inertia.FromDynamicParameters(here)
-                built.appendBodyToJoint(joint, moved, pin.SE3.Identity())
+                own = pin.Inertia.FromDynamicParameters(theta)
+                built.appendBodyToJoint(joint, own, place)
         name = model.body(body).name
-        self.bodies.append(MjcfBody(name, joint, place.homogeneous, theta, tuple(own_joints)))
+        self.bodies.append(MjcfBody(name, joint, place.homogeneous, theta, joints))
         if not built.existBodyName(name or f"body_{body}"):
             built.addBodyFrame(name or f"body_{body}", joint, place, 0)
 
@@ -334,10 +273,9 @@ class _Compiled:
 
         model, built, kinds = self.model, self.pin_model, self.kinds.mjtJoint
         kind, name = model.jnt_type[number], self.names[number]
-        axis = np.array(model.jnt_axis[number])
+        axis, identity = np.array(model.jnt_axis[number]), pin.SE3.Identity()
         if kind == kinds.mjJNT_FREE:
-            free = built.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
-            return free, pin.SE3.Identity()
+            return built.addJoint(parent, pin.JointModelFreeFlyer(), identity, name), identity
         if kind == kinds.mjJNT_BALL:
             raise ModelError(
                 f"{self.what}: joint '{name}' is a ball joint, which is not supported; supported "
@@ -346,16 +284,18 @@ class _Compiled:
         anchor = pin.SE3(np.eye(3), np.array(model.jnt_pos[number]))
         ref = self._at_joint(model.qpos0, number)
         if kind == kinds.mjJNT_HINGE:
+            moving: Any = pin.JointModelRevoluteUnaligned(axis)
             back = pin.SE3(pin.AngleAxis(-ref, axis).matrix(), np.zeros(3))
         else:
+            moving = pin.JointModelPrismaticUnaligned(axis)
             back = pin.SE3(np.eye(3), -ref * axis)
-        limit = [[np.inf], [np.inf], [-np.inf], [np.inf]]
+        effort, lower, upper = np.inf, -np.inf, np.inf
         if model.jnt_actfrclimited[number]:
-            limit[0] = [np.abs(model.jnt_actfrcrange[number]).max()]
+            effort = np.abs(model.jnt_actfrcrange[number]).max()
         if model.jnt_limited[number]:
-            limit[2], limit[3] = ([value] for value in model.jnt_range[number])
-        moving = _joint_model(bool(kind == kinds.mjJNT_HINGE), axis)
-        joint = built.addJoint(parent, moving, place * anchor * back, name, *map(np.array, limit))
+            lower, upper = model.jnt_range[number]
+        limits = (np.array([limit]) for limit in (effort, np.inf, lower, upper))
+        joint = built.addJoint(parent, moving, place * anchor * back, name, *limits)
         at, dof = built.joints[joint].idx_v, model.jnt_dofadr[number]
         built.damping[at] = model.dof_damping[dof]
         built.friction[at] = model.dof_frictionloss[dof]
@@ -365,23 +305,21 @@ class _Compiled:
     def _at_joint(self, positions: Array, number: int) -> float:
         return float(positions[self.model.jnt_qposadr[number]])
 
-    def equalities(self) -> tuple[tuple[Mimic, ...], tuple[Closure, ...], tuple[str, ...]]:
-        """Return active equalities as mimics and as closures, and the kinds of the others."""
-        model, mimics, closures, others = self.model, [], [], []
-        for number in np.flatnonzero(model.eq_active0).tolist():
-            kind = self.kinds.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
-            first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-            data = model.eq_data[number].tolist()
-            if kind in ("connect", "weld"):
-                closures.append(self._closure(number, kind, (first, second), data))
-            elif kind != "joint" or second < 0 or any(data[2:5]):
-                others.append(kind)
-            else:
-                # q1 − ref1 = c0 + c1·(q2 − ref2)
-                one, two = (self._at_joint(model.qpos0, joint) for joint in (first, second))
-                offset = one + data[0] - data[1] * two
-                mimics.append(Mimic(self.names[first], self.names[second], data[1], offset))
-        return tuple(mimics), tuple(closures), tuple(others)
+    def _add_equality(self, number: int) -> None:
+        """Add an active equality to the mimics, to the closures, or to the others."""
+        model = self.model
+        kind = self.kinds.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
+        first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        data = model.eq_data[number].tolist()
+        if kind in ("connect", "weld"):
+            self.closures.append(self._closure(number, kind, (first, second), data))
+        elif kind != "joint" or second < 0 or any(data[2:5]):
+            self.others.append(kind)
+        else:
+            # q1 − ref1 = c0 + c1·(q2 − ref2)
+            one, two = (self._at_joint(model.qpos0, joint) for joint in (first, second))
+            offset = one + data[0] - data[1] * two
+            self.mimics.append(Mimic(self.names[first], self.names[second], data[1], offset))
 
     def _closure(
         self, number: int, kind: str, objects: tuple[int, int], data: list[float]
@@ -403,16 +341,23 @@ class _Compiled:
         name = model.equality(number).name or f"{kind}_{number + 1}"
         return Closure(name, "point" if kind == "connect" else "plane", (one, two))
 
-    def passive(self) -> tuple[str, ...]:
+    def joint_values(self) -> dict[str, dict[str, float]]:
+        """Return ``armature``, ``damping`` and ``frictionloss`` by joint name."""
+        return {
+            name: {key: float(getattr(self.model, f"dof_{key}")[at]) for key in _OF_TENDONS}
+            for name, at in zip(self.names, self.model.jnt_dofadr, strict=True)
+        }
+
+    def passive(self) -> list[str]:
         """Return the joints that no actuator moves; none where one pulls at anything else."""
         model, kinds = self.model, self.kinds.mjtTrn
         plain = np.isin(
             model.actuator_trntype, [int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)]
         )
         if not model.nu or not plain.all():
-            return ()
+            return []
         moved = set(model.actuator_trnid[:, 0].tolist())
-        return tuple(name for i, name in enumerate(self.names) if i not in moved)
+        return [name for i, name in enumerate(self.names) if i not in moved]
 
     def tendons(self) -> Iterator[MjcfTendon]:
         """Yield the fixed tendons over two joints."""
@@ -426,7 +371,7 @@ class _Compiled:
                 yield MjcfTendon((one, two), factors, *values)
 
     def forces(self) -> Iterator[str]:
-        """Yield the forces that act on joints beside gravity, in words."""
+        """Yield springs and compensated gravity, which no term of a robot stands for, in words."""
         model = self.model
         for i in np.flatnonzero(model.jnt_stiffness):
             rest = self._at_joint(model.qpos_spring, int(i))
@@ -438,24 +383,13 @@ class _Compiled:
             yield f"gravcomp {model.body_gravcomp[i]:.4g} of body {model.body(i).name}"
 
     def actuators(self) -> Iterator[str]:
-        """Yield the actuators whose effort is not their control, in words."""
+        """Yield the actuators that do not pass their control on as a joint's effort, in words."""
         model = self.model
         for i in range(model.nu):
             gain, gear = model.actuator_gainprm[i, 0], model.actuator_gear[i, 0]
             if gain != 1.0 or gear != 1.0 or model.actuator_biasprm[i].any():
                 name = model.actuator(i).name or i + 1
                 yield f"{name} (gain {gain:.4g}, gear {gear:.4g})"
-
-
-def _joint_model(hinge: bool, axis: Array) -> Any:
-    """Return Pinocchio's joint about or along an axis, aligned with x, y or z where it is."""
-    import pinocchio as pin
-
-    for letter, unit in zip("XYZ", np.eye(3), strict=True):
-        if np.array_equal(axis, unit):
-            return getattr(pin, f"JointModel{'R' if hinge else 'P'}{letter}")()
-    unaligned = pin.JointModelRevoluteUnaligned if hinge else pin.JointModelPrismaticUnaligned
-    return unaligned(axis)
 
 
 def _placement(position: Any, quaternion: Any) -> Any:
@@ -504,14 +438,11 @@ def read_mjcf_bodies(text: str, path: Path | None, what: str) -> tuple[Described
         if number == 0:
             continue  # the world
         name, parent = str(body.name or f"body {number}"), body.parent.name
+        places[name] = places.get(parent, {"carrier": name})
         if len(body.joints):
             joint = body.joints[0].name or f"joint of {name}"
-            place = {"carrier": name, "joint": joint, "parent": parent}
-        else:
-            alone = {"carrier": name, "joint": None, "parent": None}
-            place = places.get(parent, alone)
-        places[name] = place
-        found.append(_described(body, name=name, moving=place["joint"] is not None, **place))
+            places[name] = {"carrier": name, "moving": True, "joint": joint, "parent": parent}
+        found.append(_described(body, name=name, **places[name]))
     if not found:
         raise ModelError(f"{what}: has no bodies.")
     return tuple(found)

@@ -1,37 +1,48 @@
-"""Check a URDF, convert it by Pinocchio, and read and write its joints and inertials."""
+"""Check a URDF, convert it by Pinocchio, and stand it on level ground."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.description.inertials import Inertial, rounded
-from sdpid.robot.description.origin import LARGEST, matrix_rpy, numbers
-from sdpid.robot.description.xml import add_child, parse_xml, undeclared, xml_text
+from sdpid.robot.description.xml import (
+    LARGEST,
+    add_child,
+    matrix_rpy,
+    numbers,
+    parse_xml,
+    undeclared,
+    xml_text,
+)
 
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000
 
 # Entries of the tensor, in the order in which a URDF lists them.
-_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 # The numbers of a URDF that are checked: owner, path of the element, attributes, count of numbers
 # in each, and whether the attribute may be missing.
 _PLACES = (
     ("link", "inertial/origin", ("xyz", "rpy"), 3, True),
     ("link", "inertial/mass", ("value",), 1, False),
-    ("link", "inertial/inertia", _TENSOR, 1, False),
+    ("link", "inertial/inertia", TENSOR, 1, False),
     ("joint", "origin", ("xyz", "rpy"), 3, True),
     ("joint", "axis", ("xyz",), 3, True),
     ("joint", "dynamics", ("damping", "friction"), 1, True),
+    ("joint", "mimic", ("multiplier", "offset"), 1, True),
 )
+# Those of them that are not negative, and what is said of a negative one.
+_NOT_NEGATIVE = {
+    "value": "the mass is {} kg, the least is 0; give the true mass.",
+    "damping": "damping is {}, the least is 0; correct the description.",
+    "friction": "friction is {}, the least is 0; correct the description.",
+}
 # The numbers that Pinocchio's parser accepts; Python accepts more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -66,8 +77,8 @@ def parse_urdf(text: str | bytes, what: str) -> Any:
     return root
 
 
-def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tuple[Mimic, ...]]:
-    """Check the joints of a URDF and return the robot's name and its mimic joints.
+def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tuple[Mimic, ...]]:
+    """Check the joints of a URDF and return its root element and its mimic joints.
 
     With a `floating` base the base itself moves, so that no joint needs to.
 
@@ -91,28 +102,18 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tu
                 f"{', '.join(_ONE_VARIABLE)} and fixed (a floating base: root='free_flyer')."
             )
         moving += 1
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            try:
-                multiplier = float(mimic.get("multiplier", "1"))
-                offset = float(mimic.get("offset", "0"))
-                if not (np.abs([multiplier, offset]) <= LARGEST).all():
-                    raise ValueError
-            except ValueError:
-                raise ModelError(
-                    f"{what}: joint '{name}': the mimic's multiplier or offset is not a "
-                    f"number of at most {LARGEST:g}."
-                ) from None
+        for mimic in joint.findall("mimic")[:1]:
+            multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
             mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
     if moving == 0 and not floating:
         raise ModelError(f"{what}: no moving joint; nothing can be identified.")
-    return root.get("name", "robot"), tuple(mimics)
+    return root, tuple(mimics)
 
 
 def pinocchio_from_urdf(
     text: str, what: str, *, floating: bool = False
-) -> tuple[Any, tuple[Mimic, ...]]:
-    """Return the Pinocchio model of a URDF and its mimic joints.
+) -> tuple[Any, tuple[Mimic, ...], Any]:
+    """Return the Pinocchio model of a URDF, its mimic joints and its root element.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def pinocchio_from_urdf(
     """
     import pinocchio as pin
 
-    name, mimics = check_urdf(text, what, floating=floating)
+    root, mimics = check_urdf(text, what, floating=floating)
     free = (pin.JointModelFreeFlyer(),) if floating else ()
     try:
         model = pin.buildModelFromXML(undeclared(text), *free)
@@ -130,8 +131,8 @@ def pinocchio_from_urdf(
         raise ModelError(
             f"{what}: Pinocchio cannot read it ({cause}); its parser says why on standard error."
         ) from None
-    model.name = name
-    return model, mimics
+    model.name = root.get("name", "robot")
+    return model, mimics, root
 
 
 def _check_numbers(root: Any, what: str) -> None:
@@ -140,80 +141,29 @@ def _check_numbers(root: Any, what: str) -> None:
     Pinocchio's parser only warns on standard error, and drops the whole inertia of such a link.
     """
     for kind, path, keys, count, optional in _PLACES:
-        for owner in root.findall(kind):
-            for element in owner.findall(path):
-                for key in keys:
-                    text = element.get(key)
-                    if text is None and optional:
-                        continue
-                    words = [] if text is None else text.split()
-                    wrong = len(words) != count or not all(map(_NUMBER.fullmatch, words))
-                    if wrong or not all(abs(float(word)) <= LARGEST for word in words):
-                        given = "missing" if text is None else f"'{text[:60]}'"
-                        raise ModelError(
-                            f"{what}: {kind} '{owner.get('name', '?')}': {key} of "
-                            f"<{element.tag}> is {given}, expected {count} number"
-                            f"{'s' if count > 1 else ''} of at most {LARGEST:g}."
-                        )
-    for joint in root.findall("joint"):
-        for key, text in () if joint.find("dynamics") is None else joint.find("dynamics").items():
-            if key in ("damping", "friction") and float(text) < 0.0:
-                raise ModelError(
-                    f"{what}: joint '{joint.get('name', '?')}': {key} is {text}, the least is 0; "
-                    "correct the description."
-                )
-    for link in root.findall("link"):
-        inertial = link.find("inertial")
-        mass = None if inertial is None else inertial.find("mass")
-        if mass is not None and float(mass.get("value")) < 0.0:
-            raise ModelError(
-                f"{what}: link '{link.get('name', '?')}': the mass is {mass.get('value')} kg, the "
-                "least is 0; give the true mass."
-            )
+        for element in root.iterfind(f"{kind}/{path}"):
+            where = f"{what}: {kind} '{next(element.iterancestors(kind)).get('name', '?')}'"
+            for key in keys:
+                text = element.get(key)
+                if text is None and optional:
+                    continue
+                words = [] if text is None else text.split()
+                wrong = len(words) != count or not all(map(_NUMBER.fullmatch, words))
+                if wrong or not all(abs(float(word)) <= LARGEST for word in words):
+                    given = "missing" if text is None else f"'{text[:60]}'"
+                    raise ModelError(
+                        f"{where}: {key} of <{element.tag}> is {given}, expected {count} number"
+                        f"{'s' if count > 1 else ''} of at most {LARGEST:g}."
+                    )
+                if key in _NOT_NEGATIVE and float(words[0]) < 0.0:
+                    raise ModelError(f"{where}: {_NOT_NEGATIVE[key].format(text)}")
+    for inertial in root.iterfind("link/inertial"):
         for name in ("mass", "inertia"):
-            if inertial is not None and inertial.find(name) is None:
+            if inertial.find(name) is None:
                 raise ModelError(
-                    f"{what}: link '{link.get('name', '?')}': its <inertial> has no <{name}>; add "
-                    "it, or leave out the whole <inertial>."
+                    f"{what}: link '{inertial.getparent().get('name', '?')}': its <inertial> has "
+                    f"no <{name}>; add it, or leave out the whole <inertial>."
                 )
-
-
-def inertial_values(body: ArrayLike) -> dict[str, dict[str, str]]:
-    """Return the attributes of origin, mass and inertia of an ``<inertial>``, in full precision.
-
-    The inertia is about the center of mass, along the axes of the link; ten zeros stand for a
-    link without mass.
-    """
-    return written_values(rounded([Fraction(x) for x in np.ravel(body).tolist()]))
-
-
-def written_values(inertial: Inertial) -> dict[str, dict[str, str]]:
-    """Return the attributes of origin, mass and inertia of numbers that are rounded already."""
-    named = inertial.named()
-    return {
-        "origin": {"xyz": numbers(inertial.com), "rpy": "0 0 0"},
-        "mass": {"value": numbers(inertial.mass)},
-        "inertia": {key: numbers(named[key]) for key in _TENSOR},
-    }
-
-
-def inertial_element(body: ArrayLike) -> Any:
-    """Return the ``<inertial>`` element of a body given by its ten parameters.
-
-    Raises
-    ------
-    ModelError
-        When the mass is not positive: there is no center of mass then.
-    """
-    from lxml import etree
-
-    body = np.asarray(body, dtype=np.float64)
-    if not body[0] > 0.0:
-        raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
-    element = etree.Element("inertial")
-    for tag, attributes in inertial_values(body).items():
-        etree.SubElement(element, tag, attributes)
-    return element
 
 
 # Names of a level root and of the joint on it; of others, no file is taken to be ours.

@@ -13,8 +13,8 @@ from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.loops import add_loops, urdf_closures, urdf_passive
-from sdpid.robot.description.mjcf import pinocchio_from_mjcf
-from sdpid.robot.description.urdf import parse_urdf, pinocchio_from_urdf
+from sdpid.robot.description.mjcf import read_mjcf
+from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
@@ -85,42 +85,34 @@ def load_robot(
     origin = _origin(source, found, root, xacro_args)
     folder = None if found.path is None else found.path.parent
     found = expand_xacro(found, xacro_args)
-    if not is_mjcf(found.text, found.what):
-        floating = root is not None
-        model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)
-        described = parse_urdf(found.text, found.what)
-        loops = add_loops(model, urdf_closures(described, found.what), found.what)
+    told: dict[str, Any] = {"source": origin, "folder": folder}
+    if is_mjcf(found.text, found.what):
+        mjcf = read_mjcf(found.text, found.what, path=found.path)
+        if mjcf.others:
+            raise ModelError(
+                f"{found.what}: has a {mjcf.others[0]} equality, which is not supported; supported "
+                "are linear equalities of two joints, and connect and weld of two bodies. Remove "
+                "it, or set active='false'."
+            )
+        told["loops"] = loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
+        robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
+        if root is not None and not robot.free_flyer:
+            raise ModelError(
+                f"{found.what}: an MJCF says itself whether its base floats, and this one's is "
+                "fixed; give its first body a <freejoint/>, or leave root out."
+            )
+        told |= {"forces": tuple(mjcf.forces()), "actuators": tuple(mjcf.actuators())}
+        # Joints that no actuator moves have none at all in most files: a loop tells that they
+        # matter. Where the file's joints are zero its loops are closed.
+        passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}
+    else:
+        model, mimics, described = pinocchio_from_urdf(
+            found.text, found.what, floating=root is not None
+        )
+        told["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
-        stated = urdf_passive(described, found.what)
-        return replace(
-            robot,
-            source=origin,
-            folder=folder,
-            loops=loops,
-            passive=tuple(stated),
-            assembled=tuple(stated.values()),
-        )
-    mjcf = pinocchio_from_mjcf(found.text, found.path, found.what)
-    loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
-    robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
-    if root is not None and not robot.free_flyer:
-        raise ModelError(
-            f"{found.what}: an MJCF says itself whether its base floats, and this one's is fixed; "
-            "give its first body a <freejoint/>, or leave root out."
-        )
-    # Joints that no actuator moves have none at all in most files: a loop tells that they matter.
-    passive = tuple(name for name in mjcf.passive if loops and name in robot.joint_names)
-    # Where the file's joints are zero its loops are closed.
-    return replace(
-        robot,
-        source=origin,
-        folder=folder,
-        loops=loops,
-        passive=passive,
-        assembled=(0.0,) * len(passive),
-        forces=mjcf.forces,
-        actuators=mjcf.actuators,
-    )
+        passive = urdf_passive(described, found.what)
+    return replace(robot, **told, passive=tuple(passive), assembled=tuple(passive.values()))
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

@@ -147,7 +147,7 @@ class RobotModel:
             name=name,
         )
         text = whole.to_urdf(inertias)
-        model, _ = pinocchio_from_urdf(text, "kinematic table")
+        model, _, _ = pinocchio_from_urdf(text, "kinematic table")
         return cls.from_pinocchio(model, gravity=whole.gravity, urdf=text)
 
     @classmethod

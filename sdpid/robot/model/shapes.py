@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import example_robots
-from sdpid.robot.description.origin import read_origin, read_triple
+from sdpid.robot.description.xml import read_origin, read_triple
 
 # Sides of the prism around a cylinder: its corners stand out by 2 % of the radius.
 _SIDES = 16
