@@ -263,7 +263,7 @@ def compiled_loop(function: Any, *nothing: Any) -> Callable[..., None] | None:
     except ImportError:  # missing, or it refuses this NumPy
         return None
     options = {"fastmath": {"contract", "nsz", "reassoc"}, "error_model": "numpy"}
-    for helper in (joint_at, turned_back):
+    for helper in (four, joints_at):
         numba.extending.register_jitable(forceinline=True, **options)(helper)
     quick: Callable[..., None]
     with announced("a loop"):
@@ -310,45 +310,44 @@ NOTHING = Tree(
 )
 
 
-def joint_at(tree: Any, i: int, q: Array, k: int, R: Array, r: Array) -> None:
-    """Write the rotation and the origin of a joint's frame in its parent's, at sample k.
+def joints_at(tree: Any, q: Array, k: int, R: Array, r: Array) -> None:
+    """Write rotations and origins of the joints' frames in their parents', at sample k.
 
-    A floating base is in the origin: where it is makes no difference.
+    A floating base is in the origin: where it is makes no difference. One call a sample: arrays
+    that are passed take time of their own.
     """
-    turn, place, at = tree.turn, tree.place, tree.first_q[i]
-    if tree.kind[i] == FLOATING:
-        qx, qy, qz, qw = q[k, at + 3], q[k, at + 4], q[k, at + 5], q[k, at + 6]
-        R[0, 0] = 1.0 - 2.0 * (qy * qy + qz * qz)
-        R[1, 1] = 1.0 - 2.0 * (qx * qx + qz * qz)
-        R[2, 2] = 1.0 - 2.0 * (qx * qx + qy * qy)
-        R[0, 1], R[1, 0] = 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qy + qz * qw)
-        R[0, 2], R[2, 0] = 2.0 * (qx * qz + qy * qw), 2.0 * (qx * qz - qy * qw)
-        R[1, 2], R[2, 1] = 2.0 * (qy * qz - qx * qw), 2.0 * (qy * qz + qx * qw)
+    turn, place = tree.turn, tree.place
+    for i in range(len(turn)):
+        x, y, d, at = 0.0, 0.0, 0.0, tree.first_q[i]
+        if tree.kind[i] == PRISMATIC:
+            d = q[k, at]
+        elif tree.unbounded[i]:
+            x, y = q[k, at], q[k, at + 1]
+        elif tree.kind[i] == REVOLUTE:
+            x, y = math.cos(q[k, at]), math.sin(q[k, at])
         for c in range(3):
-            x, y, z = R[0, c], R[1, c], R[2, c]
             for e in range(3):
-                R[e, c] = turn[i, 2, e, 0] * x + turn[i, 2, e, 1] * y + turn[i, 2, e, 2] * z
-        r[0] = r[1] = r[2] = 0.0
-        return
-    x, y, d = 0.0, 0.0, 0.0
-    if tree.kind[i] == PRISMATIC:
-        d = q[k, at]
-    elif tree.unbounded[i]:
-        x, y = q[k, at], q[k, at + 1]
-    else:
-        x, y = math.cos(q[k, at]), math.sin(q[k, at])
-    for c in range(3):
-        for e in range(3):
-            R[c, e] = turn[i, 0, c, e] * x + turn[i, 1, c, e] * y + turn[i, 2, c, e]
-        r[c] = place[i, 0, c] + place[i, 1, c] * d
+                R[i, c, e] = turn[i, 0, c, e] * x + turn[i, 1, c, e] * y + turn[i, 2, c, e]
+            r[i, c] = place[i, 0, c] + place[i, 1, c] * d
+    if len(turn) and tree.kind[0] == FLOATING:
+        qx, qy, qz, qw = q[k, 3], q[k, 4], q[k, 5], q[k, 6]
+        xx, yy, zz, xw = qx * qx, qy * qy, qz * qz, qx * qw
+        xy, xz, yz, yw, zw = qx * qy, qx * qz, qy * qz, qy * qw, qz * qw
+        for c in range(3):
+            x, y, z = R[0, c, 0], R[0, c, 1], R[0, c, 2]
+            R[0, c, 0] = x + 2.0 * (y * (xy + zw) + z * (xz - yw) - x * (yy + zz))
+            R[0, c, 1] = y + 2.0 * (x * (xy - zw) + z * (yz + xw) - y * (xx + zz))
+            R[0, c, 2] = z + 2.0 * (x * (xz + yw) + y * (yz - xw) - z * (xx + yy))
+            r[0, c] = 0.0
 
 
-def turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return a vector of the parent's axes in the joint's own."""
+def four(A: Array, c: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return four sums of a matrix's first three rows: each product is one instruction."""
     return (
-        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
-        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
-        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+        A[0, c] * x + A[1, c] * y + A[2, c] * z,
+        A[0, c + 1] * x + A[1, c + 1] * y + A[2, c + 1] * z,
+        A[0, c + 2] * x + A[1, c + 2] * y + A[2, c + 2] * z,
+        A[0, c + 3] * x + A[1, c + 3] * y + A[2, c + 3] * z,
     )
 
 
@@ -373,12 +372,13 @@ def _fill(
     kind, parent, first_v, axis = tree.kind, tree.parent, tree.first_v, tree.axis
     column, factor, shared, gravity = tree.column, tree.factor, tree.shared, tree.gravity
     links, nv = len(kind), len(column)
-    R, r, row = np.zeros((3, 3)), np.empty(3), np.empty(10)
+    # A vector has a fourth entry, which is zero, and a row two at its end: fours are fast.
+    R, origins, row = np.zeros((links, 3, 4)), np.empty((links, 3)), np.empty(10)
     spin, turning = np.empty((links, 3)), np.empty((links, 3))
     # Body regressors. The first four columns give the acceleration of a point at r, too.
-    M = np.zeros((links, 6, 10))
+    M = np.zeros((links, 6, 12))
     # Axes of the coordinates that move a link, in its frame, translation first; how many, which.
-    S = np.zeros((links, nv, 6))
+    S = np.zeros((links, nv, 8))
     moves, count = np.empty((links, nv), dtype=np.intp), np.zeros(links, dtype=np.intp)
     for i in range(links):
         p, n = parent[i], 0
@@ -391,11 +391,11 @@ def _fill(
         if kind[i] == FLOATING:
             for j in range(6):
                 moves[i, n + j] = first_v[i] + j
-                S[i, n + j, j] = 1.0
+                S[i, n + j, j + j // 3] = 1.0
             n += 6
         else:
             moves[i, n] = first_v[i]
-            start = 3 if kind[i] == REVOLUTE else 0
+            start = 4 if kind[i] == REVOLUTE else 0
             for c in range(3):
                 S[i, n, start + c] = axis[i, c]
             n += 1
@@ -413,9 +413,9 @@ def _fill(
             for t in range(out.shape[1]):
                 for c in range(out.shape[2]):
                     out[k, t, c] = 0.0
+        joints_at(tree, q, k, R, origins)
         for i in range(links):
-            p, to = parent[i], first_v[i]
-            joint_at(tree, i, q, k, R, r)
+            p, to, r, T = parent[i], first_v[i], origins[i], R[i]
             # The parent's motion at this origin, turned into this frame.
             gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
             wx = wy = wz = ax = ay = az = 0.0
@@ -423,17 +423,17 @@ def _fill(
                 gx = M[p, 0, 0] + M[p, 0, 1] * r[0] + M[p, 0, 2] * r[1] + M[p, 0, 3] * r[2]
                 gy = M[p, 1, 0] + M[p, 1, 1] * r[0] + M[p, 1, 2] * r[1] + M[p, 1, 3] * r[2]
                 gz = M[p, 2, 0] + M[p, 2, 1] * r[0] + M[p, 2, 2] * r[1] + M[p, 2, 3] * r[2]
-                wx, wy, wz = turned_back(R, spin[p, 0], spin[p, 1], spin[p, 2])
-                ax, ay, az = turned_back(R, turning[p, 0], turning[p, 1], turning[p, 2])
+                wx, wy, wz, _ = four(T, 0, spin[p, 0], spin[p, 1], spin[p, 2])
+                ax, ay, az, _ = four(T, 0, turning[p, 0], turning[p, 1], turning[p, 2])
                 # The axes that move the parent, seen from here.
                 for j in range(count[p]):
-                    ux, uy, uz = S[p, j, 3], S[p, j, 4], S[p, j, 5]
+                    ux, uy, uz = S[p, j, 4], S[p, j, 5], S[p, j, 6]
                     lx = S[p, j, 0] + uy * r[2] - uz * r[1]
                     ly = S[p, j, 1] + uz * r[0] - ux * r[2]
                     lz = S[p, j, 2] + ux * r[1] - uy * r[0]
-                    S[i, j, 0], S[i, j, 1], S[i, j, 2] = turned_back(R, lx, ly, lz)
-                    S[i, j, 3], S[i, j, 4], S[i, j, 5] = turned_back(R, ux, uy, uz)
-            bx, by, bz = turned_back(R, gx, gy, gz)
+                    S[i, j, 0], S[i, j, 1], S[i, j, 2], _ = four(T, 0, lx, ly, lz)
+                    S[i, j, 4], S[i, j, 5], S[i, j, 6], _ = four(T, 0, ux, uy, uz)
+            bx, by, bz, _ = four(T, 0, gx, gy, gz)
             # The joint's own.
             sx, sy, sz = axis[i, 0], axis[i, 1], axis[i, 2]
             dq, ddq = v[k, to], a[k, to]
@@ -471,22 +471,20 @@ def _fill(
             M[i, 5, 7], M[i, 5, 8], M[i, 5, 9] = ax - yz, ay + xz, az
             for j in range(count[i]):
                 lx, ly, lz = S[i, j, 0], S[i, j, 1], S[i, j, 2]
-                ux, uy, uz = S[i, j, 3], S[i, j, 4], S[i, j, 5]
+                ux, uy, uz = S[i, j, 4], S[i, j, 5], S[i, j, 6]
                 m, to = moves[i, j], 10 * i
                 h, f = column[m], factor[m]
-                if whole and not shared[m]:
-                    # Straight into the block: a row in between takes an eighth of the time.
-                    for c in range(4):
-                        force = lx * M[i, 0, c] + ly * M[i, 1, c] + lz * M[i, 2, c]
-                        moment = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
-                        out[k, h, to + c] = force + moment
-                    for c in range(4, 10):
-                        out[k, h, to + c] = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
+                f0, f1, f2, f3 = four(M[i], 0, lx, ly, lz)
+                m0, m1, m2, m3 = four(M[i, 3:], 0, ux, uy, uz)
+                m4, m5, m6, m7 = four(M[i, 3:], 4, ux, uy, uz)
+                m8, m9, _, _ = four(M[i, 3:], 8, ux, uy, uz)
+                direct = whole and not shared[m]
+                # Straight into the block: a row in between takes an eighth of the time.
+                own = out[k, h, to : to + 10] if direct else row
+                own[0], own[1], own[2], own[3] = f0 + m0, f1 + m1, f2 + m2, f3 + m3
+                own[4], own[5], own[6], own[7], own[8], own[9] = m4, m5, m6, m7, m8, m9
+                if direct:
                     continue
-                for c in range(10):
-                    row[c] = ux * M[i, 3, c] + uy * M[i, 4, c] + uz * M[i, 5, c]
-                for c in range(4):
-                    row[c] += lx * M[i, 0, c] + ly * M[i, 1, c] + lz * M[i, 2, c]
                 if shared[m]:
                     for t in range(first[i], first[i + 1]):
                         out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]

@@ -25,7 +25,8 @@ from sdpid.robot.model.regressor_kernel import (
     PRISMATIC,
     Tree,
     compiled_loop,
-    joint_at,
+    four,
+    joints_at,
 )
 
 # Bytes from which on Numba is loaded for them: searches ask again and again, and in all take eight
@@ -259,19 +260,19 @@ def _fill(tree: Any, links: Indices, places: Array, offsets: Array, q: Array, ou
     """Write the Jacobians; `out` holds zeros. Written for a compiler."""
     kind, parent, first_v, axis = tree.kind, tree.parent, tree.first_v, tree.axis
     column, factor, count = tree.column, tree.factor, len(tree.kind)
-    R, o = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    S, z = np.zeros((3, 3)), np.zeros(3)
+    # Frames of joints in their parents', and made of them in the world's, a link after another.
+    S, R, o = np.zeros((count, 3, 4)), np.zeros((count, 3, 4)), np.zeros((count, 3))
     for k in range(len(q)):
+        joints_at(tree, q, k, S, o)
         for i in range(count):
-            p = parent[i]
-            if p < 0:
-                joint_at(tree, i, q, k, R[i], o[i])
-                continue
-            joint_at(tree, i, q, k, S, z)
+            p, x, y, z = parent[i], o[i, 0], o[i, 1], o[i, 2]
             for a in range(3):
-                for b in range(3):
-                    R[i, a, b] = R[p, a, 0] * S[0, b] + R[p, a, 1] * S[1, b] + R[p, a, 2] * S[2, b]
-                o[i, a] = o[p, a] + R[p, a, 0] * z[0] + R[p, a, 1] * z[1] + R[p, a, 2] * z[2]
+                if p < 0:
+                    R[i, a, 0], R[i, a, 1], R[i, a, 2] = S[i, a, 0], S[i, a, 1], S[i, a, 2]
+                    continue
+                u, v, w = R[p, a, 0], R[p, a, 1], R[p, a, 2]
+                R[i, a, 0], R[i, a, 1], R[i, a, 2], _ = four(S[i], 0, u, v, w)
+                o[i, a] = o[p, a] + u * x + v * y + w * z
         for f in range(len(links)):
             i = links[f]
             if i < 0:
