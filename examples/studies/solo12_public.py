@@ -27,7 +27,7 @@ from sdpid._common.tables import Table
 from sdpid.assurance.diagnostics.bands import held_out_blocks
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 
 # First and last row, counted from 1, and the sample rate in Hz: one file holds them all.
 RECORDINGS = {

@@ -26,8 +26,8 @@ from sdpid.experiment.preparation.prepare import without_efforts
 from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.output.report.verdict import _forces
 from sdpid.robot.legs.find import find_legs
-from sdpid.robot.model.contacts.closure import close_loops
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.closure import close_loops
+from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages
 from tests.helpers.data import row_source
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped

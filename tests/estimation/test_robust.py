@@ -21,7 +21,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.robust.huber import HuberLoss
 from sdpid.estimation.robust.solve import RobustEstimate, solve_robust
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 from tests.helpers import world
 from tests.helpers.arm import BOTH
 from tests.helpers.data import (

@@ -20,7 +20,7 @@ from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.description.loops import pointing
 from sdpid.robot.description.xml import matrix_rpy, rpy_matrix
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.contacts.jacobians import frame_axes, frame_gaps
+from sdpid.robot.model.jacobians import frame_axes, frame_gaps
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.linkages import mjcf, urdf

@@ -24,9 +24,9 @@ from sdpid.friction import (
     Viscous,
 )
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.contacts.closure import close_loops
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, relative_jacobians
+from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.closed_chains import mjcf
 from tests.helpers.data import friction_model, full_regressor, make_samples, random_theta

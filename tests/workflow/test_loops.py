@@ -8,8 +8,8 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.model.contacts.closure import close_loops
-from sdpid.robot.model.contacts.jacobians import frame_gaps
+from sdpid.robot.model.closure import close_loops
+from sdpid.robot.model.jacobians import frame_gaps
 from sdpid.workflow.result import Identification
 from tests.helpers.closed_chains import mjcf as chain_mjcf
 from tests.helpers.closed_chains import run as run_chain

@@ -17,7 +17,7 @@ from sdpid.estimation.compression.whitening import compress
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped

@@ -18,7 +18,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.model.contacts.jacobians import frame_axes, relative_jacobians
+from sdpid.robot.model.jacobians import frame_axes, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # A direction of the forces below this share of the strongest one, all columns scaled to unit

@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.robot.legs.legs import Legs
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, frame_places
+from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
 
 # Coordinates of the base: metres from where it stands, and angles about its own x, then the

@@ -30,7 +30,7 @@ from sdpid.experiment.processing.filters import correlated
 from sdpid.experiment.recording.floating import Imu
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.inertia import skew
-from sdpid.robot.model.contacts.jacobians import frame_places
+from sdpid.robot.model.jacobians import frame_places
 from sdpid.robot.model.model import RobotModel
 
 if TYPE_CHECKING:

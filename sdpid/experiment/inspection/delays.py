@@ -31,7 +31,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 

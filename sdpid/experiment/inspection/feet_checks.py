@@ -21,7 +21,7 @@ from sdpid.experiment.inspection.kinds import (
 from sdpid.experiment.inspection.standing import Standing
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.robot.inertia import skew
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, frame_places
+from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
 
 KINDS.update(

@@ -19,7 +19,7 @@ from sdpid.experiment.inspection.block_fit import SURE, block_fit, pooled
 from sdpid.experiment.inspection.explain import ExplainedLog
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 KINDS.update(

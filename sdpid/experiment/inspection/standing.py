@@ -15,7 +15,7 @@ from sdpid.experiment.processing.motion import white_noise
 from sdpid.experiment.processing.pipeline import near
 from sdpid.experiment.recording.floating import BaseMotion, Contacts
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # A filter for signals (N, ...), and samples.

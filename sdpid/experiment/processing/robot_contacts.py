@@ -10,7 +10,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_gaps
+from sdpid.robot.model.jacobians import contact_jacobians, frame_gaps
 from sdpid.robot.model.model import RobotModel
 
 # Frames that a loop joins may be this share of the robot's reach apart. Positions and descriptions

@@ -13,7 +13,7 @@ from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
-from sdpid.robot.model.contacts.closure import close_loops
+from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
-from sdpid.robot.model.contacts.jacobians import frame_axes, frame_places
 from sdpid.robot.model.geometry import link_placements
+from sdpid.robot.model.jacobians import frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
 
 # Inverse kinematics ends at this distance in m; Newton's method is there after a few steps.

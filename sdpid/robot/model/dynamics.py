@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.robot.friction.model import FrictionModel, JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion
-from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.model import RobotModel, each_state
 
 # Forward dynamics with friction of the load: friction a tenth of the load shrinks the error tenfold
 # a round, three quarters of it by a quarter. Settled is a state whose efforts are met to this share
@@ -28,8 +28,7 @@ _ROUNDS = 100
 _UNIT = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class States:
+class States(NamedTuple):
     """States for Pinocchio, one a row."""
 
     model: Any
@@ -38,14 +37,12 @@ class States:
     rates: list[Array]
     single: bool
 
-    def each(self, algorithm: Callable[..., Array], *, matrix: bool = False) -> Array:
-        """Return the results of an algorithm of Pinocchio, (K, nv) or (K, nv, nv)."""
-        data, nv = self.model.createData(), self.model.nv
-        out = np.empty((len(self.configurations), *((nv, nv) if matrix else (nv,))))
-        expanded = [rate @ self.expansion.T for rate in self.rates]
-        for k, row in enumerate(zip(self.configurations, *expanded, strict=True)):
-            out[k] = algorithm(self.model, data, *row)
-        return out
+    def each(self, algorithm: Callable[..., Array], axes: int = 1) -> Array:
+        """Return an algorithm's results in the robot's coordinates, (K, n) or (K, n, n)."""
+        E, shape = self.expansion, (self.model.nv,) * axes
+        expanded = [rate @ E.T for rate in self.rates]
+        found = each_state(algorithm, self.model, shape, self.configurations, *expanded) @ E
+        return np.asarray(found if axes == 1 else E.T @ found)
 
     def result(self, values: Array) -> Array:
         """Return the values, of a single state without the first axis."""
@@ -151,11 +148,8 @@ class RobotDynamics:
         """
         model = self._links.copy()
         model.gravity.linear = self.tilted_gravity
-        drives = np.diag(self.drive_inertia)
-        for i in range(1, model.njoints):
-            if model.names[i] in self.robot.joint_names:
-                coordinate = self.robot.joint_names.index(model.names[i])
-                model.armature[model.joints[i].idx_v] = drives[coordinate]
+        for column, joint in self.robot.single_joints():
+            model.armature[joint.idx_v] = self.drive_inertia[column, column]
         return model
 
     @cached_property
@@ -186,10 +180,12 @@ class RobotDynamics:
         """
         import pinocchio as pin
 
+        def whole(*state: Any) -> Array:
+            upper = np.triu(pin.crba(*state))
+            return np.asarray(upper + np.triu(upper, 1).T)
+
         state = self._state(q)
-        upper = np.triu(state.each(pin.crba, matrix=True))
-        links = upper + np.triu(upper, 1).swapaxes(1, 2)
-        return state.result(self._of_coordinates(links) + self.drive_inertia)
+        return state.result(state.each(whole, 2) + self.drive_inertia)
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the Coriolis matrix C: ``C @ v`` is the effort of velocity-dependent forces.
@@ -208,8 +204,7 @@ class RobotDynamics:
         import pinocchio as pin
 
         state = self._state(q, velocity=v)
-        found = state.each(pin.computeCoriolisMatrix, matrix=True)
-        return state.result(self._of_coordinates(found))
+        return state.result(state.each(pin.computeCoriolisMatrix, 2))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return the effort that holds the links against gravity, tilted where the model says so.
@@ -226,7 +221,7 @@ class RobotDynamics:
         import pinocchio as pin
 
         state = self._state(q)
-        upright = state.each(pin.computeGeneralizedGravity) @ self.robot.expansion
+        upright = state.each(pin.computeGeneralizedGravity)
         rest = np.zeros_like(upright)
         return state.result(upright + self._effort_of_posed(q, rest, rest, kind=Tilt))
 
@@ -263,9 +258,8 @@ class RobotDynamics:
         import pinocchio as pin
 
         state = self._state(q, velocity=v, acceleration=a)
-        links = state.each(pin.rnea) @ self.robot.expansion
         terms = self._effort_of_terms(*state.rates) + self._effort_of_posed(q, *state.rates)
-        return state.result(links + terms)
+        return state.result(state.each(pin.rnea) + terms)
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return the acceleration under an effort, rad/s² or m/s².
@@ -376,10 +370,8 @@ class RobotDynamics:
     @cached_property
     def drive_inertia(self) -> Array:
         """Effort of the terms per unit acceleration, (n, n): rotor inertias and couplings."""
-        unit = np.eye(self.robot.n)
-        rest = np.zeros_like(unit)
-        moved = self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)
-        return np.asarray(moved.T)
+        unit, rest = np.eye(self.robot.n), np.zeros((self.robot.n, self.robot.n))
+        return (self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)).T
 
     def _effort_of_terms(self, v: Array, a: Array) -> Array:
         coefficients = self.theta[10 * self.robot.n_links :]
@@ -409,11 +401,6 @@ class RobotDynamics:
         for term, own in self.terms.placed:
             if term.posed:
                 yield term, self.theta[10 * self.robot.n_links :][own]
-
-    def _of_coordinates(self, matrices: Array) -> Array:
-        """Return matrices (K, nv, nv) in the n coordinates of the robot."""
-        E = self.robot.expansion
-        return np.asarray(E.T @ matrices @ E)
 
     def _state(self, q: ArrayLike, **rates: ArrayLike) -> States:
         configurations = self.robot.configuration(many(q, "position", None))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -276,7 +276,7 @@ class RobotModel:
         """Units of the 10·links inertial parameters."""
         return PARAMETER_UNITS * self.n_links
 
-    def _single_joints(self) -> list[tuple[int, Any]]:
+    def single_joints(self) -> list[tuple[int, Any]]:
         """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
         columns = {name: j for j, name in enumerate(self.joint_names)}
         model = self.pin_model
@@ -301,12 +301,12 @@ class RobotModel:
 
         A joint from 0 to 0 has none: so a URDF is read that leaves them out.
         """
-        limits = np.tile([-np.inf, np.inf], (self.n, 1))
-        for column, joint in self._single_joints():
-            lower = self.pin_model.lowerPositionLimit[joint.idx_q]
-            upper = self.pin_model.upperPositionLimit[joint.idx_q]
-            if joint.nq == 1 and (lower or upper) and max(-lower, upper) < _UNLIMITED:
-                limits[column] = lower, upper
+        limits, model = np.tile([-np.inf, np.inf], (self.n, 1)), self.pin_model
+        ends = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
+        for column, joint in self.single_joints():
+            own = ends[joint.idx_q]
+            if joint.nq == 1 and own.any() and max(-own[0], own[1]) < _UNLIMITED:
+                limits[column] = own
         return limits
 
     def described_friction(self) -> tuple[Array, Array]:
@@ -322,7 +322,7 @@ class RobotModel:
 
     def _rate_limits(self, values: Array) -> Array:
         limits = np.full(self.n, np.inf)
-        for column, joint in self._single_joints():
+        for column, joint in self.single_joints():
             if 0.0 < values[joint.idx_v] < _UNLIMITED:
                 limits[column] = values[joint.idx_v]
         return limits
@@ -353,9 +353,7 @@ class RobotModel:
                 f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
                 f"{', '.join(self.joint_names)}."
             )
-        return self.configuration_of(
-            self._expand(position) + self.offset if self._mimics else position.copy()
-        )
+        return self.configuration_of(self._expand(position) + self.offset)
 
     def configuration_of(self, angles: Array) -> Array:
         """Return Pinocchio's configurations (K, nq) of its joints' angles or ways (K, nv).
@@ -450,11 +448,7 @@ class RobotModel:
         DataError
             When a shape does not fit or a value is not finite.
         """
-        q, v, a = self._states(q, v, a)
-        if out is not None:
-            _check_out(out, (len(q), self.n, 10 * self.n_links))
-        found = kernels.regressor(self.tree, q, v, a, out=out)
-        return found if found is not None else self._pinocchio_regressor(q, v, a, out)
+        return self.regressor_columns(q, v, a, out=out)
 
     def regressor_columns(
         self,
@@ -462,8 +456,8 @@ class RobotModel:
         v: ArrayLike,
         a: ArrayLike,
         *,
-        places: Indices,
-        out: Array,
+        places: Indices | None = None,
+        out: Array | None = None,
         compiled: bool | None = None,
         entries: kernels.Entries | None = None,
     ) -> Array:
@@ -473,10 +467,10 @@ class RobotModel:
         ----------
         q, v, a : array_like
             As for `regressor`.
-        places : ndarray of int, shape (10·links,)
-            The column of `out` that each parameter's goes to, -1 for none.
-        out : ndarray, shape (K, n, columns)
-            Float64 and C-contiguous.
+        places : ndarray of int, shape (10·links,), optional
+            The column of `out` that each parameter's goes to, -1 for none; by default its own.
+        out : ndarray, shape (K, n, columns), optional
+            Float64 and C-contiguous; by default new, with the columns of all parameters.
         compiled : bool, optional
             Whether to use the compiled loop: of a log's blocks all or none. By default the size
             decides.
@@ -494,20 +488,30 @@ class RobotModel:
             When a shape does not fit or a value is not finite.
         """
         q, v, a = self._states(q, v, a)
-        _check_out(out, (len(q), self.n, out.shape[-1]))
-        if len(places) != 10 * self.n_links or np.max(places, initial=-1) >= out.shape[2]:
-            raise DataError(
-                f"places: {len(places)} entries up to {np.max(places, initial=-1)}; expected one "
-                f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
-            )
+        count = 10 * self.n_links
+        route = np.arange(count) if places is None else places
+        if out is not None:
+            shape = len(q), self.n, count if places is None else out.shape[-1]
+            if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
+                raise DataError(
+                    f"out: shape {out.shape} of {out.dtype}, expected {shape} of float64, "
+                    "C-contiguous."
+                )
+            if len(route) != count or np.max(route, initial=-1) >= shape[2]:
+                raise DataError(
+                    f"places: {len(route)} entries up to {np.max(route, initial=-1)}; expected one "
+                    f"for each of {count} parameters, below {shape[2]} columns."
+                )
         found = kernels.regressor(
             self.tree, q, v, a, out=out, places=places, worth=compiled, entries=entries
         )
         if found is not None:
             return found
-        wanted = np.flatnonzero(places >= 0)
+        Y = self._pinocchio_regressor(q, v, a)
+        if out is None:
+            return Y
         out[:] = 0.0
-        out[:, :, places[wanted]] = self._pinocchio_regressor(q, v, a)[:, :, wanted]
+        out[:, :, route[route >= 0]] = Y[:, :, route >= 0]
         if entries is not None:
             values, rows, columns = entries
             out[:, rows, columns] = values
@@ -530,20 +534,13 @@ class RobotModel:
         names = [frame.name for frame in model.frames]
         return {name: i for i, name in reversed(list(enumerate(names)))}
 
-    def _pinocchio_regressor(self, q: Array, v: Array, a: Array, out: Array | None = None) -> Array:
+    def _pinocchio_regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return the same from Pinocchio, sample by sample."""
         import pinocchio as pin
 
-        model, data = self.pin_model, self.pin_model.createData()
-        mimics = self.expansion.shape[0] != self.expansion.shape[1]
-        if out is None:
-            out = np.empty((len(q), self.n, 10 * self.n_links))
-        compute = pin.computeJointTorqueRegressor
-        for k in range(len(q)):
-            # With a single joint the binding drops the axis of length one.
-            Y = compute(model, data, q[k], v[k], a[k]).reshape(model.nv, -1)
-            out[k] = self.expansion.T @ Y if mimics else Y
-        return out
+        shape = self.pin_model.nv, 10 * self.n_links
+        Y = each_state(pin.computeJointTorqueRegressor, self.pin_model, shape, q, v, a)
+        return np.asarray(self.expansion.T @ Y) if self._mimics else Y
 
     def inverse_dynamics(self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the efforts (K, n) of links with the given parameters, without friction."""
@@ -576,10 +573,8 @@ class RobotModel:
         model = self.with_inertias(bodies)
         if gravity is not None:
             model.gravity.linear = np.asarray(gravity, dtype=np.float64)
-        data, out = model.createData(), np.empty((len(q), model.nv))
-        for k, state in enumerate(zip(q, v, a, strict=True)):
-            out[k] = pin.rnea(model, data, *state)
-        return out @ self.expansion if self._mimics else out
+        found = each_state(pin.rnea, model, (model.nv,), q, v, a)
+        return found @ self.expansion if self._mimics else found
 
     def described_efforts(
         self, q: ArrayLike, v: ArrayLike, a: ArrayLike, *, gravity: ArrayLike | None = None
@@ -632,8 +627,12 @@ class RobotModel:
         return out[0] if positions.ndim == 1 else out
 
 
-def _check_out(out: Array, shape: tuple[int, ...]) -> None:
-    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
-        raise DataError(
-            f"out: shape {out.shape} of {out.dtype}, expected {shape} of float64, C-contiguous."
-        )
+def each_state(
+    algorithm: Callable[..., Any], model: Any, shape: tuple[int, ...], *states: Array
+) -> Array:
+    """Return the results (K, *shape) of an algorithm of Pinocchio, state by state."""
+    data, out = model.createData(), np.empty((len(states[0]), *shape))
+    for k, state in enumerate(zip(*states, strict=True)):
+        # With a single joint the binding drops the axis of length one.
+        out[k] = np.reshape(algorithm(model, data, *state), shape)
+    return out

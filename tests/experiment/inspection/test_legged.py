@@ -31,7 +31,7 @@ from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.recording.recording import rows_of
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
 from sdpid.workflow import formulate
 from tests.helpers.refusals import refuses
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
-from sdpid.robot.model.contacts.jacobians import frame_axes, frame_offsets, relative_jacobians
+from sdpid.robot.model.jacobians import frame_axes, frame_offsets, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # Joints move by at most this from one solve to the next that starts there, rad or m: near enough

@@ -1,1 +1,0 @@
-"""Where a robot touches its surroundings: Jacobians of contact points."""
