@@ -121,20 +121,6 @@ def test_forward_undoes_inverse(seed: int, name: str) -> None:
     assert model.forward_dynamics(q[0], v[0], model.gravity(q[0])).shape == (robot.n,)
 
 
-def test_a_floating_base() -> None:
-    robot = sdpid.load_robot(TREE, root="free_flyer")
-    model = dynamics(robot, 3)
-    rng = np.random.default_rng(4)
-    tangent, v, a = random_states(rng, robot.n, 2)
-    full = robot.pin_model
-    q = np.stack([pin.integrate(full, pin.neutral(full), x) for x in tangent])
-    effort = model.inverse_dynamics(q, v, a)
-    assert_same(effort, full_regressor(robot, (q, v, a), TERMS) @ model.theta)
-    np.testing.assert_array_equal(model.friction(v)[:, :6], 0.0)
-    np.testing.assert_allclose(model.forward_dynamics(q, v, effort), a, atol=1e-8)
-    assert model.gravity(q[0]).shape == (robot.n,)
-
-
 @pytest.mark.parametrize("solve", [sdpid.solve_sdp, sdpid.solve_wls])
 def test_an_estimate_gives_its_model(solve: object) -> None:
     robot = small_arm(3)
@@ -388,23 +374,6 @@ def check(
     np.testing.assert_allclose(
         found, np.linalg.solve(M, effort - velocity - rest - friction), rtol=0, atol=limit
     )
-
-
-@given(SEEDS, st.sampled_from(SHAPES))
-def test_it_is_pinocchio_with_all_that_the_links_do_not_have(seed: int, shape: str) -> None:
-    each = case(seed, shape)
-    free = [pin.JointModelFreeFlyer()] if shape == "floating" else []
-    own = pin.buildModelFromXML(each.urdf, *free)
-    own.gravity.linear = each.gravity
-    data = own.createData()
-    E = each.robot.expansion
-    for k, configuration in enumerate(each.robot.configuration(each.q)):
-        upper = np.triu(pin.crba(own, data, configuration))
-        v = E @ each.v[k]
-        rest = np.array(pin.computeGeneralizedGravity(own, data, configuration))
-        velocity = pin.rnea(own, data, configuration, v, np.zeros(own.nv)) - rest
-        M = upper + np.triu(upper, 1).T
-        check(each, k, E.T @ M @ E, E.T @ rest, E.T @ velocity)
 
 
 @given(SEEDS, st.sampled_from(SHAPES))
