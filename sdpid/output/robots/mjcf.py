@@ -214,8 +214,7 @@ class Mjcf(RobotText):
             found = read_mjcf(text, what, folder=folder)
         except ModelError as cause:
             raise ExportError(str(cause)) from None
-        self.bodies, self._values = found.bodies, found.joint_values()
-        self._tendons = tuple(found.tendons())
+        self.bodies, self._source = found.bodies, found
         self.elements = self._elements()
         model = RobotModel.from_pinocchio(found.pin_model)
         names = {str(name): k for k, name in enumerate(found.pin_model.names) if k}
@@ -286,7 +285,7 @@ class Mjcf(RobotText):
             if model.joints[i].nv != 1:
                 continue
             name = str(model.names[i])
-            before, new = self._values[name], dict(values.get(name, {}))
+            before, new = self._source.joint_values()[name], dict(values.get(name, {}))
             if name not in self.robot.joint_names:
                 new = {key: 0.0 for key in attributes if before[key] != 0.0}
             if "armature" not in attributes and before["armature"] != 0.0:
@@ -382,7 +381,7 @@ class Mjcf(RobotText):
     def attributes(self) -> tuple[Array, Array, Array]:
         """Return dry friction, damping and armature (n,) of the robot's coordinates."""
         damping, dry = self.model.described_friction()
-        armature, viscous = added(self._tendons, self.robot.joint_names)
+        armature, viscous = added(self._source.tendons(), self.robot.joint_names)
         return dry, damping + viscous, self.model.described_armature() + armature
 
     def couplings(self) -> Couplings:
@@ -391,7 +390,7 @@ class Mjcf(RobotText):
         Dry friction of the joints' sum alone: a `Coupling` has no other.
         """
         found: dict[tuple[str, str], Array] = {}
-        for each in self._tendons:
+        for each in self._source.tendons():
             if {*each.joints} <= {*self.robot.joint_names}:
                 sign = each.factors[0] * each.factors[1]
                 dry = each.frictionloss if each.factors == (1.0, 1.0) else 0.0

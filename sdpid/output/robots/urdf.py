@@ -23,12 +23,7 @@ from sdpid.output.robots.written_bodies import (
     standard_parameters,
     write_inertial,
 )
-from sdpid.robot.description.bodies import (
-    DescribedBody,
-    Inertial,
-    read_urdf_bodies,
-    written_values,
-)
+from sdpid.robot.description.bodies import DescribedBody, Inertial, read_urdf_bodies, written_values
 from sdpid.robot.description.urdf import (
     LINK,
     base_turn,
