@@ -275,10 +275,9 @@ def imu_channels(subject: Subject) -> Iterator[Finding]:
     log, turns = based[0], _turns(based[1].orientation)
     for sensor, values in imu.channels.items():
         if not np.any(np.ptp(values, axis=0)):
-            shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
             yield found(
                 f"imu_{sensor}",
-                what=f" never changes: it is ({shown}) in every row",
+                what=f" never changes: it is {vector(values[0])} in every row",
                 remedy="if it was not measured, leave it out",
                 size=float(np.linalg.norm(values[0])),
             )

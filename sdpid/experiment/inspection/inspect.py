@@ -19,7 +19,6 @@ from sdpid.experiment.inspection import (
     delay_checks,
     dynamics_checks,
     feet_checks,
-    force_checks,
     motion_checks,
 )
 from sdpid.experiment.inspection.kinds import KINDS, Finding, explained, found, note, refuse
@@ -32,7 +31,7 @@ from sdpid.robot.model.model import RobotModel
 # Importing a file of checks adds them to the lists. A new check is a function in one of these.
 _ = (
     *(motion_checks, channel_checks, delay_checks, dynamics_checks),
-    *(base_checks, feet_checks, force_checks),
+    *(base_checks, feet_checks),
 )
 KINDS.update(
     joints_unknown=refuse("{why}", final=True, about="log"),

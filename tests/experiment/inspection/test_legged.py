@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection import base_checks, feet_checks, force_checks
+from sdpid.experiment.inspection import base_checks, feet_checks
 from sdpid.experiment.inspection.delays import (
     channel_delays,
     first_scale,
@@ -325,7 +325,7 @@ def test_torques_of_another_scale_are_not_those_of_forces() -> None:
 def test_legs_without_effort_are_not_compared() -> None:
     scaled = with_feet(log("trot"), forces=forces("trot") * np.array([0.9, 1.0, 1.0, 1.0])[:, None])
     subject = replace(Subject.of(scaled, robot()), without=frozenset({"FL_KFE"}))
-    assert not [*force_checks.forces(subject)]
+    assert not [*feet_checks.forces(subject)]
 
 
 @pytest.mark.parametrize("order", [LEFT_RIGHT, DIAGONAL])
@@ -486,7 +486,7 @@ def wrenches(motion: str) -> Array:
 def wrenches_found(motion: str, changed: Array) -> list[Finding]:
     recording = with_feet(talos(motion), wrenches=changed)
     subject = Subject.of(recording, robot("talos_reduced"))
-    return list(force_checks.forces(subject))
+    return list(feet_checks.forces(subject))
 
 
 @pytest.mark.parametrize("motion", ["stand", "step"])
