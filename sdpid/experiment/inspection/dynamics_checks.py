@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.block_fit import block_fit
 from sdpid.experiment.inspection.explain import (
     Correction,
@@ -173,9 +172,9 @@ def of_another_size(subject: Subject) -> Iterator[Finding]:
         for each in (rigid, rows.effort, log.rigid, log.signals["effort"])
     )
     small = rows.usable & (need > _SCALE * has)
-    if not small.any() or 2 * small.sum() >= rows.usable.sum():
+    if 2 * small.sum() >= rows.usable.sum():
         return
-    told = {finding.joint for finding in scales(subject)}
+    told = {finding.joint for finding in scales(log)}
     for j in np.flatnonzero(small & (needs > _SCALE * gives)):
         name, ratio = robot.joint_names[j], need[j] / has[j]
         if not told & {name, None}:
@@ -186,32 +185,29 @@ def of_another_size(subject: Subject) -> Iterator[Finding]:
 @check_of_efforts
 def not_compared(subject: Subject) -> Iterator[Finding]:
     """Say where efforts cannot be compared: of a free base, and of a description without masses."""
-    robot, give = subject.fixed, ""
+    give = ""
     if subject.closed:
         lacks = "has loops, in which unknown forces act"
+    elif subject.corrected is not None or subject.robot is None:
+        return
     elif subject.floating is not None:
-        if subject.corrected is not None:
-            return
         lacks = "has a free base, and the log no contacts or too few samples"
         give = ", or give contacts"
-    elif robot is None or described(robot):
-        return
-    else:
+    elif not described(subject.robot):
         lacks, give = "has no masses", ", or give a description with rough masses"
+    else:
+        return
     yield found("effort_not_compared", lacks=lacks, give=give)
 
 
 @check
 def left_out_of_the_model(subject: Subject) -> Iterator[Finding]:
     """Tell what acts on joints by the description, and is not in the model."""
-    robot = subject.robot
-    for kind, names in (
-        ("forces_ignored", () if robot is None else robot.forces),
-        ("actuators_ignored", () if robot is None else robot.actuators),
-    ):
+    for kind in ("forces", "actuators"):
+        names = getattr(subject.robot, kind, ())
         if names:
             more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-            yield found(kind, what=f"{', '.join(names[:_NAMED])}{more}")
+            yield found(f"{kind}_ignored", what=f"{', '.join(names[:_NAMED])}{more}")
 
 
 @check_of_efforts
@@ -220,31 +216,43 @@ def wrong_channels(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    # Several orders of columns, one after another, are one.
-    order, ordered = np.arange(len(log.usable)), False
+    steps: dict[Any, CorrectionStep] = {}
     for step in log.steps:
-        if step.change.kind == "joint_order":
-            order = order[np.array(step.change.value, dtype=np.intp)]
-    for step in log.steps:
-        change = step.change
-        if change.kind == "joint_order":
-            if ordered:
-                continue
-            ordered, change = True, change._replace(value=tuple(order.tolist()))
-        yield _finding(log, step, change)
+        kind, _, value = step.change
+        # Several orders of columns, one after another, are one.
+        key = kind if kind.endswith("_order") else step.change
+        if key in steps:
+            first, order = steps[key], steps[key].change.value
+            change = first.change._replace(value=tuple(order[int(j)] for j in value))
+            step = first._replace(change=change, after=step.after)
+        steps[key] = step
+    for step in steps.values():
+        yield _finding(log, step)
 
 
 @check_of_efforts
-def scales(subject: Subject) -> Iterator[Finding]:
-    """Find efforts of the wrong scale, of all joints or of one."""
+def scales_and_shares(subject: Subject) -> Iterator[Finding]:
+    """Find efforts of the wrong scale, or that the description does not explain at all."""
     log = subject.corrected
-    common = None if log is None else log.gains.common
-    if log is None or common is None:
+    if log is None:
         return
-    gains, names, made_up = log.gains, log.joint_names, placeholders(log.robot)
-    sizes, shows = np.abs(gains.gain), np.flatnonzero(gains.shows)
-    limits = {"least": 1.0 / _SCALE, "limit": _SCALE}
-    need = "what the description's bodies need"
+    told = list(scales(log))
+    yield from told
+    carries = log.borne > _CARRIES * log.borne.max(initial=0.0)
+    for j in np.flatnonzero(carries & (log.left > _UNLIKE)):
+        name = log.joint_names[j]
+        if name not in {finding.joint for finding in told}:
+            unexplained = min(float(log.left[j]), 1.0)
+            yield found("effort_unlike_description", name, unexplained=unexplained, limit=_UNLIKE)
+
+
+def scales(log: ExplainedLog) -> Iterator[Finding]:
+    """Yield which efforts have the wrong scale, all of them or those of one joint."""
+    gains, common, names = log.gains, log.gains.common, log.joint_names
+    if common is None:
+        return
+    sizes, shows, made_up = np.abs(gains.gain), np.flatnonzero(gains.shows), placeholders(log.robot)
+    need, limits = "what the description's bodies need", {"least": 1.0 / _SCALE, "limit": _SCALE}
     if not 1.0 / _SCALE < common < _SCALE:
         each = ", ".join(f"{names[j]} {sizes[j]:.3g}" for j in shows)
         fields = {"whose": f"efforts are {common:.3g}", "of": f"{need} ({each})", "scale": common}
@@ -254,35 +262,34 @@ def scales(subject: Subject) -> Iterator[Finding]:
         ratio = sizes[j] / common
         if 1.0 / _SCALE < ratio < _SCALE or abs(gains.correlation[j]) < _FOLLOWS:
             continue
-        far = not 1.0 / _FAR_SCALE < ratio < _FAR_SCALE
-        fields = {
-            "whose": f"effort of {names[j]} is {sizes[j]:.3g}",
-            "of": f"{need}, {ratio:.3g} times as much as at the other joints",
-            "scale": sizes[j],
-            "ratio": ratio,
-            **_unit(ratio),
-        }
-        minor = made_up or not far
+        minor = made_up or 1.0 / _FAR_SCALE < ratio < _FAR_SCALE
+        fields = {"whose": f"effort of {names[j]} is {sizes[j]:.3g}", "scale": sizes[j]}
+        fields |= {"of": f"{need}, {ratio:.3g} times as much as at the other joints"}
+        fields |= {"ratio": ratio, **_unit(ratio)}
         yield found("effort_scale", names[j], "warning" if minor else None, **fields, **limits)
 
 
-@check_of_efforts
-def unlike_the_description(subject: Subject) -> Iterator[Finding]:
-    """Find efforts that the description does not explain, whatever is changed."""
-    log = subject.corrected
-    if log is None:
-        return
-    mended = {finding.joint for finding in scales(subject)}
-    carries = log.borne > _CARRIES * log.borne.max(initial=0.0)
-    for j in np.flatnonzero(carries & (log.left > _UNLIKE)):
-        if log.joint_names[j] not in mended:
-            numbers = {"unexplained": min(float(log.left[j]), 1.0), "limit": _UNLIKE}
-            yield found("effort_unlike_description", log.joint_names[j], **numbers)
+def _unit(scale: float) -> dict[str, str]:
+    """Return which unit makes efforts so many times too large, and how to give it."""
+    near = (u for f, u in _UNITS.items() if 1.0 / _UNIT_SLACK < scale / f < _UNIT_SLACK)
+    unit, remedy = next(near, ""), "give the unit: units={'effort': 'mN.m'} (--unit effort=mN.m)"
+    if unit != _UNITS[1000.0]:
+        remedy = (
+            "give N·m per unit of effort of each joint, torque constant times gear ratio: "
+            f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here; for currents 'sdpid "
+            "gains' estimates it"
+        )
+    motors = "currents (A), torques of the motors before their gears, or " if scale < 1.0 else ""
+    return {
+        "unit": f"{unit} instead of N·m" if unit else f"{motors}another unit",
+        "remedy": remedy,
+    }
 
 
-def _finding(log: ExplainedLog, step: CorrectionStep, change: Correction) -> Finding:
+def _finding(log: ExplainedLog, step: CorrectionStep) -> Finding:
     """Return the finding of one change that makes the efforts follow from the motion."""
-    joint, usable = change.joint, log.usable
+    change, usable, names = step.change, log.usable, log.joint_names
+    joint = change.joint
     if joint is None:
         before, after = (float(np.mean(each[usable])) for each in (step.before, step.after))
         of = f"the efforts' variance (mean of {np.count_nonzero(usable)} joints)"
@@ -290,23 +297,20 @@ def _finding(log: ExplainedLog, step: CorrectionStep, change: Correction) -> Fin
         worst = int(np.argmax(np.log(step.before + 0.01) - np.log(step.after + 0.01)))
         before, after = float(step.before[worst]), float(step.after[worst])
         own = worst == joint and change.kind == "effort_sign"
-        of = "its variance" if own else f"the variance of the effort of {log.joint_names[worst]}"
+        of = "its variance" if own else f"the variance of the effort of {names[worst]}"
     what, *same = (
         words(each.kind, mended="", **_fields(each, log)) for each in (change, *step.alike)
     )
     others = [each for each in dict.fromkeys(same) if each != what][:3]
     also = f"; as good: {', or '.join(others)}" if others else ""
-    mended = (
-        f": gravity, inertia and friction leave {100 * min(before, 1.0):.3g} % of {of} "
-        f"unexplained, and {100 * after:.2g} % once that is mended{also}"
-    )
     # Signs of efforts are told by friction too, which takes power whatever the masses are.
     sure = change.kind in ("effort_sign", "position_sign") or not placeholders(log.robot)
     return found(
         change.kind,
-        None if joint is None else log.joint_names[joint],
+        None if joint is None else names[joint],
         None if sure else "warning",
-        mended=mended,
+        mended=f": gravity, inertia and friction leave {100 * min(before, 1.0):.3g} % of {of} "
+        f"unexplained, and {100 * after:.2g} % once that is mended{also}",
         gained=misfit(step.before) - misfit(step.after),
         unexplained=before,
         unexplained_mended=after,
@@ -320,9 +324,9 @@ def _fields(change: Correction, log: ExplainedLog) -> dict[str, Any]:
     names = log.joint_names
     if kind == "feet_exchanged" and log.contacts is not None:
         return {"feet": exchanged(log.contacts.frames, value)}
-    if kind in ("joint_order", "effort_order"):
+    if kind.endswith("_order"):
         # Column k holds the joint whose place it takes when the order is put right.
-        return {"held": ", ".join(names[list(value).index(k)] for k in range(len(names)))}
+        return {"held": ", ".join(names[value.index(k)] for k in range(len(names)))}
     if kind == "gravity_direction":
         return {"gravity": f"({', '.join(f'{each:.3g}' for each in value)})"}
     of, its = "all joints", "the signs of all efforts"
@@ -331,33 +335,15 @@ def _fields(change: Correction, log: ExplainedLog) -> dict[str, Any]:
     return {"of": of, "its": its, "seen": "", **({"add": value[0]} if value else {})}
 
 
-def _unit(scale: float) -> dict[str, str]:
-    """Return which unit makes efforts so many times too large, and how to give it."""
-    near = (u for f, u in _UNITS.items() if 1.0 / _UNIT_SLACK < scale / f < _UNIT_SLACK)
-    unit, remedy = next(near, ""), "give the unit: units={'effort': 'mN.m'} (--unit effort=mN.m)"
-    if not unit.startswith("N·mm"):
-        remedy = (
-            "give N·m per unit of effort of each joint, torque constant times gear ratio: "
-            f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here; for currents 'sdpid "
-            "gains' estimates it"
-        )
-    if unit:
-        return {"unit": f"{unit} instead of N·m", "remedy": remedy}
-    if scale < 1.0:
-        unit = "currents (A), torques of the motors before their gears, or "
-    return {"unit": f"{unit}another unit", "remedy": remedy}
-
-
 def other_loads(subjects: Sequence[Subject]) -> Iterator[tuple[int, Finding]]:
     """Yield recordings that carry another load than the first, by their place, with the finding."""
-    first = subjects[0]
-    for place, other in enumerate(subjects[1:], 1):
-        logs = [(each.fixed, each.corrected, each.low_passed) for each in (first, other)]
-        (robot, *_), _ = logs
-        if not described(robot) or any(x is None or log is None or log.steps for x, log, _ in logs):
+    first, *others = subjects
+    for place, other in enumerate(others, 1):
+        robot, rows = first.fixed, [each.low_passed for each in (first, other)]
+        logs = [each.corrected if each.fixed else None for each in (first, other)]
+        if robot is None or any(log is None or log.steps for log in logs):
             continue
-        assert robot is not None
-        told = _other_load(robot, *(rows for *_, rows in logs if rows is not None))
+        told = _other_load(robot, *(each for each in rows if each is not None))
         if told is not None and told["takes"] >= _TAKES:
             severe = told["takes"] > _TAKES_SURELY
             yield place, found("payload_differs", None, None if severe else "warning", **told)
@@ -375,8 +361,21 @@ def _other_load(
     usable = np.flatnonzero(one.usable & other.usable)
     if not usable.size:
         return None
-    A, due = (np.concatenate(each) for each in zip(*_equations(robot, one, other), strict=True))
-    A, due = A[:, usable], due[:, usable]
+    parts, own = [], np.eye(robot.n)
+    for place, rows in enumerate((one, other)):
+        Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
+        ones = np.ones_like(rows.velocity)
+        # Friction, and the offsets of either recording.
+        signals = [rows.sign, rows.velocity, np.sqrt(np.abs(rows.velocity)) * rows.sign]
+        signals += [rows.acceleration, ones * (place == 0), ones * place]
+        columns = (
+            Y,
+            *(each[:, :, None] * own for each in signals),
+            Y[..., -10 : _LOAD - 10] * place,
+        )
+        due = rows.effort - Y @ robot.prior.ravel()
+        parts.append((np.concatenate(columns, axis=2)[:, usable], due[:, usable]))
+    A, due = (np.concatenate(each) for each in zip(*parts, strict=True))
     bodies = np.maximum(robot.prior[:, :1], _LEAST_MASS) * np.array(_BELIEF) / _LARGER
     scale = np.full(A.shape[2], _FREE)
     scale[: bodies.size] = bodies.ravel()
@@ -396,16 +395,3 @@ def _other_load(
         "error": float(fit.errors[-_LOAD]),
         "limit": _TAKES,
     }
-
-
-def _equations(robot: RobotModel, *recordings: FilteredRows) -> Iterator[tuple[Array, Array]]:
-    """Yield the matrix (K, n, unknowns) and the efforts beyond the description's, (K, n)."""
-    own = np.eye(robot.n)
-    for place, rows in enumerate(recordings):
-        Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
-        speed = np.sqrt(np.abs(rows.velocity)) * rows.sign
-        friction = (rows.sign, rows.velocity, speed, rows.acceleration)
-        offsets = [np.broadcast_to(own * (k == place), (len(Y), *own.shape)) for k in (0, 1)]
-        load = Y[..., -10 : _LOAD - 10] * place
-        columns = (Y, *(signal[:, :, None] * own for signal in friction), *offsets, load)
-        yield np.concatenate(columns, axis=2), rows.effort - Y @ robot.prior.ravel()

@@ -10,7 +10,7 @@ the base, which fix the scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, permutations, product
@@ -73,6 +73,9 @@ _ASKS = 0.005
 _MOST_LEGS, _MANY = 4, 20
 # No gain and no friction is so many times what alone makes up all that is due.
 _FREE = 1e3
+# Columns of unit length that depend on others, and the weight of bounds beside such columns.
+_RIDGE, _SURELY = 1e-12, 1e3
+_DEGREE = math.pi / 180.0
 
 _STATES = ("position", "velocity", "acceleration")
 _MOVED = (*_STATES, "sign")
@@ -326,23 +329,18 @@ class ExplainedLog:
         if kind not in _CHANGED:
             assert self.contacts is not None
             down = self.contacts.down
-            if kind == "feet_exchanged":
-                down = down[:, order]
-            else:
-                down = np.broadcast_to(down.any(axis=0), down.shape)
+            ever = np.broadcast_to(down.any(axis=0), down.shape)
+            down = down[:, order] if kind == "feet_exchanged" else ever
             return replace(self, contacts=replace(self.contacts, down=down)).moved()
         signals, columns = dict(self.signals), slice(None) if joint is None else joint
         for name in _CHANGED[kind]:
-            values = signals[name].copy()
+            values = signals[name] = signals[name].copy()
             if kind.endswith("_order"):
-                values = values[:, order]
+                values[:] = values[:, order]
             elif kind == "position_zero":
                 values[:, columns] += value[0]
-            elif kind == "position_in_degrees":
-                values = np.radians(values)
             else:
-                values[:, columns] *= -1.0
-            signals[name] = values
+                values[:, columns] *= _DEGREE if kind == "position_in_degrees" else -1.0
         usable = self.usable[order] if kind == "joint_order" else self.usable
         log = replace(self, signals=signals, usable=usable)
         return log if _CHANGED[kind] == ("effort",) else log.moved()
@@ -365,8 +363,7 @@ class ExplainedLog:
                 yield Correction("flags_unlike_motion")
         orders = list(self._orders())
         yield from (Correction("joint_order", value=order) for order in orders)
-        orders = orders if self.base else [self._assigned()]
-        yield from (Correction("effort_order", value=o) for o in orders if o != tuple(range(n)))
+        yield from (Correction("effort_order", value=order) for order in orders)
         for angle in _QUARTERS:
             yield from (Correction("position_zero", j, (angle,)) for j in range(n))
         # On a floating base the world's axes are those of the orientation, which is checked.
@@ -382,97 +379,77 @@ class ExplainedLog:
         Those of whole legs; two exchanged; backwards; one joint on; and back from the alphabet's
         order, in which ROS drivers publish joints.
         """
-        names, n = self.joint_names, len(self.usable)
+        n, legs = len(self.usable), [] if self.contacts is None else [*_leg_orders(self.robot)]
         same = list(range(n))
-        legs = [] if self.contacts is None else list(_leg_orders(self.robot))
-        by_alphabet = sorted(same, key=names.__getitem__)
+        by_alphabet = sorted(same, key=self.joint_names.__getitem__)
         orders = {tuple(np.argsort(by_alphabet).tolist()), tuple(reversed(same))}
         orders |= {tuple(np.roll(same, shift).tolist()) for shift in (1, -1)}
         # Of many joints those that are explained are not exchanged.
-        poor = ~self.usable | (self.shares > _FINE)
-        some = self.contacts is not None and n > _MANY
-        for i, j in combinations(np.flatnonzero(poor).tolist() if some else same, 2):
+        poor = ~self.usable | (self.shares > _FINE) | (self.contacts is None) | (n <= _MANY)
+        for i, j in combinations(np.flatnonzero(poor).tolist(), 2):
             order = list(same)
             order[i], order[j] = j, i
             orders.add(tuple(order))
-        yield from legs
-        yield from sorted(orders - {tuple(same), *legs})
-
-    def _assigned(self) -> tuple[int, ...]:
-        """Return the effort columns that explain the joints' motion best, one each."""
-        from scipy.optimize import linear_sum_assignment
-
-        n, joints = len(self.usable), np.arange(len(self.usable))
-        cost = np.zeros((n, n))
-        for shift in range(n):
-            order = (joints + shift) % n
-            moved = self.changed(Correction("effort_order", value=tuple(order.tolist())))
-            cost[joints, order] = np.log(moved.shares + 0.01)
-        cost[~self.usable] = 0.0
-        cost[~self.usable, np.flatnonzero(~self.usable)] = -100.0
-        return tuple(int(j) for j in linear_sum_assignment(cost)[1])
+        for each in (*legs, *sorted(orders - {*legs})):
+            if each != tuple(same):
+                yield each
 
     @property
     def price(self) -> float:
         """The misfit, and what changes and another scale have to gain."""
         return misfit(self.shares) + NEEDED * (len(self.steps) + (self.scale != 1.0))
 
-    def mended(self) -> ExplainedLog:
-        """Return the log with the changes that lower its price."""
-        best, kept = self, [self]
-        for _ in range(_MOST_STEPS if self.base else 2 * len(self.usable)):
-            if best.explained:
-                break
-            kept = sorted(
-                (child for log in kept for child in log._children()), key=attrgetter("price")
-            )[:_KEPT]
-            if not kept[0].price < best.price:
-                break
-            best = kept[0]
-        return best
+    def searched(self) -> ExplainedLog:
+        """Return the log changed as little as makes its efforts follow from its motion.
 
-    def _children(self) -> list[ExplainedLog]:
+        Every change has to lower the misfit by `NEEDED`.
+        """
+        starts, common = [self], self.gains.common or 1.0
+        if not GAINS[0] < common < GAINS[1]:
+            starts.append(replace(self, scale=common).moved())
+        # What is explained in another unit of all has this one change.
+        explained = [log for log in starts if log.explained]
+        return explained[0] if explained else min(map(_mended, starts), key=attrgetter("price"))
+
+    def children(self) -> list[ExplainedLog]:
         """Return the logs that one more change makes, the best ones."""
         # Of forty joints a thousand logs are compared: all at once they would take all memory.
         listed = [(change, self.changed(change).shares) for change in self.changes()]
-        misfits = {change: misfit(shares) for change, shares in listed}
-        tried = sorted(listed, key=lambda each: misfits[each[0]])
+        misfits = np.array([misfit(shares) for _, shares in listed])
         # Of those that do as well as the best the likeliest counts.
-        near = misfits[tried[0][0]] + _ALIKE
-        likeliest = next(each for each in listed if misfits[each[0]] < near)
-        tried = [likeliest, *(each for each in tried if each is not likeliest)]
+        likeliest = int(np.argmax(misfits < misfits.min() + _ALIKE))
+        ranked = np.argsort(misfits, kind="stable")
+        ranked = np.r_[likeliest, ranked[ranked != likeliest]]
         children = []
-        for change, shares in tried[:_KEPT]:
-            near = misfits[change] + _ALIKE
-            alike = tuple(each for each, _ in tried if each is not change and misfits[each] < near)
-            step = CorrectionStep(change, alike, self.shares, shares)
+        for i in ranked[:_KEPT]:
+            change, shares = listed[i]
+            near = ranked[(misfits[ranked] < misfits[i] + _ALIKE) & (ranked != i)]
+            step = CorrectionStep(change, tuple(listed[k][0] for k in near), self.shares, shares)
             children.append(replace(self.changed(change), steps=(*self.steps, step)))
         return children
 
 
-def searched(log: ExplainedLog) -> ExplainedLog:
-    """Change a log as little as makes its efforts follow from its motion.
-
-    Every change has to lower the misfit by `NEEDED`.
-    """
-    if log.explained:
-        return log
-    common = log.gains.common or 1.0
-    if GAINS[0] < common < GAINS[1]:
-        return log.mended()
-    rescaled = replace(log, scale=common).moved()
-    if rescaled.explained:
-        return rescaled  # one change of the unit of all
-    return min((log.mended(), rescaled.mended()), key=attrgetter("price"))
+def _mended(log: ExplainedLog) -> ExplainedLog:
+    """Return a log with the changes that lower its price."""
+    best, kept = log, [log]
+    for _ in range(_MOST_STEPS if log.base else 2 * len(log.usable)):
+        if best.explained:
+            break
+        children = [child for each in kept for child in each.children()]
+        kept = sorted(children, key=attrgetter("price"))[:_KEPT]
+        if not kept[0].price < best.price:
+            break
+        best = kept[0]
+    return best
 
 
-def corrected(robot: RobotModel, rows: FilteredRows) -> ExplainedLog | None:
-    """Return rows of a log with a fixed base after changes; None where nothing can be compared."""
+def fixed_log(robot: RobotModel, rows: FilteredRows) -> ExplainedLog | None:
+    """Return rows of a log with a fixed base; None where nothing can be compared."""
     if not described(robot) or not rows.usable.any():
         return None
     signals = {name: getattr(rows, name)[::_THINNED] for name in (*_MOVED, "effort")}
     log = ExplainedLog(robot=robot, signals=signals, usable=rows.usable, gravity=robot.gravity)
-    return searched(log.moved())
+    return log.moved()
 
 
 def floating_log(
@@ -520,29 +497,21 @@ def floating_log(
 
 def _leg_orders(robot: RobotModel) -> Iterator[tuple[int, ...]]:
     """Yield orders in which legs, or the joints of all legs, are exchanged."""
-    parents = list(robot.pin_model.parents)
-    # Joints that hang on the base one after another, counted from 0 behind it.
-    first: dict[int, int] = {}
-    legs: dict[int, list[int]] = {}
-    for joint in range(2, len(parents)):
-        first[joint] = joint if parents[joint] == 1 else first[parents[joint]]
-        legs.setdefault(first[joint], []).append(joint - 2)
-    for size in dict.fromkeys(map(len, legs.values())):
-        alike = np.array([leg for leg in legs.values() if len(leg) == size])
+    model = robot.pin_model
+    # Joints that hang on the base, counted from 0 behind it.
+    first = (joint for joint in range(2, model.njoints) if model.parents[joint] == 1)
+    legs = [[joint - 2 for joint in model.subtrees[each]] for each in first]
+    for size in dict.fromkeys(map(len, legs)):
+        alike = np.array([leg for leg in legs if len(leg) == size])
         if not 1 < len(alike) <= _MOST_LEGS:
             continue
-        # All first joints of legs, then all second ones; and the way back.
-        by_joint = np.arange(alike.size).reshape(alike.shape).T.ravel()
-        ways: Iterable[Array] = (
-            *(alike[list(each)].ravel() for each in permutations(range(len(alike)))),
-            *(alike.ravel()[by_joint], alike.ravel()[np.argsort(by_joint)]),
-            alike[:, ::-1].ravel(),
-        )
+        ways = [alike[list(each)] for each in permutations(range(len(alike)))]
+        # All first joints of legs, then all second ones; the way back; and legs from their end.
+        ways += [alike.T, alike.reshape(alike.shape[::-1]).T, alike[:, ::-1]]
         for way in ways:
-            order = np.arange(len(first))
-            order[alike.ravel()] = way
-            if (order != np.arange(len(first))).any():
-                yield tuple(order.tolist())
+            order = np.arange(model.njoints - 2)
+            order[alike.ravel()] = way.ravel()
+            yield tuple(order.tolist())
 
 
 def _share(left: Array, of: Array, usable: Mask) -> Array:
@@ -570,18 +539,12 @@ def _bounded_fit(columns: Array, due: Array, gains: tuple[float, float]) -> Arra
     size[size == 0.0] = 1.0
     A = A / size
     # A root of the normal equations is exact enough for shares, and several times faster than QR.
-    values, vectors = np.linalg.eigh(A.T @ A)
-    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    factor, rhs = (vectors * root).T, (vectors.T @ (A.T @ due.ravel())) / root
-    low, high = np.zeros(4 * n), np.full(4 * n, np.inf)
-    low[:n], high[:n] = (limit * size[:n] for limit in gains)
-    fitted, open_ = low.copy(), np.ones(4 * n, dtype=np.bool_)
-    for _ in range(n + 1):
-        fixed = factor[:, ~open_] @ fitted[~open_] + factor[:, open_] @ low[open_]
-        fitted[open_] = low[open_] + nnls(factor[:, open_], rhs - fixed)[0]
-        over = open_ & (fitted > high)
-        if not over.any():
-            break
-        fitted[over] = high[over]
-        open_ &= ~over
+    root = np.linalg.cholesky(A.T @ A + _RIDGE * np.eye(4 * n))
+    low, span = np.zeros(4 * n), (gains[1] - gains[0]) * size[:n]
+    low[:n] = gains[0] * size[:n]
+    rest = np.linalg.solve(root, A.T @ (due.ravel() - A @ low))
+    # What a gain has beyond its least, and what it lacks to its largest, are its span.
+    both = _SURELY * np.hstack([np.eye(4 * n)[:n], np.eye(n)])
+    bounded = np.vstack([np.hstack([root.T, np.zeros((4 * n, n))]), both])
+    fitted = low + nnls(bounded, np.concatenate([rest, _SURELY * span]))[0][: 4 * n]
     return np.asarray(fitted / size)

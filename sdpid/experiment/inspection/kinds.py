@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import pi
+from numbers import Real
 from string import Formatter
 from types import MappingProxyType
 from typing import Any, Literal
@@ -168,10 +169,8 @@ def found(
     numbers: dict[str, float] = {}
     for name, value in fields.items():
         if isinstance(value, np.ndarray):
-            numbers |= {
-                f"{name}_{axis}": float(each) for axis, each in zip("xyz", value, strict=True)
-            }
-        elif isinstance(value, (int, float, np.integer, np.floating)):
+            numbers |= {f"{name}_{axis}": x for axis, x in zip("xyz", value, strict=True)}
+        elif isinstance(value, Real):
             numbers[name] = float(value)
     return Finding(
         kind=kind,

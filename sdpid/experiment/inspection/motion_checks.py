@@ -144,7 +144,7 @@ _EARLIEST = -0.02
 @check
 def units_of_time(subject: Subject) -> Iterator[Finding]:
     """Say where the unit of time was inferred, and find rates of no robot's logger."""
-    log, rate = subject.log, subject.log.rate_hz
+    log, rate, rows = subject.log, subject.log.rate_hz, subject.low_passed
     for text in log.notes:
         if text.startswith("time:"):
             remedy = f"where that is wrong, {_GIVE_UNIT}"
@@ -152,29 +152,25 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
         else:
             # Else of who made the recording, such as a simulator.
             yield found("units" if text.startswith("units:") else "recording", note=text)
-    cause, remedy = "the stamps may be in s, and were read as ms, us or ns", _GIVE_UNIT
-    if rate < _SLOW_RATE:
-        cause, remedy = _read_as_seconds(rate)
+    numbers = {"rate": rate}
     if not _LEAST_RATE <= rate <= _FASTEST_RATE:
-        seen = (
-            f"time: a sample every {log.step:.6g} s is a rate of {rate:.3g} Hz, limit "
-            f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: {cause}"
-        )
-        limit = _LEAST_RATE if rate < _LEAST_RATE else _FASTEST_RATE
-        yield found("time_unit", seen=seen, remedy=remedy, rate=rate, limit=limit)
-    elif rate < _SLOW_RATE and (rows := subject.low_passed) is not None:
-        speed = float(np.abs(rows.velocity).max())
-        seen = (
-            f"time: at {rate:.3g} Hz no joint is faster than {speed:.2g} rad/s, limit "
-            f"{_LEAST_SPEED:g} rad/s: {cause}"
-        )
-        numbers = {"rate": rate, "speed": speed, "limit": _LEAST_SPEED}
-        if speed < _LEAST_SPEED:
-            yield found("time_unit", seen=seen, remedy=remedy, **numbers)
+        seen = f"a sample every {log.step:.6g} s is a rate of {rate:.3g} Hz, limit "
+        seen += f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz"
+        numbers["limit"] = _LEAST_RATE if rate < _LEAST_RATE else _FASTEST_RATE
+    elif rate < _SLOW_RATE and rows is not None and np.abs(rows.velocity).max() < _LEAST_SPEED:
+        numbers |= {"speed": float(np.abs(rows.velocity).max()), "limit": _LEAST_SPEED}
+        seen = f"at {rate:.3g} Hz no joint is faster than {numbers['speed']:.2g} rad/s, limit "
+        seen += f"{_LEAST_SPEED:g} rad/s"
+    else:
+        return
+    cause, remedy = _read_as_seconds(rate)
+    yield found("time_unit", seen=f"time: {seen}: {cause}", remedy=remedy, **numbers)
 
 
 def _read_as_seconds(rate: float) -> tuple[str, str]:
     """Return in which unit stamps are that make so low a rate as seconds, and how to give it."""
+    if rate > _FASTEST_RATE:
+        return "the stamps may be in s, and were read as ms, us or ns", _GIVE_UNIT
     rates = {unit: rate / seconds for unit, seconds in _UNITS.items()}
     likely = {unit: hz for unit, hz in rates.items() if _LEAST_RATE <= hz <= _FASTEST_RATE}
     if not likely:

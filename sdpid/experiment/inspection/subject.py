@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.delays import Delay, channel_delays
-from sdpid.experiment.inspection.explain import ExplainedLog, corrected, floating_log, searched
+from sdpid.experiment.inspection.explain import ExplainedLog, fixed_log, floating_log
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, note, refuse
 from sdpid.experiment.inspection.rows import FilteredRows, low_passed
 from sdpid.experiment.inspection.standing import Standing
@@ -28,6 +28,8 @@ from sdpid.experiment.recording.joints import lacking, match_joints, require_its
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
+
+_Made = TypeVar("_Made")
 
 KINDS.update(time_stamps=refuse("{why}", final=True), continued=note("{note}"))
 
@@ -73,10 +75,11 @@ class Subject:
             return cls(given=log, asked=robot, log=log, mismatch=refused)
         return cls(given=log, asked=robot, log=matched)
 
-    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
+    def _once(self, key: Any, make: Callable[[], _Made]) -> _Made:
         if key not in self._made:
             self._made[key] = make()
-        return self._made[key]
+        made: _Made = self._made[key]
+        return made
 
     @property
     def matched(self) -> Recording:
@@ -125,9 +128,7 @@ class Subject:
     @property
     def continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
         """The parts between gaps, angles continued, none if refused, and what is said of them."""
-        made: tuple[tuple[Recording, ...], list[Finding]]
-        made = self._once("continued", self._continued)
-        return made
+        return self._once("continued", self._continued)
 
     def _continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
         try:
@@ -204,12 +205,12 @@ class Subject:
         """The changes that make efforts follow from motion; None without masses to compare with."""
         if self.robot is None or self.closed:
             return None
-        if self.samples is not None:
-            log = floating_log(self.robot, self.samples, self.without)
-            return None if log is None else searched(log)
-        if self.fixed is None or self.low_passed is None:
-            return None
-        return corrected(self.fixed, self.low_passed)
+        if self.fixed is not None:
+            log = None if self.low_passed is None else fixed_log(self.fixed, self.low_passed)
+        else:
+            samples = self.samples
+            log = None if samples is None else floating_log(self.robot, samples, self.without)
+        return None if log is None else log.searched()
 
     def delays(self, unused: Collection[str] = ()) -> dict[str, Delay]:
         """Return how late each channel is (see `channel_delays`)."""
@@ -217,16 +218,12 @@ class Subject:
         if robot is None or not robot.free_flyer or robot.loops:
             return {}
         key = ("delays", frozenset(unused))
-        delays: dict[str, Delay] = self._once(key, lambda: channel_delays(robot, self.log, unused))
-        return delays
+        return self._once(key, lambda: channel_delays(robot, self.log, unused))
 
     def choice(self, changes: Processing | Mapping[str, Any] | None = None) -> Processing:
         """Return the processing that is chosen for it (see `default_processing`)."""
         source = changes.get("base_motion") if isinstance(changes, Mapping) else None
-        chosen: Processing = self._once(
-            ("choice", repr(source)), lambda: default_processing(self.given, changes)
-        )
-        return chosen
+        return self._once(("choice", repr(source)), lambda: default_processing(self.given, changes))
 
     def processed(self, processing: Processing | None = None) -> Samples:
         """Return its samples, joints matched with the robot's and loops closed.
@@ -238,8 +235,7 @@ class Subject:
             processed, or only one of the two has a floating base.
         """
         chosen = processing or self.choice()
-        samples: Samples = self._once(chosen, lambda: self._processed(chosen))
-        return samples
+        return self._once(chosen, lambda: self._processed(chosen))
 
     def _processed(self, processing: Processing) -> Samples:
         robot, named = self.asked, self.given
