@@ -5,11 +5,11 @@ import gzip
 import io
 import os
 import re
-import shutil
 import struct
 import sys
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-import sdpid
 from sdpid.errors import DataError, ExportError, MissingExtraError, SdpidError
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX
 from sdpid.experiment.readers.read import read_described, read_recording
@@ -31,87 +30,302 @@ from sdpid.experiment.recording.timestamps import guess_time_unit
 from tests.experiment.test_recording import log
 from tests.helpers.bags import JOINTS, write_bag
 from tests.helpers.damage import damaged
+from tests.helpers.logs import numbered, write_csv, write_npz
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
 
 N = 40
 RNG = np.random.default_rng(5)
-T = 0.25 * np.arange(N)
+T = 0.01 * np.arange(N)
 Q, TAU, DQ = (RNG.standard_normal((N, 2)) for _ in range(3))
-FRAME = pd.DataFrame(np.hstack([Q, TAU]), columns=["q1", "q2", "tau1", "tau2"])
+NAMES = numbered("q{}", "tau{}")
+FRAME = pd.DataFrame(np.hstack([Q, TAU]), columns=NAMES)
+ARRAYS = {"t": T, "q": Q, "tau": TAU}
 
 
-def same(log: Recording, *, velocity: bool = True) -> None:
-    np.testing.assert_array_equal(log.time, T)
-    np.testing.assert_array_equal(log.position, Q)
-    np.testing.assert_array_equal(log.effort, TAU)
+def close(log: Recording, *, velocity: bool = False, joints: Any = ()) -> None:
+    """Check that a log is the one that was written."""
+    np.testing.assert_allclose(log.time - log.time[0], T, atol=1e-9)
+    np.testing.assert_allclose(log.position, Q, rtol=1e-14)
+    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
+    assert (log.velocity is not None) == velocity
     if velocity:
-        np.testing.assert_array_equal(log.velocity, DQ)
+        np.testing.assert_allclose(log.velocity, DQ, rtol=1e-14)
+    assert joints == () or log.joint_names == joints
 
 
-def test_mat_of_what_cannot_be_read(tmp_path: Path):
-    file = tmp_path / "log.mat"
-    cell = np.empty(2, dtype=object)
-    cell[:] = [T, Q]
-    savemat(file, {"t": T, "q": cell, "tau": TAU})
-    refuses(DataError, "'q' is a cell array", read_recording, file)
-    savemat(file, {"t": T, "q": 1j * Q, "tau": TAU})
-    refuses(DataError, "position: 'q' holds complex", read_recording, file)
+# Functions that write a log of each format to a folder, and return its path.
 
 
-def matlab_73(file: Path, **arrays: Any) -> None:
+Writer = Callable[[Path], Path]
+AB = ("a", "b")
+
+
+def npz(**changes: Any) -> Writer:
+    return lambda folder: write_npz(folder / "log.npz", **{**ARRAYS, **changes})
+
+
+def mat(how: dict[str, Any] | None = None, **changes: Any) -> Writer:
+    def write(folder: Path) -> Path:
+        arrays = {name: one for name, one in {**ARRAYS, **changes}.items() if one is not None}
+        savemat(folder / "log.mat", arrays, **how or {})
+        return folder / "log.mat"
+
+    return write
+
+
+def h5(content: Callable[[h5py.File], None], name: str = "log.h5", **how: Any) -> Writer:
+    def write(folder: Path) -> Path:
+        with h5py.File(folder / name, "w", **how) as out:
+            content(out)
+        return folder / name
+
+    return write
+
+
+def parquet(**changes: Any) -> Writer:
+    def write(folder: Path) -> Path:
+        lists = {"t": T, "q": Q.tolist(), "tau": TAU.tolist()} | changes
+        pq.write_table(pa.table(lists), folder / "log.parquet")
+        return folder / "log.parquet"
+
+    return write
+
+
+def own_parquet(folder: Path, metadata: str | None = None) -> Path:
+    """Write a file of ours, whose metadata may say something else."""
+    file = folder / "log.parquet"
+    Recording(time=T, position=Q, effort=TAU, velocity=DQ, joint_names=AB).to_parquet(file)
+    if metadata is not None:
+        pq.write_table(pq.read_table(file).replace_schema_metadata({b"sdpid": metadata}), file)
+    return file
+
+
+def stated(metadata: str) -> Writer:
+    return lambda folder: own_parquet(folder, metadata)
+
+
+def bag(kind: str, **how: Any) -> Writer:
+    return lambda folder: write_bag(folder / "bag", kind, T, Q, DQ, TAU, **how)
+
+
+def feather(folder: Path) -> Path:
+    FRAME.assign(t=T).to_feather(folder / "log.feather")
+    return folder / "log.feather"
+
+
+def packed_npz(folder: Path) -> Path:
+    np.savez_compressed(folder / "log.npz", **NAMED, period=0.1)
+    return folder / "log.npz"
+
+
+TOML = """joint_names = ["a", "b"]
+period = 0.1
+start = 0.0
+periods = 3
+[columns]
+velocity = "none"
+position = "q"
+[units]
+position = "deg"
+effort = ["A", "mA"]
+[motors]
+position_matrix = [[32, 0], [1.5, -48]]
+offsets = [0.0, 1.0]
+torque_constants = [0.1, 0.2]
+"""
+
+
+def toml(folder: Path) -> Path:
+    npz()(folder)
+    (folder / "log.toml").write_text(TOML)
+    return folder / "log.toml"
+
+
+def cells(*values: Any) -> np.ndarray:
+    found = np.empty(len(values), dtype=object)
+    found[:] = values
+    return found
+
+
+def matlab_73(out: h5py.File) -> None:
     """Write as MATLAB does: reversed axes, classes in attributes, cells by reference."""
-    with h5py.File(file, "w", userblock_size=512) as out:
-        for name, value in arrays.items():
-            if isinstance(value, list):
-                cells = []
-                for k, text in enumerate(value):
-                    codes = np.array([[ord(c)] for c in text], dtype=np.uint16)
-                    node = out.create_dataset(f"#refs#/{k}", data=codes)
-                    node.attrs["MATLAB_class"] = np.bytes_("char")
-                    cells.append(node.ref)
-                node = out.create_dataset(name, data=np.array([cells]).T, dtype=h5py.ref_dtype)
-                node.attrs["MATLAB_class"] = np.bytes_("cell")
-            else:
-                node = out.create_dataset(name, data=np.atleast_2d(value).T)
-                node.attrs["MATLAB_class"] = np.bytes_("double")
-    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    with file.open("r+b") as raw:
-        raw.write(head)
+
+    def put(name: str, data: Any, kind: str, **more: Any) -> h5py.Dataset:
+        node = out.create_dataset(name, data=data, **more)
+        node.attrs["MATLAB_class"] = np.bytes_(kind)
+        return node
+
+    for name, value in {"t": T[:, None], "q": Q, "qd": DQ, "tau": TAU}.items():
+        put(name, value.T, "double")
+    letters = [np.array([[ord(letter)]], dtype=np.uint16) for letter in AB]
+    each = [put(f"#refs#/{k}", code, "char").ref for k, code in enumerate(letters)]
+    put("joint_names", np.array([each]).T, "cell", dtype=h5py.ref_dtype)
 
 
-def test_hdf5_joint_by_joint_tables_and_doubt(tmp_path: Path):
-    file = tmp_path / "log.hdf5"
-    with h5py.File(file, "w") as out:
-        for j, name in enumerate(("up", "down")):
-            out[f"joints/{name}/position"] = Q[:, j]
-            out[f"joints/{name}/effort"] = TAU[:, j]
-        out["t"] = T
-    sources = read_described(file).sources
-    assert sources["position"] == "joints/down/position ... joints/up/position"
-    # The library lists groups by the alphabet.
-    assert read_recording(file).joint_names == ("down", "up")
-    log = read_recording(file, joint_names=["up", "down"])
-    np.testing.assert_array_equal(log.effort, TAU)
-    table = np.zeros(N, dtype=[("t", float), ("q_1", float), ("q_2", float), ("tau", float, (2,))])
-    table["t"], table["q_1"], table["q_2"], table["tau"] = T, Q[:, 0], Q[:, 1], TAU
-    with h5py.File(file, "w") as out:
-        out["log"] = table
-    same(read_recording(file), velocity=False)
-    with h5py.File(file, "w") as out:
-        for run in ("first", "second"):
-            out[f"{run}/t"], out[f"{run}/q"], out[f"{run}/tau"] = T, Q, TAU
-    refuses(DataError, "position is there more than once: first/q, second/q", read_recording, file)
+def grouped(out: h5py.File) -> None:
+    out.create_dataset("arm/q", data=Q, compression="gzip", chunks=(8, 2))
+    out["arm/tau"], out["arm/velocity"] = TAU, DQ
+    out["arm"].attrs["joint_names"] = list(AB)
+    out.attrs["fs"] = 100.0
+
+
+def table(out: h5py.File) -> None:
+    kinds = [("t", float), ("q_1", float), ("q_2", float), ("tau", float, (2,))]
+    rows = zip(T, Q[:, 0], Q[:, 1], TAU, strict=True)
+    out["log"] = np.array([(t, a, b, tau) for t, a, b, tau in rows], dtype=kinds)
+
+
+NAMED = {**ARRAYS, "dq": DQ, "joint_names": np.array(AB)}
+STRUCT = {"q": None, "joint_names": cells(*AB), "log": {"q": Q, "dq": DQ}}
+# How a log is written, whether it has velocities, and its joints.
+LOGS: dict[str, tuple[Writer, bool, Any]] = {
+    "csv": (lambda f: write_csv(f / "log.csv", ["t", *NAMES], T, Q, TAU), False, None),
+    "toml": (toml, False, AB),
+    "npz": (packed_npz, True, AB),
+    "npz plain": (npz(**NAMED), True, AB),
+    "mat 4": (mat({"format": "4"}), False, None),
+    "mat 5": (mat(**STRUCT), True, AB),
+    "mat 7": (mat({"do_compression": True}, **STRUCT), True, AB),
+    "mat 7.3": (h5(matlab_73, "log.mat", userblock_size=512), True, AB),
+    "hdf5": (h5(grouped), True, AB),
+    "hdf5 table": (h5(table, "log.hdf5"), False, None),
+    "feather": (feather, False, None),
+    "parquet": (parquet(), False, None),
+    "own parquet": (own_parquet, True, AB),
+    "db3": (bag("db3"), True, JOINTS),
+    "mcap": (bag("mcap"), True, JOINTS),
+    "ros1": (bag("ros1"), True, JOINTS),
+    "folder": (bag("folder"), True, JOINTS),
+    "files packed": (bag("db3", packed="FILE"), True, JOINTS),
+    "messages packed": (bag("db3", packed="MESSAGE"), True, JOINTS),
+    "chunks packed": (bag("mcap", packed="STORAGE"), True, JOINTS),
+}
+
+
+@pytest.mark.parametrize("kind", [kind for kind in LOGS if kind != "toml"])
+def test_every_format_is_read(tmp_path: Path, kind: str):
+    write, velocity, joints = LOGS[kind]
+    file = write(tmp_path)
+    close(read_recording(file), velocity=velocity, joints=joints)
+    if kind == "mcap":
+        turned = read_recording(file, joint_names=JOINTS[::-1], topic="/joint_states")
+        np.testing.assert_array_equal(turned.position, Q[:, ::-1])
+        late = read_recording(file, columns={"time": "bag_time"})
+        np.testing.assert_allclose(late.time, 2.0 * T, atol=1e-9)
+
+
+class Bomb:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (pytest.fail, ("a pickle was executed",))
+
+
+BOXED = np.array(Bomb(), dtype=object)
+
+
+def twice(out: h5py.File) -> None:
+    for run in ("first", "second"):
+        out[f"{run}/t"], out[f"{run}/q"], out[f"{run}/tau"] = T, Q, TAU
+
+
+def elsewhere(out: h5py.File) -> None:
+    out["t"], out["tau"] = T, TAU
+    out.create_dataset("q", (N, 2), "f8", external=[("raw", 0, N * 16)])
+
+
+ROWS = 200_000_000
+
+
+def claims_of_h5(out: h5py.File) -> None:
+    out["t"], out["tau"] = T, TAU
+    out.create_dataset("q", (ROWS, 2), "f8", chunks=(1024, 2))
+
+
+def claims_of_npz(folder: Path) -> Path:
+    file = npz(q=None)(folder)
+    claim = np.lib.format.header_data_from_array_1_0(Q) | {"shape": (ROWS, 2)}
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, claim)
+    with zipfile.ZipFile(file, "a") as archive:
+        archive.writestr("q.npy", header.getvalue() + bytes(64))
+    return file
+
+
+def claims_of_mat(folder: Path) -> Path:
+    # Dimensions are an element of two int32, before the one with the name.
+    there, claimed = ((k).to_bytes(4, "little") + (2).to_bytes(4, "little") for k in (N, ROWS))
+    file = mat(t=None, tau=None)(folder)
+    file.write_bytes(file.read_bytes().replace(there, claimed))
+    return file
+
+
+OTHERS = '{"format": 1, "joint_names": ["a", "c"]}'
+REFUSED: list[tuple[Writer, str]] = [
+    (mat(q=cells(T, Q)), "'q' is a cell array"),
+    (mat(q=1j * Q), "position: 'q' holds complex"),
+    (h5(twice), "position is there more than once: first/q, second/q"),
+    (h5(elsewhere), "'q' is kept in another file"),
+    (h5(claims_of_h5), r"'q' claims 200,000,000 × 2 values, 3\.2 GB"),
+    (claims_of_npz, "'q' is damaged"),
+    (claims_of_mat, "cannot reshape array of size 80 into"),
+    (npz(q=BOXED), "'q' holds Python objects"),
+    (parquet(q=[[1.0], *Q[1:].tolist()]), "'q' is ragged: its rows have 1 to 2"),
+    (parquet(q=[None, *Q[1:].tolist()]), "column 'q' has 1 missing values"),
+    (parquet(q=[1.0, None, *T[2:]]), "row 2: position: 'q' has no value"),
+    (stated("{"), "metadata under 'sdpid' is damaged"),
+    (stated('{"format": 7}'), "is of format 7, this version reads"),
+    (stated('{"format": 1, "joint_names": []}'), "it names no joints"),
+    (stated(OTHERS), "lacks the columns position_c"),
+    (bag("mcap", gripper=True), "several sets of joints: up, down; finger"),
+    (bag("mcap", ragged=7), "message 8 has 0 entries of effort for 2 joints"),
+    (lambda folder: folder, r"without metadata\.yaml.*without text files"),
+]
+
+
+@pytest.mark.parametrize(("write", "words"), REFUSED)
+def test_what_is_refused(tmp_path: Path, write: Writer, words: str):
+    refuses(DataError, words, read_recording, write(tmp_path))
+
+
+def test_names_pick_what_is_read_among_others(tmp_path: Path):
+    file = h5(twice)(tmp_path)
     where = {"time": "second/t", "position": "second/q", "effort": "second/tau"}
-    same(read_recording(file, columns=where), velocity=False)
+    close(read_recording(file, columns=where))
+    file = bag("mcap", gripper=True)(tmp_path)
+    np.testing.assert_array_equal(read_recording(file, joint_names=JOINTS).position, Q)
+    for how, words in (
+        ({"joint_names": ("up", "thumb")}, "message 1 lacks thumb"),
+        ({"topic": "/states"}, "no topic /states.*there is /joint_states"),
+    ):
+        refuses(DataError, words, read_recording, file, **how)
+    # An object beside the data does no harm, as long as it is not wanted.
+    close(read_recording(npz(config=BOXED)(tmp_path)))
 
 
-def test_hdf5_of_other_files_is_refused(tmp_path: Path):
-    file = tmp_path / "log.h5"
-    with h5py.File(file, "w") as out:
-        out["t"], out["tau"] = T, TAU
-        out.create_dataset("q", (N, 2), "f8", external=[(str(tmp_path / "raw"), 0, N * 16)])
-    refuses(DataError, "'q' is kept in another file", read_recording, file)
+def test_hdf5_joint_by_joint(tmp_path: Path):
+    def content(out: h5py.File) -> None:
+        out["t"] = T
+        for j, name in enumerate(("up", "down")):
+            out[f"joints/{name}/position"], out[f"joints/{name}/effort"] = Q[:, j], TAU[:, j]
+
+    reading = read_described(h5(content)(tmp_path))
+    assert reading.sources["position"] == "joints/down/position ... joints/up/position"
+    # The library lists groups by the alphabet.
+    assert reading.recording.joint_names == ("down", "up")
+    close(read_recording(tmp_path / "log.h5", joint_names=["up", "down"]))
+
+
+def test_own_parquet_and_overrides(tmp_path: Path):
+    file = tmp_path / "log.PARQUET"
+    log = Recording(time=T, position=Q, effort=TAU, joint_names=("up", "down"), period=0.1)
+    log.to_parquet(file)
+    again = read_recording(file)
+    assert again.period == 0.1
+    assert again.effort.tobytes() == log.effort.tobytes()
+    assert read_recording(file, period=0.2).period == 0.2
+    turned = read_recording(file, joint_names=["down", "up"])
+    np.testing.assert_array_equal(turned.position, Q[:, ::-1])
+    assert turned.period == 0.1
 
 
 def test_parquet_and_csv_by_pandas(tmp_path: Path):
@@ -121,58 +335,25 @@ def test_parquet_and_csv_by_pandas(tmp_path: Path):
         frame[f"joint_{j}_velocity"] = DQ[:, j - 1]
         frame[f"joint_{j}_torque"] = TAU[:, j - 1]
         frame[f"joint_{j}_target_position"] = 0.0
-    file = tmp_path / "log.parquet"
-    frame.to_parquet(file)
-    log = read_recording(file)
-    np.testing.assert_allclose(log.time, T, atol=1e-12)
-    np.testing.assert_allclose(log.position, Q, rtol=1e-14)
-    np.testing.assert_array_equal(log.velocity, DQ)
-    assert log.joint_names == ("joint_1", "joint_2")
-    frame["time"] = T
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    np.testing.assert_allclose(read_recording(tmp_path / "log.csv").position, Q, rtol=1e-14)
+    frame.to_parquet(tmp_path / "log.parquet")
+    frame.assign(time=T).to_csv(tmp_path / "log.csv", index=False)
+    for suffix in ("parquet", "csv"):
+        found = read_recording(tmp_path / f"log.{suffix}")
+        close(found, velocity=True, joints=("joint_1", "joint_2"))
 
 
 def test_csv_as_a_ur_controller_writes_it(tmp_path: Path):
-    names = ["timestamp", *(f"{key}_{j}" for key in ("target_q", "actual_q") for j in range(2))]
-    names += [f"{key}_{j}" for key in ("actual_qd", "actual_current") for j in range(2)]
-    rows = np.column_stack([T, 0 * Q, Q, DQ, TAU])
-    file = tmp_path / "log.csv"
-    np.savetxt(file, rows, header=" ".join(names), comments="", fmt="%.17g")
-    with pytest.raises(DataError, match="actual_current_0, actual_current_1 look like currents"):
-        read_recording(file)
+    keys = ("target_q", "actual_q", "actual_qd", "actual_current")
+    names = ["timestamp", *(f"{key}_{j}" for key in keys for j in range(2))]
+    file = write_csv(tmp_path / "log.csv", names, T, 0 * Q, Q, DQ, TAU / [0.01, 0.012], mark=" ")
+    words = "actual_current_0, actual_current_1 look like currents"
+    refuses(DataError, words, read_recording, file)
     how = {"columns": {"effort": "actual_current"}, "units": {"effort": "mA"}}
     log = read_recording(file, **how, effort_scale=[10.0, 12.0])
     np.testing.assert_array_equal(log.position, Q)
-    np.testing.assert_array_equal(log.velocity, DQ)
-    np.testing.assert_allclose(log.effort, TAU * 1e-3 * [10.0, 12.0], rtol=1e-15)
-
-
-@pytest.mark.parametrize("kind", ["db3", "mcap", "folder", "ros1"])
-def test_ros_bags_by_rosbags(tmp_path: Path, kind: str):
-    file = write_bag(tmp_path / "bag", kind, T, Q, DQ, TAU)
-    log = read_recording(file)
-    np.testing.assert_allclose(log.time, T, atol=1e-9)
-    np.testing.assert_array_equal(log.position, Q)
-    np.testing.assert_array_equal(log.velocity, DQ)
-    np.testing.assert_array_equal(log.effort, TAU)
-    assert log.joint_names == JOINTS
-    turned = read_recording(file, joint_names=JOINTS[::-1], topic="/joint_states")
-    np.testing.assert_array_equal(turned.position, Q[:, ::-1])
-    late = read_recording(file, columns={"time": "bag_time"})
-    np.testing.assert_allclose(late.time, 2.0 * T, atol=1e-9)
-
-
-def test_ros_bags_of_several_sources(tmp_path: Path):
-    file = write_bag(tmp_path / "bag", "mcap", T, Q, DQ, TAU, gripper=True)
-    refuses(DataError, "several sets of joints: up, down; finger", read_recording, file)
-    np.testing.assert_array_equal(read_recording(file, joint_names=JOINTS).position, Q)
-    refuses(DataError, "message 1 lacks thumb", read_recording, file, joint_names=("up", "thumb"))
-    with pytest.raises(DataError, match=r"no topic /states.*there is /joint_states"):
-        read_recording(file, topic="/states")
-    file = write_bag(tmp_path / "ragged", "mcap", T, Q, DQ, TAU, ragged=7)
-    refuses(DataError, "message 8 has 0 entries of effort for 2 joints", read_recording, file)
-    refuses(DataError, r"without metadata\.yaml.*without text files", read_recording, tmp_path)
+    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
+    # Which currents are found where they can be scaled.
+    assert read_recording(file, effort_scale=[1.0, 1.0]).effort.shape == (N, 2)
 
 
 @pytest.mark.parametrize(
@@ -189,58 +370,22 @@ def test_missing_packages_are_named_with_what_installs_them(
 
 
 def test_several_logs_at_once(tmp_path: Path):
-    np.savez(tmp_path / "1.npz", t=T, q=Q, tau=TAU)
-    np.savez(tmp_path / "2.npz", t=T, q=Q[:, :1], tau=TAU[:, :1])
-    first = tmp_path / "1.npz"
+    first = write_npz(tmp_path / "1.npz", **ARRAYS)
+    second = write_npz(tmp_path / "2.npz", t=T, q=Q[:, :1], tau=TAU[:, :1])
     assert [log.n_samples for log in read_recording([first, first])] == [N, N]
-    refuses(DataError, r"2\.npz: has the joints 1", read_recording, [first, tmp_path / "2.npz"])
+    refuses(DataError, r"2\.npz: has the joints 1", read_recording, [first, second])
 
 
 def test_joints_of_arrays_are_ordered_by_name(tmp_path: Path):
-    file = tmp_path / "log.npz"
-    np.savez(file, t=T, q=Q, tau=TAU, joint_names=["up", "down"], effort_scale=[1.0, 2.0])
+    named = {"joint_names": ["up", "down"], "effort_scale": [1.0, 2.0]}
+    file = npz(**named)(tmp_path)
     log = read_recording(file, joint_names=["down", "up"])
     np.testing.assert_array_equal(log.position, Q[:, ::-1])
     np.testing.assert_array_equal(log.effort, TAU[:, ::-1] * [2.0, 1.0])
     assert read_recording(file, joint_names=["down"]).n == 1
     assert read_recording(file, joint_names=["x", "y"]).joint_names == ("x", "y")
-    with pytest.raises(DataError, match="joint_names are up, side, the file has up, down"):
-        read_recording(file, joint_names=["up", "side"])
-
-
-ROWS = 200_000_000
-
-
-def claim_npz(file: Path) -> None:
-    np.savez(file, t=T, tau=TAU)
-    claim = np.lib.format.header_data_from_array_1_0(Q) | {"shape": (ROWS, 2)}
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, claim)
-    with zipfile.ZipFile(file, "a") as archive:
-        archive.writestr("q.npy", header.getvalue() + bytes(64))
-
-
-def claim_h5(file: Path) -> None:
-    with h5py.File(file, "w") as out:
-        out["t"], out["tau"] = T, TAU
-        out.create_dataset("q", (ROWS, 2), "f8", chunks=(1024, 2))
-
-
-def claim_mat(file: Path) -> None:
-    savemat(file, {"t": T, "tau": TAU, "q": Q})
-    raw = bytearray(file.read_bytes())
-    # Dimensions are an element of two int32, before the one with the name.
-    place = raw.rindex(N.to_bytes(4, "little") + (2).to_bytes(4, "little"))
-    raw[place : place + 4] = ROWS.to_bytes(4, "little")
-    file.write_bytes(raw)
-
-
-@pytest.mark.parametrize("claim", [claim_npz, claim_h5, claim_mat])
-def test_claims_of_headers_do_not_take_memory(tmp_path: Path, claim: Any):
-    file = tmp_path / f"log.{claim.__name__.removeprefix('claim_')}"
-    claim(file)
-    words = r"'q' claims 200,000,000 × 2 values, 3\.2 GB|reading array data|cannot reshape array of"
-    refuses(DataError, words, read_recording, file)
+    words = "joint_names are up, side, the file has up, down"
+    refuses(DataError, words, read_recording, file, joint_names=["up", "side"])
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".own.parquet", ".npz"])
@@ -248,13 +393,11 @@ def test_logs_beyond_memory_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ):
     monkeypatch.setattr("sdpid._common.sandbox._MOST_MEMORY", 30_000)
-    rows = 2000
-    t, q = np.arange(rows), np.zeros((rows, 2))
-    file = tmp_path / f"log{suffix}"
+    t, q, file = np.arange(2000), np.zeros((2000, 2)), tmp_path / f"log{suffix}"
     if suffix == ".own.parquet":
         Recording(time=t, position=q, effort=q).to_parquet(file)
     elif suffix == ".parquet":
-        pd.DataFrame({"t": t, "q1": t, "q2": t, "tau1": t, "tau2": t}).to_parquet(file)
+        pd.DataFrame(dict.fromkeys(["t", *NAMES], t)).to_parquet(file)
     else:
         np.savez_compressed(file, t=t, q=q, tau=q)
     refuses(DataError, r"more than the limit of 0\.03 MB; cut the log", read_recording, file)
@@ -269,12 +412,12 @@ def test_the_sandbox_limits_the_memory_of_a_log(
     monkeypatch.setattr("sdpid._common.sandbox._BASE_MEMORY", 80_000_000)
     monkeypatch.setattr("sdpid._common.sandbox._MOST_MEMORY", 30_000_000)
     rows = 2_000_000
-    t, q, file = np.arange(rows), np.zeros((rows, 2)), tmp_path / f"log{suffix}"
+    large = {"t": np.arange(rows), "q": np.zeros((rows, 2)), "tau": np.zeros((rows, 2))}
+    file = tmp_path / f"log{suffix}"
     if suffix == ".mat":
-        savemat(file, {"t": t, "q": q, "tau": q}, do_compression=True)
+        mat({"do_compression": True}, **large)(tmp_path)
     else:
-        with h5py.File(file, "w") as out:
-            out["t"], out["q"], out["tau"] = t, q, q
+        h5(lambda out: out.update(large))(tmp_path)
     refuses(DataError, r"needs more memory than the limit of 0\.03 GB", read_recording, file)
 
 
@@ -286,135 +429,27 @@ def test_the_sandbox_limits_the_memory_of_a_log(
 COUNT = int(os.environ.get("SDPID_FUZZ", "40"))
 # Of formats that are read in a child process, which takes half a second to start.
 COUNT_IN_SANDBOX = 1 + COUNT // 10
-TOML = b"""joint_names = ["a", "b"]
-period = 2.5
-start = 0.0
-periods = 3
-[columns]
-velocity = "none"
-position = "q"
-[units]
-position = "deg"
-effort = ["A", "mA"]
-[motors]
-position_matrix = [[32, 0], [1.5, -48]]
-offsets = [0.0, 1.0]
-torque_constants = [0.1, 0.2]
-"""
 
 
-def write_csv(folder: Path) -> Path:
-    FRAME.assign(t=T).to_csv(folder / "log.csv", index=False)
-    return folder / "log.csv"
-
-
-def write_toml(folder: Path) -> Path:
-    np.savez(folder / "log.npz", t=T, q=Q, tau=TAU)
-    (folder / "log.toml").write_bytes(TOML)
-    return folder / "log.toml"
-
-
-def write_npz(folder: Path, packed: bool = True) -> Path:
-    save = np.savez_compressed if packed else np.savez
-    save(folder / "log.npz", t=T, q=Q, tau=TAU, joint_names=["a", "b"], period=2.5)
-    return folder / "log.npz"
-
-
-def write_mat(folder: Path, version: str) -> Path:
-    content = {"t": T, "tau": TAU, "joint_names": np.array(["a", "b"], dtype=object)}
-    file = folder / "log.mat"
-    if version == "4":
-        savemat(file, {"t": T, "q": Q, "tau": TAU}, format="4")
-    else:
-        inside = {"log": {"q": Q, "dq": DQ}}
-        savemat(file, content | inside, do_compression=version == "7")
-    return file
-
-
-def write_mat_73(folder: Path) -> Path:
-    matlab_73(folder / "log.mat", t=T[:, None], q=Q, qd=DQ, tau=TAU, joint_names=["a", "b"])
-    return folder / "log.mat"
-
-
-def write_h5(folder: Path) -> Path:
-    with h5py.File(folder / "log.h5", "w") as out:
-        out.create_dataset("arm/q", data=Q, compression="gzip", chunks=(8, 2))
-        out["arm/tau"], out["arm/velocity"] = TAU, DQ
-        out["arm"].attrs["joint_names"] = ["a", "b"]
-        out.attrs["fs"] = 4.0
-    return folder / "log.h5"
-
-
-def write_table(folder: Path, own: bool) -> Path:
-    file = folder / "log.parquet"
-    if own:
-        sdpid.Recording(
-            time=T, position=Q, effort=TAU, velocity=DQ, joint_names=("a", "b")
-        ).to_parquet(file)
-    else:
-        pd.DataFrame({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}).to_parquet(file)
-    return file
-
-
-def write_feather(folder: Path) -> Path:
-    pd.read_csv(write_csv(folder)).to_feather(folder / "log.feather")
-    return folder / "log.feather"
-
-
-WRITERS = {
-    "csv": write_csv,
-    "toml": write_toml,
-    "npz": write_npz,
-    "npz plain": lambda folder: write_npz(folder, packed=False),
-    "mat 4": lambda folder: write_mat(folder, "4"),
-    "mat 5": lambda folder: write_mat(folder, "5"),
-    "mat 7": lambda folder: write_mat(folder, "7"),
-    "mat 7.3": write_mat_73,
-    "hdf5": write_h5,
-    "feather": write_feather,
-    "parquet": lambda folder: write_table(folder, own=False),
-    "own parquet": lambda folder: write_table(folder, own=True),
-    "db3": lambda folder: write_bag(folder / "bag", "db3", T, Q, DQ, TAU),
-    "mcap": lambda folder: write_bag(folder / "bag", "mcap", T, Q, DQ, TAU),
-    "ros1": lambda folder: write_bag(folder / "bag", "ros1", T, Q, DQ, TAU),
-}
-
-
-# Kinds without velocities, and those without names of joints.
-STILL = ("csv", "toml", "npz", "npz plain", "mat 4", "feather", "parquet")
-UNNAMED = ("csv", "mat 4", "feather", "parquet")
-
-
-@pytest.mark.parametrize(
-    "kind", [kind for kind in WRITERS if kind not in ("toml", "db3", "mcap", "ros1")]
-)
-def test_every_format_is_read(tmp_path: Path, kind: str):
-    log = read_recording(WRITERS[kind](tmp_path))
-    same(log, velocity=kind not in STILL)
-    assert log.joint_names == (None if kind in UNNAMED else ("a", "b"))
-
-
-@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("kind", [kind for kind in LOGS if kind not in list(LOGS)[-4:]])
 def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
-    file = WRITERS[kind](tmp_path)
+    file = LOGS[kind][0](tmp_path)
     log = tmp_path / "log.npz" if kind == "toml" else file
     content = file.read_bytes()
     count = COUNT_IN_SANDBOX if BY_SUFFIX[log.suffix].sandboxed else COUNT
     rng = np.random.default_rng([COUNT, *kind.encode()])
+    refused = 0
     with warnings.catch_warnings():
         # Libraries may warn of what they find in a damaged file; that is not ours.
         warnings.simplefilter("ignore")
-        assert sdpid.read_recording(log).n == 2
-        refused = 0
+        assert read_recording(log).n == 2
         for _ in range(count):
             file.write_bytes(damaged(content, rng, kind in ("csv", "toml")))
             try:
-                sdpid.read_recording(log)
+                read_recording(log)
             except SdpidError:
                 refused += 1
     assert 0 < refused <= count
-    shutil.rmtree(tmp_path)
-    print(f"{kind}: {refused} of {count} damaged files refused, the others read")
 
 
 @pytest.mark.parametrize("suffix", sorted(BY_SUFFIX))
@@ -424,14 +459,16 @@ def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
     # A child process for each takes a moment.
     for content in contents[: 1 if BY_SUFFIX[suffix].sandboxed else None]:
         file.write_bytes(content)
-        refuses(DataError, r"log\.", sdpid.read_recording, file)
+        refuses(DataError, r"log\.", read_recording, file)
 
 
 @pytest.mark.parametrize("content", [np.random.default_rng(0).bytes(500), b"", b"1,2\n3\n"])
 def test_garbage_in_a_folder_of_matrices_is_a_data_error(tmp_path: Path, content: bytes):
     for name in ("t", "q", "tau"):
         (tmp_path / f"{name}.dat").write_bytes(content)
-    refuses(DataError, r"\.dat: is", sdpid.read_recording, tmp_path)
+    refuses(DataError, r"\.dat: is", read_recording, tmp_path)
+    (tmp_path / "q.txt").write_bytes(content)
+    refuses(DataError, r"q\.dat and q\.txt have the same name", read_recording, tmp_path)
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -454,15 +491,11 @@ def chunk(claimed: int, name: str, data: bytes) -> bytes:
 
 def packed(name: str, size: int) -> bytes:
     """Zeros, compressed."""
-    if name == "bz2":
-        return bz2.compress(bytes(size))
-    if name == "lz4":
-        import lz4.frame
-
-        return lz4.frame.compress(bytes(size))
+    import lz4.frame
     from rosbags.rosbag2.reader import zstd
 
-    return zstd.compress(bytes(size))
+    pack = {"bz2": bz2.compress, "lz4": lz4.frame.compress, "zstd": zstd.compress}[name]
+    return pack(bytes(size))
 
 
 def ros1_chunk(name: str, size: int) -> bytes:
@@ -488,120 +521,62 @@ BOMBS = {
     "a summary that is none.mcap": lambda: mcap(record(2, struct.pack("<QQI", 12, 0, 0))),
     "bz2.bag": lambda: ros1_chunk("bz2", 1 << 26),
     "lz4.bag": lambda: ros1_chunk("lz4", 1 << 26),
-    "nested metadata.parquet": lambda: nested_metadata(),
     "bomb.csv.gz": lambda: gzip.compress(b"t,q1,tau1\n" + b"1,2,3" * 1_000_000),
     "deep names.mat": lambda: b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\xff" * 64,
 }
 
 
-def nested_metadata() -> bytes:
-    out = io.BytesIO()
-    table = pa.table({"time": T, "position_1": T, "effort_1": T})
-    pq.write_table(table.replace_schema_metadata({b"sdpid": b"[" * 100_000}), out)
-    return out.getvalue()
-
-
-@pytest.mark.parametrize("name", BOMBS)
+@pytest.mark.parametrize("name", [*BOMBS, "log.parquet"])
 def test_files_that_did_harm_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ):
     monkeypatch.setattr("sdpid._common.sandbox._MOST_MEMORY", 100_000_000)
-    (tmp_path / name).write_bytes(BOMBS[name]())
-    refuses(DataError, re.escape(name), sdpid.read_recording, tmp_path / name)
+    if name in BOMBS:
+        (tmp_path / name).write_bytes(BOMBS[name]())
+    else:
+        stated("[" * 100_000)(tmp_path)
+    refuses(DataError, re.escape(name), read_recording, tmp_path / name)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 def test_a_fifo_is_no_log(tmp_path: Path):
     for name in ("log.csv", "log.toml"):
         os.mkfifo(tmp_path / name)
-    refuses(DataError, r"log\.csv: is no regular file", sdpid.read_recording, tmp_path / "log.csv")
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    with pytest.raises(DataError, match=r"log\.toml: it is no regular file"):
-        sdpid.read_recording(tmp_path / "log.npz", mapping=tmp_path / "log.toml")
-
-
-@pytest.mark.parametrize(
-    ("mode", "plugin"),
-    [("NONE", "MCAP"), ("FILE", "SQLITE3"), ("MESSAGE", "SQLITE3"), ("STORAGE", "MCAP")],
-)
-def test_honest_compressed_bags_are_read(tmp_path: Path, mode: str, plugin: str):
-    """Written by the library, compressed in every way that it knows."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
-    stamp = store.types["builtin_interfaces/msg/Time"]
-    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[plugin])
-    if mode != "NONE":
-        writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with writer as out:
-        where = out.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        for k in range(50):
-            row = np.array([0.1 * k, 0.2])
-            message = state(header(stamp(k, 0), ""), ["a", "b"], row, row, row)
-            out.write(where, k * 10**9, store.serialize_cdr(message, state.__msgtype__))
-    assert sdpid.read_recording(tmp_path / "bag").position.shape == (50, 2)
+    refuses(DataError, r"log\.csv: is no regular file", read_recording, tmp_path / "log.csv")
+    file, mapping = npz()(tmp_path), tmp_path / "log.toml"
+    words = r"log\.toml: it is no regular file"
+    refuses(DataError, words, read_recording, file, mapping=mapping)
 
 
 # Logs as people have them: other names, units, decimal marks, stamps and gaps.
-
-
-TIME = 0.01 * np.arange(N)
-
-
-def write(file: Path, header: str, *tables: Any, mark: str = ",", decimal: str = ".") -> Path:
-    rows = np.column_stack(tables)
-    lines = [header] if header else []
-    lines += [mark.join(repr(float(v)).replace(".", decimal) for v in row) for row in rows]
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return file
-
-
-def npz(folder: Path, **arrays: Any) -> Path:
-    np.savez(folder / "log.npz", **arrays)
-    return folder / "log.npz"
-
-
-def close(log: Any, *, velocity: bool = False) -> None:
-    np.testing.assert_allclose(log.time - log.time[0], TIME, atol=1e-12)
-    np.testing.assert_allclose(log.position, Q, rtol=1e-14)
-    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
-    assert (log.velocity is not None) == velocity
-    if velocity:
-        np.testing.assert_allclose(log.velocity, DQ, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
     ("unit", "factor", "start"),
     [
         *(("ns", 1e9, s) for s in (0, 17, 1_700_000_000 * 10**9)),
-        *(("us", 1e6, s) for s in (0, 5_000_000, 1_700_000_000 * 10**6)),
-        *(("ms", 1e3, s) for s in (0, 12, 1_700_000_000 * 10**3)),
+        *(("us", 1e6, s) for s in (0, 1_700_000_000 * 10**6)),
+        *(("ms", 1e3, s) for s in (0, 1_700_000_000 * 10**3)),
     ],
 )
 @pytest.mark.parametrize("kind", ["integers", "floats", "csv"])
 def test_whole_stamps_tell_their_unit(
     tmp_path: Path, unit: str, factor: float, start: int, kind: str
 ):
-    stamps = start + np.rint(TIME * factor).astype(np.int64)
+    stamps = start + np.rint(T * factor).astype(np.int64)
+    file = tmp_path / "log.csv"
     if kind == "csv":
-        frame = pd.DataFrame({"t": stamps, "q1": Q[:, 0], "tau1": TAU[:, 0]})
-        frame.to_csv(tmp_path / "log.csv", index=False)
-        file = tmp_path / "log.csv"
+        FRAME.assign(t=stamps).to_csv(file, index=False)
     else:
-        file = npz(tmp_path, t=stamps if kind == "integers" else stamps * 1.0, q=Q, tau=TAU)
+        stamps = stamps if kind == "integers" else stamps * 1.0
+        file = npz(t=stamps)(tmp_path)
     reading = read_described(file)
+    found = reading.recording.time
     # A double holds nanoseconds since 1970 to 256 of them.
     exact = kind != "floats" or start < 10**16
-    np.testing.assert_allclose(
-        reading.recording.time - reading.recording.time[0], TIME, atol=1e-12 if exact else 1e-6
-    )
+    np.testing.assert_allclose(found - found[0], T, atol=1e-12 if exact else 1e-6)
     assert reading.recording.rate_hz == pytest.approx(100.0, rel=1e-4)
     assert f"taken for {unit}" in reading.sources["time"]
-    # What is said is believed.
-    seconds = npz(tmp_path, t=np.arange(N), q=Q, tau=TAU)
-    assert read_recording(seconds, units={"time": "s"}).rate_hz == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("rate", [21.0, 100.0, 125.0, 1000.0, 4000.0, 8000.0])
@@ -615,34 +590,27 @@ def test_stamps_in_seconds_are_left_alone(rate: float):
     assert guess_time_unit(np.array([5])) == "s"
 
 
-def test_columns_called_period_and_start_are_left_alone(tmp_path: Path):
-    header = "t,q1,q2,tau1,tau2,period,start,periods,rate"
-    file = write(tmp_path / "log.csv", header, TIME, Q, TAU, DQ, DQ)
+def test_arrays_that_are_something_else_are_left_alone(tmp_path: Path):
+    names = ["t", *NAMES, "period", "start", "periods", "rate"]
+    file = write_csv(tmp_path / "log.csv", names, T, Q, TAU, DQ, DQ)
     log = read_recording(file)
     close(log)
-    assert log.period is None
-    assert log.start is None
-    with pytest.raises(DataError, match="'period' for period has 40 values, expected one"):
-        read_recording(file, columns={"period": "period"})
-    assert read_recording(npz(tmp_path, t=TIME, q=Q, tau=TAU, period=0.2)).period == 0.2
-
-
-def test_arrays_that_only_begin_like_a_quantity(tmp_path: Path):
-    others = {
-        "dq_logged": DQ,
-        "tau_model": TAU,
-        "q_ref": Q,
-        "tau_hat": TAU,
-        "q_note": np.array("x"),
-    }
-    close(read_recording(npz(tmp_path, t=TIME, q=Q, tau=TAU, **others)))
-    # Of one joint.
-    single = {"t": TIME, "q": Q[:, 0], "tau": TAU[:, 0], "dq_logged": DQ[:, 0], "tau_model": TIME}
-    log = read_recording(npz(tmp_path, **single))
-    assert log.n == 1
-    assert log.velocity is None
-    header = "t,position_a,position_b,effort_a,effort_b,effort_model"
-    close(read_recording(write(tmp_path / "log.csv", header, TIME, Q, TAU, TIME)))
+    assert (log.period, log.start) == (None, None)
+    words = "'period' for period has 40 values, expected one"
+    refuses(DataError, words, read_recording, file, columns={"period": "period"})
+    file = tmp_path / "log.npz"
+    assert read_recording(npz(period=0.2)(tmp_path)).period == 0.2
+    # What is said of whole stamps is believed.
+    seconds = npz(t=np.arange(N))(tmp_path)
+    assert read_recording(seconds, units={"time": "s"}).rate_hz == pytest.approx(1.0)
+    # What only begins like a quantity, also of a single joint.
+    others = {"dq_logged": DQ, "tau_model": TAU, "tau_hat": TAU, "q_note": np.array("x")}
+    close(read_recording(npz(**others)(tmp_path)))
+    single = {"t": T, "q": Q[:, 0], "tau": TAU[:, 0], "dq_logged": DQ[:, 0], "tau_model": T}
+    log = read_recording(npz(**single)(tmp_path))
+    assert (log.n, log.velocity) == (1, None)
+    labeled = ["t", "position_a", "position_b", "effort_a", "effort_b", "effort_model"]
+    close(read_recording(write_csv(tmp_path / "log.csv", labeled, T, Q, TAU, T)))
 
 
 ZERO = 0.0 * Q
@@ -652,7 +620,7 @@ FRANKA |= {"dtau_J": ZERO, "tau_ext_hat_filtered": ZERO, "O_T_EE": Q}
 HEADERS: dict[str, tuple[list[str], tuple[np.ndarray, ...], tuple[str, ...] | None]] = {
     "franka": ([f"{key}_{j}" for key in FRANKA for j in range(2)], tuple(FRANKA.values()), None),
     "short suffixes": (
-        [f"joint{j}_{key}" for key in ("pos", "vel", "eff") for j in (1, 2)],
+        numbered("joint{}_pos", "joint{}_vel", "joint{}_eff"),
         (Q, DQ, TAU),
         ("joint1", "joint2"),
     ),
@@ -662,31 +630,27 @@ HEADERS: dict[str, tuple[list[str], tuple[np.ndarray, ...], tuple[str, ...] | No
 @pytest.mark.parametrize("kind", HEADERS)
 def test_usual_names(tmp_path: Path, kind: str):
     names, tables, joints = HEADERS[kind]
-    log = read_recording(write(tmp_path / "log.csv", ",".join(["time", *names]), TIME, *tables))
-    close(log, velocity=True)
-    assert log.joint_names == joints
+    log = read_recording(write_csv(tmp_path / "log.csv", ["time", *names], T, *tables))
+    close(log, velocity=True, joints=joints)
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])
 def test_units_in_brackets(tmp_path: Path, mark: str):
-    names = ["Time [ms]", "Joint 1 [deg]", "Joint 2 [deg]", "Joint 1 [deg/s]", "Joint 2 [deg/s]"]
+    names = ["Time [ms]", *numbered("Joint {} [deg]", "Joint {} [deg/s]")]
     names += ["Torque 1 (Nm)", "Torque 2 (mNm)"]
-    tables = (TIME * 1e3, np.degrees(Q), np.degrees(DQ), TAU * [1.0, 1e3])
-    file = write(tmp_path / "log.csv", mark.join(names), *tables, mark=mark)
-    reading = read_described(file)
+    tables = (T * 1e3, np.degrees(Q), np.degrees(DQ), TAU * [1.0, 1e3])
+    reading = read_described(write_csv(tmp_path / "log.csv", names, *tables, mark=mark))
     close(reading.recording, velocity=True)
     assert reading.sources["effort"] == "Torque 1 (Nm) ... Torque 2 (mNm) in Nm/mNm"
     # A line of units under the names says the same.
-    bare = [name.partition(" [")[0].partition(" (")[0] for name in names]
-    units = ["ms", "°", "°", "deg/s", "deg/s", "Nm", "mNm"]
-    bare[3:5] = ["Speed 1", "Speed 2"]
-    file = write(file, mark.join(bare) + "\n" + mark.join(units), *tables, mark=mark)
-    close(read_recording(file), velocity=True)
+    bare = ["Time", *numbered("Joint {}", "Speed {}", "Torque {}")]
+    bare[-1] += "\n" + mark.join(["ms", "°", "°", "deg/s", "deg/s", "Nm", "mNm"])
+    close(read_recording(write_csv(tmp_path / "log.csv", bare, *tables, mark=mark)), velocity=True)
 
 
 def test_currents_with_units(tmp_path: Path):
-    header = "t,q1,q2,current1 [A],current2 [mA]"
-    file = write(tmp_path / "log.csv", header, TIME, Q, TAU / [10.0, 0.012])
+    names = ["t", "q1", "q2", "current1 [A]", "current2 [mA]"]
+    file = write_csv(tmp_path / "log.csv", names, T, Q, TAU / [10.0, 0.012])
     refuses(DataError, r"current1 \[A\].* look like currents: give gains=", read_recording, file)
     log = read_recording(file, effort_scale=[10.0, 12.0])
     np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)
@@ -694,61 +658,50 @@ def test_currents_with_units(tmp_path: Path):
 
 @pytest.mark.parametrize("mark", [";", "\t", " "])
 def test_decimal_commas(tmp_path: Path, mark: str):
-    header = mark.join(["t", "q1", "q2", "tau1", "tau2"])
-    file = write(tmp_path / "log.csv", header, TIME, Q, TAU, mark=mark, decimal=",")
+    file = write_csv(tmp_path / "log.csv", ["t", *NAMES], T, Q, TAU, mark=mark, decimal=",")
     close(read_recording(file))
     lines = file.read_text().splitlines()
     lines[7] = lines[7].replace(",", ".", 1)
     file.write_text("\n".join(lines))
-    with pytest.raises(DataError, match=r"line 8: 't' holds .* where other decimals have commas"):
-        read_recording(file)
+    words = r"line 8: 't' holds .* where other decimals have commas"
+    refuses(DataError, words, read_recording, file)
 
 
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00", " UTC"])
 @pytest.mark.parametrize("between", ["T", " "])
 def test_dates(tmp_path: Path, zone: str, between: str):
-    stamps = np.datetime64("2024-03-01T23:59:59.900000") + (TIME * 1e6).astype("timedelta64[us]")
+    stamps = np.datetime64("2024-03-01T23:59:59.900000") + (T * 1e6).astype("timedelta64[us]")
     frame = FRAME.assign(time=[str(s).replace("T", between) + zone for s in stamps])
     frame.to_csv(tmp_path / "log.csv", index=False)
     close(read_recording(tmp_path / "log.csv"))
 
 
-def test_columns_of_one_name_in_a_data_frame():
-    frame = pd.concat([FRAME.assign(time=TIME), FRAME[["tau1"]]], axis=1)
-    refuses(DataError, "several columns of one name", read_recording, frame)
-
-
 def test_dates_of_whole_seconds_are_no_milliseconds(tmp_path: Path):
-    stamps = [f"2024-03-01 00:{k // 60:02d}:{k % 60:02d}" for k in range(N)]
-    frame = FRAME.assign(time=["", *stamps[1:]])
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    found = read_recording(tmp_path / "log.csv", missing="drop")
-    np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
+    stamps = [f"2024-03-01 00:00:{k:02d}" for k in range(N)]
+    FRAME.assign(time=["", *stamps[1:]]).to_csv(tmp_path / "log.csv", index=False)
     frame = FRAME.assign(time=[pd.NaT, *pd.to_datetime(stamps[1:])])
-    found = read_recording(frame, missing="drop")
-    np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
+    for source in (tmp_path / "log.csv", frame):
+        found = read_recording(source, missing="drop")
+        np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("zone", [None, "UTC", "Europe/Rome"])
-@pytest.mark.parametrize("suffix", ["index", "column", ".parquet", ".feather"])
-def test_stamps_with_time_zones(tmp_path: Path, zone: str | None, suffix: str):
+@pytest.mark.parametrize("kind", ["index", "column", "parquet", "feather"])
+def test_stamps_with_time_zones(tmp_path: Path, zone: str | None, kind: str):
     # Clocks in Rome go forward on this night.
     stamps = pd.date_range("2024-03-31T00:59:59.9", periods=N, freq="10ms", tz="UTC")
     stamps = stamps.tz_localize(None) if zone is None else stamps.tz_convert(zone)
-    frame = FRAME.set_axis(stamps) if suffix == "index" else FRAME.assign(time=stamps)
-    if not suffix.startswith("."):
-        close(read_recording(frame))
-        return
-    file = tmp_path / f"log{suffix}"
-    (frame.to_parquet if suffix == ".parquet" else frame.to_feather)(file)
-    close(read_recording(file))
+    frame = FRAME.set_axis(stamps) if kind == "index" else FRAME.assign(time=stamps)
+    if kind in ("parquet", "feather"):
+        getattr(frame, f"to_{kind}")(tmp_path / f"log.{kind}")
+    close(read_recording(tmp_path / f"log.{kind}" if kind in ("parquet", "feather") else frame))
 
 
 def test_names_in_a_comment_and_comments_between(tmp_path: Path):
-    rows = np.column_stack([TIME, Q, TAU])
     file = tmp_path / "log.txt"
-    for delimiter in (",", " "):
-        np.savetxt(file, rows, header="made by a logger\nt,q1,q2,tau1,tau2", delimiter=delimiter)
+    for mark in (",", " "):
+        header = "made by a logger\n" + ",".join(["t", *NAMES])
+        np.savetxt(file, np.column_stack([T, Q, TAU]), header=header, delimiter=mark)
         close(read_recording(file))
     lines = file.read_text().splitlines()
     lines[10:10] = ["", "# paused", ""]
@@ -758,9 +711,9 @@ def test_names_in_a_comment_and_comments_between(tmp_path: Path):
 
 
 def test_columns_without_names(tmp_path: Path):
-    file = write(tmp_path / "log.csv", "", TIME, Q, TAU, DQ)
+    file = write_csv(tmp_path / "log.csv", [], T, Q, TAU, DQ)
     refuses(DataError, "its 7 columns have no names", read_recording, file)
-    numbers = {"time": 1, "position": [2, 3], "effort": [4, 5], "velocity": [6, 7]}
+    numbers = {"time": 1, "position": "2:3", "effort": ["4:4", 5], "velocity": [6, 7]}
     close(read_recording(file, columns=numbers), velocity=True)
     (tmp_path / "log.toml").write_text(
         "[columns]\ntime = 1\nposition = [2, 3]\neffort = [4, 5]\nvelocity = [6, 7]\n"
@@ -769,91 +722,90 @@ def test_columns_without_names(tmp_path: Path):
 
 
 def test_compressed_text_and_other_encodings(tmp_path: Path):
-    plain = write(tmp_path / "log.csv", "t [s],q1 [°],q2 [°],tau1,tau2", TIME, np.degrees(Q), TAU)
-    close(read_recording(plain))
-    text = plain.read_text(encoding="utf-8")
-    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text.encode()))
-    close(read_recording(tmp_path / "run.csv.gz"))
-    for encoding in ("latin-1", "utf-16", "utf-8-sig"):
-        plain.write_text(text, encoding=encoding)
+    names = ["t [s]", "q1 [°]", "q2 [°]", "tau1", "tau2"]
+    plain = write_csv(tmp_path / "log.csv", names, T, np.degrees(Q), TAU)
+    content, packed_file = plain.read_text(encoding="utf-8"), tmp_path / "run.csv.gz"
+    for encoding in ("utf-8", "latin-1", "utf-16", "utf-8-sig"):
+        plain.write_text(content, encoding=encoding)
         close(read_recording(plain))
-    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text.encode())[:-50])
-    refuses(DataError, r"run\.csv\.gz", read_recording, tmp_path / "run.csv.gz")
+    packed_file.write_bytes(gzip.compress(content.encode()))
+    close(read_recording(packed_file))
+    packed_file.write_bytes(gzip.compress(content.encode())[:-50])
+    refuses(DataError, r"run\.csv\.gz", read_recording, packed_file)
 
 
 def test_data_frames():
-    frame = FRAME.assign(t=TIME, tau2=TAU[:, 1].astype(object))
+    frame = FRAME.assign(t=T, tau2=TAU[:, 1].astype(object))
     close(read_recording(frame))
-    indexed = frame.drop(columns="t").set_index(
-        pd.Timestamp("2024-03-01") + pd.to_timedelta(np.rint(TIME * 1e3), unit="ms")
-    )
-    close(read_recording(indexed))
+    stamps = pd.Timestamp("2024-03-01") + pd.to_timedelta(np.rint(T * 1e3), unit="ms")
+    close(read_recording(frame.drop(columns="t").set_index(stamps)))
     renamed = frame.rename(columns={"t": "stamp"})
     close(read_recording(renamed, mapping={"columns": {"time": "stamp"}}))
-    refuses(DataError, "data frame: effort is missing", read_recording, frame[["t", "q1", "q2"]])
-    frame.loc[3, "q2"] = np.nan
-    refuses(DataError, "data frame: row 4: position: 'q2' has no value", read_recording, frame)
-    refuses(DataError, "is given NoneType, expected the path of a log", read_recording, None)
+    holed = frame.copy()
+    holed.loc[3, "q2"] = np.nan
+    for given, words in (
+        (frame[["t", "q1", "q2"]], "data frame: effort is missing"),
+        (holed, "data frame: row 4: position: 'q2' has no value"),
+        (pd.concat([frame, FRAME[["tau1"]]], axis=1), "several columns of one name"),
+        (frame.assign(t="now"), "data frame: 't' holds objects, expected numbers"),
+        (None, "is given NoneType, expected the path of a log"),
+    ):
+        refuses(DataError, words, read_recording, given)
+    refuses(DataError, "this is a data frame", read_recording, frame, stored=True)
 
 
 @pytest.mark.parametrize("word", ["", "nan", "NaN", "-nan", "null", "--", "N/A"])
 def test_values_that_begin_late(tmp_path: Path, word: str):
-    file = write(tmp_path / "log.csv", "t,q1,q2,tau1,tau2", TIME, Q, TAU)
+    file = write_csv(tmp_path / "log.csv", ["t", *NAMES], T, Q, TAU)
     lines = file.read_text().splitlines()
     for k in (1, 2):
         lines[k] = ",".join([*lines[k].split(",")[:3], word, lines[k].split(",")[4]])
     file.write_text("\n".join(lines))
-    with pytest.raises(DataError, match=r"log\.csv: line 2: effort: 'tau1' has no value .*2 of 40"):
-        read_recording(file)
+    words = r"log\.csv: line 2: effort: 'tau1' has no value .*2 of 40"
+    refuses(DataError, words, read_recording, file)
     reading = read_described(file, missing="drop")
     np.testing.assert_array_equal(reading.recording.position, Q[2:])
     assert reading.sources["missing values"] == "2 of 40 samples dropped"
-    with pytest.raises(DataError, match="has no value in 2 samples from line 2 on"):
-        read_recording(file, missing="interpolate")
+    words = "has no value in 2 samples from line 2 on"
+    refuses(DataError, words, read_recording, file, missing="interpolate")
 
 
 def test_short_gaps_are_interpolated(tmp_path: Path):
-    ramp = np.column_stack([TIME, 2.0 * TIME])
-    holed = ramp.copy()
+    ramp = np.column_stack([T, 2.0 * T])
+    holed, stamps = ramp.copy(), T.copy()
     holed[[5, 6, 7, 20], [0, 0, 0, 1]] = np.nan
-    file = npz(tmp_path, t=TIME, q=holed, tau=TAU)
+    file = npz(q=holed)(tmp_path)
     refuses(DataError, r"row 6: position: 'q of joint 1' .* in 3 of 40 rows", read_recording, file)
     reading = read_described(file, missing="interpolate")
     np.testing.assert_allclose(reading.recording.position, ramp, atol=1e-12)
     np.testing.assert_array_equal(reading.recording.effort, TAU)
     assert reading.sources["missing values"] == "interpolated in 4 of 40 samples"
     assert read_recording(file, mapping={"missing": "drop"}).n_samples == N - 4
-    holed[5:20, 0] = np.nan
-    with pytest.raises(DataError, match="no value in 15 samples from row 6 on; at most 10"):
-        read_recording(npz(tmp_path, t=TIME, q=holed, tau=TAU), missing="interpolate")
-    stamps = TIME.copy()
-    stamps[3] = np.nan
-    with pytest.raises(DataError, match="row 4: time: 'time' has no value"):
-        read_recording(npz(tmp_path, t=stamps, q=ramp, tau=TAU), missing="interpolate")
+    holed[5:20, 0], stamps[3] = np.nan, np.nan
+    for change, words in (
+        ({"q": holed}, "no value in 15 samples from row 6 on; at most 10"),
+        ({"t": stamps}, "row 4: time: 'time' has no value"),
+    ):
+        file = npz(**change)(tmp_path)
+        refuses(DataError, words, read_recording, file, missing="interpolate")
 
 
 def test_a_joint_that_is_not_wanted_may_lack_values(tmp_path: Path):
-    effort = np.column_stack([TAU, np.full(N, np.nan)])
+    finger = {"q": np.column_stack([Q, T]), "tau": np.column_stack([TAU, np.full(N, np.nan)])}
     names = ["up", "down", "finger"]
-    file = npz(tmp_path, t=TIME, q=np.column_stack([Q, TIME]), tau=effort, joint_names=names)
+    file = npz(**finger, joint_names=names)(tmp_path)
     refuses(DataError, "'tau of joint finger' has no value in any row; leave", read_recording, file)
     close(read_recording(file, joint_names=["up", "down"]))
 
 
 @pytest.mark.parametrize("quoted", ["", '"'])
 def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
-    header = "label,t,q1,q2,tau1,tau2"
-    file = write(tmp_path / "log.csv", header, TIME, TIME, Q, TAU)
-    lines = file.read_text().splitlines()
-    lines = [lines[0], *(f"{quoted}go{quoted},{line.partition(',')[2]}" for line in lines[1:])]
-    for change in (
-        lambda s: s.replace(".", ",", 1),
-        lambda s: s + ",1",
-        lambda s: s[: s.rfind(",")],
-    ):
-        broken = list(lines)
-        broken[30] = change(lines[30])
-        file.write_text("\n".join(broken))
+    file = write_csv(tmp_path / "log.csv", ["label", "t", *NAMES], T, T, Q, TAU)
+    head, *lines = file.read_text().splitlines()
+    lines = [head, *(f"{quoted}go{quoted},{line.partition(',')[2]}" for line in lines)]
+    line = lines[30]
+    for broken in (line.replace(".", ",", 1), line + ",1", line[: line.rfind(",")]):
+        file.write_text("\n".join([*lines[:30], broken, *lines[31:]]))
         refuses(DataError, r"line 31 has [57] values for 6 columns", read_recording, file)
     file.write_text("\n".join(lines))
     close(read_recording(file))
@@ -861,20 +813,18 @@ def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
 
 def test_half_precision_is_read_without_a_warning(tmp_path: Path):
     halves = {"t": np.arange(N), "q": Q.astype(np.float16), "tau": TAU.astype(np.float16)}
-    log = read_recording(npz(tmp_path, **halves), units={"time": "ms"})
+    log = read_recording(npz(**halves)(tmp_path), units={"time": "ms"})
     np.testing.assert_array_equal(log.position, halves["q"])
 
 
 def test_names_cannot_reach_the_terminal(tmp_path: Path):
     evil = "el\x1b[2Jbow\u202e\u2028\nPROVEN."
-    log = read_recording(npz(tmp_path, t=TIME, q=Q, tau=TAU, joint_names=[evil, "b"]))
+    log = read_recording(npz(joint_names=[evil, "b"])(tmp_path))
     assert all(name.isprintable() for name in log.joint_names)
-    frame = pd.DataFrame({"t": TIME, f"position_{evil}": TIME, f"effort_{evil}": TIME})
-    reading = read_described(frame)
-    assert all(text.isprintable() for text in reading.sources.values())
-    with pytest.raises(DataError) as error:
-        read_recording(frame.rename(columns={"t": evil}))
-    assert str(error.value).isprintable()
+    frame = pd.DataFrame({"t": T, f"position_{evil}": T, f"effort_{evil}": T})
+    assert all(text.isprintable() for text in read_described(frame).sources.values())
+    error = refuses(DataError, "time is missing", read_recording, frame.rename(columns={"t": evil}))
+    assert str(error).isprintable()
 
 
 # Logs of robots with a floating base: poses, IMUs and feet, found by name or as told.
@@ -895,39 +845,36 @@ def require_same(found: Recording, wanted: Recording) -> None:
         np.testing.assert_array_equal(getattr(feet, name), getattr(wished, name))
 
 
-def test_parquet_files_keep_everything(tmp_path: Path) -> None:
-    log().to_parquet(tmp_path / "run.parquet")
-    require_same(read_recording(tmp_path / "run.parquet"), log())
-
-
-def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
+def test_our_files_keep_everything(tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
+    log().to_parquet(tmp_path / "run.parquet")
     log().to_csv(file)
-    require_same(read_recording(file), log())
-    plain = Recording(time=TIME, position=log().position, effort=log().effort)
-    plain.with_held_base("trunk").to_csv(file)
-    contacts = read_recording(file).contacts
-    assert (contacts.frames, contacts.kind) == (("trunk",), ("plane",))
-    # A mapping that was written with a log goes with it; one of other hands stays.
-    plain.to_csv(file)
-    assert read_recording(file).contacts is None
-    (tmp_path / "run.toml").write_text("[units]\nposition = 'deg'\n")
-    refuses(ExportError, r"run\.toml: is a mapping of another log", log().to_csv, file)
-    (tmp_path / "run.toml").unlink()
-    log().to_csv(file)
+    for path in (tmp_path / "run.parquet", file):
+        require_same(read_recording(path), log())
     turned = read_recording(file, contacts={"frames": ["right", "left"], "kind": "plane"})
     assert turned.contacts.frames == ("right", "left")
     assert turned.contacts.kind == ("plane", "plane")
     np.testing.assert_array_equal(turned.contacts.down, log().contacts.down[:, ::-1])
     np.testing.assert_array_equal(turned.contacts.forces, log().contacts.forces[:, ::-1])
     assert read_recording(file, columns={"base_orientation": None}, mapping=False).base is None
+    ALONE.with_held_base("trunk").to_csv(file)
+    contacts = read_recording(file).contacts
+    assert (contacts.frames, contacts.kind) == (("trunk",), ("plane",))
+    # A mapping that was written with a log goes with it; one of other hands stays.
+    ALONE.to_csv(file)
+    assert read_recording(file).contacts is None
+    (tmp_path / "run.toml").write_text("[units]\nposition = 'deg'\n")
+    refuses(ExportError, r"run\.toml: is a mapping of another log", log().to_csv, file)
+
+
+ALONE = Recording(time=T, position=log().position, effort=log().effort)
 
 
 def arrays(**changes: Any) -> dict[str, Any]:
     """Return the arrays of a file, quaternions w first."""
     base = log().base
     return {
-        "t": TIME,
+        "t": T,
         "q": log().position,
         "tau": log().effort,
         "base_quat": np.roll(base.orientation, 1, axis=1),
@@ -946,15 +893,22 @@ TOLD = {
 
 
 def test_arrays_are_read_as_told(tmp_path: Path) -> None:
-    np.savez(tmp_path / "run.npz", **arrays())
-    found = read_recording(tmp_path / "run.npz", **TOLD)
+    file = write_npz(tmp_path / "run.npz", **arrays())
+    found = read_recording(file, **TOLD)
     np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
     np.testing.assert_allclose(found.base.angular_velocity, log().base.angular_velocity)
     assert found.base.velocity_frame == "base"
     np.testing.assert_array_equal(found.contacts.down, log().contacts.down)
-    part = read_recording(tmp_path / "run.npz", **TOLD, rows=(11, 30))
+    part = read_recording(file, **TOLD, rows=(11, 30))
     assert part.n_samples == part.base.n_samples == part.contacts.n_samples == 20
-    assert part.time[0] == TIME[10]
+    assert part.time[0] == T[10]
+    # Forces of all feet as samples × feet × axes, and flags by the usual name of an array.
+    forces = np.arange(6.0 * N).reshape(N, 2, 3)
+    usual = arrays(feet=None, contacts=log().contacts.down, contact_forces=forces)
+    file = write_npz(tmp_path / "run.npz", **usual)
+    found = read_recording(file, base=TOLD["base"], contacts={"frames": ["left", "right"]})
+    np.testing.assert_array_equal(found.contacts.forces, forces)
+    np.testing.assert_array_equal(found.contacts.down, log().contacts.down)
 
 
 @pytest.mark.parametrize(
@@ -968,80 +922,83 @@ def test_arrays_are_read_as_told(tmp_path: Path) -> None:
         ({"base": {"orientation": [0, 0, 0, 1]}}, "say which link was, held ="),
         ({"base": {"quat": "xyzw"}}, "base: quat is not known; known are quaternion"),
         ({"contacts": {}}, "say which frame of the robot each column is of"),
+        ({"contacts": {"frames": "left"}}, "contacts.frames: is 'left', expected a list"),
         ({"contacts": {"frames": ["left"]}}, "has 2 columns, expected 1 for each of the 1 frames"),
+        ({"columns": {"contact": None}}, "contacts is given, but there are no columns of contacts"),
         ({"columns": {"base_orientation": "pose"}}, "'pose' for base_orientation is not there"),
         ({"columns": {"gyroscope": "tau"}}, "gyroscope: has 2 columns, expected 3"),
         ({"columns": {"position": "q[2:3]"}}, "asks for columns 2 to 3 of an array"),
         ({"rows": (5, 100)}, "rows: asks for row 100, the log has 40"),
         ({"rows": (0, 10)}, "rows is .*, expected the first and the last row"),
+        ({"arrays": {"base_quat": None}}, "base, contacts is given, but base_orientation is missi"),
     ],
 )
 def test_what_is_not_told_or_not_there_is_refused(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    np.savez(tmp_path / "run.npz", **arrays())
-    refuses(DataError, message, read_recording, tmp_path / "run.npz", **{**TOLD, **changes})
+    how = {**TOLD, **changes}
+    file = write_npz(tmp_path / "run.npz", **arrays(**how.pop("arrays", {})))
+    refuses(DataError, message, read_recording, file, **how)
 
 
 def test_a_mapping_says_that_the_base_was_held(tmp_path: Path) -> None:
     file, tilted = tmp_path / "hung.csv", [0.0, 0.6, 0.0, 0.8]
-    alone = Recording(time=TIME, position=log().position, effort=log().effort)
-    alone.to_csv(file)
+    held = {"held": "trunk", "orientation": tilted}
+    ALONE.to_csv(file)
     assert read_recording(file).base is None
-    (tmp_path / "hung.toml").write_text(
-        f'[base]\nheld = "trunk"\norientation = {tilted}\n', encoding="utf-8"
-    )
+    (tmp_path / "hung.toml").write_text(f'[base]\nheld = "trunk"\norientation = {tilted}\n')
     found = read_described(file)
     assert found.sources["base"] == "held at trunk"
-    wanted = alone.with_held_base("trunk", orientation=tilted)
-    for one in (found.recording, read_recording(file, mapping=False, base=held(tilted))):
+    wanted = ALONE.with_held_base("trunk", orientation=tilted)
+    for one in (found.recording, read_recording(file, mapping=False, base=held)):
         np.testing.assert_array_equal(one.base.orientation, wanted.base.orientation)
         assert (one.contacts.frames, one.contacts.kind) == (("trunk",), ("plane",))
         assert one.contacts.down.all()
         # What a saved run reads its log with.
-        assert one.source.options["base"] == held(tilted)
-
-
-def held(orientation: list[float]) -> dict[str, Any]:
-    return {"held": "trunk", "orientation": orientation}
+        assert one.source.options["base"] == held
 
 
 def test_velocities_of_unknown_axes_are_left_out_with_a_word(tmp_path: Path) -> None:
-    np.savez(tmp_path / "run.npz", **arrays())
+    names = [f"base_{quantity}_{part}" for quantity in ("orientation",) for part in "xyzw"]
+    names += [f"base_angular_velocity_{part}" for part in "xyz"]
+    turn = log().base
+    tables = (ALONE.position, ALONE.effort, turn.orientation, turn.angular_velocity)
+    csv = write_csv(tmp_path / "run.csv", ["t", *NAMES, *names], T, *tables)
+    npz = write_npz(tmp_path / "run.npz", **arrays())
     told = {**TOLD, "base": {"quaternion": "wxyz"}}
-    found = read_described(tmp_path / "run.npz", **told)
-    assert found.recording.base.angular_velocity is None
-    assert "its axes are not known" in found.sources["base_angular_velocity"]
-    told["columns"] = {"contact": "feet", "base_angular_velocity": "base_ang_vel"}
-    with pytest.raises(DataError, match="velocity_frame: is None, expected 'world' or 'base'"):
-        read_recording(tmp_path / "run.npz", **told)
+    for file, how in ((npz, told), (csv, {})):
+        found = read_described(file, **how)
+        assert found.recording.base.angular_velocity is None
+        assert "its axes are not known" in found.sources["base_angular_velocity"]
+    found = read_recording(csv, base={"velocity_frame": "world"})
+    np.testing.assert_array_equal(found.base.angular_velocity, turn.angular_velocity)
+    columns = {"contact": "feet", "base_angular_velocity": "base_ang_vel"}
+    words = "velocity_frame: is None, expected 'world' or 'base'"
+    refuses(DataError, words, read_recording, npz, **{**told, "columns": columns})
 
 
 @pytest.mark.parametrize(("prefix", "told"), [("imu_quat", True), ("tcp_orientation", False)])
 def test_quaternions_by_another_name_are_pointed_out(tmp_path: Path, prefix: str, told: bool):
-    joints = {"time": np.arange(N) / 200.0, "q1": log().position[:, 0], "tau1": log().effort[:, 0]}
-    quaternions = {f"{prefix}_{part}": np.full(N, 0.5) for part in "wxyz"}
-    table = np.column_stack([*joints.values(), *quaternions.values()])
-    file = tmp_path / "run.csv"
-    header = ",".join([*joints, *quaternions])
-    np.savetxt(file, table, header=header, delimiter=",", comments="")
+    names = ["t", "q1", "tau1", *(f"{prefix}_{part}" for part in "wxyz")]
+    half = np.full((N, 4), 0.5)
+    file = write_csv(tmp_path / "run.csv", names, T, ALONE.position[:, 0], TAU[:, 0], half)
     found = read_described(file)
     assert found.recording.base is None
     assert (f"--column base_orientation={prefix}" in str(found.sources)) == told
     if told:
-        columns = {"base_orientation": prefix}
-        assert read_recording(file, columns=columns).base is not None
+        assert read_recording(file, columns={"base_orientation": prefix}).base is not None
 
 
 def test_missing_values_of_the_base_are_dropped_or_refused(tmp_path: Path) -> None:
     given = arrays()
     given["base_quat"][7] = np.nan
-    np.savez(tmp_path / "run.npz", **given)
-    with pytest.raises(DataError, match=r"row 8: base_orientation: 'base_quat\[1\]' has no value"):
-        read_recording(tmp_path / "run.npz", **TOLD)
-    with pytest.raises(DataError, match="fills only what belongs to joints"):
-        read_recording(tmp_path / "run.npz", **TOLD, missing="interpolate")
-    found = read_recording(tmp_path / "run.npz", **TOLD, missing="drop")
+    file = write_npz(tmp_path / "run.npz", **given)
+    for missing, words in (
+        ("refuse", r"row 8: base_orientation: 'base_quat\[1\]' has no value"),
+        ("interpolate", "fills only what belongs to joints"),
+    ):
+        refuses(DataError, words, read_recording, file, **TOLD, missing=missing)
+    found = read_recording(file, **TOLD, missing="drop")
     assert found.base.n_samples == found.contacts.n_samples == N - 1
 
 
@@ -1049,13 +1006,13 @@ def test_folders_of_matrices_have_channels_in_rows_or_columns(tmp_path: Path) ->
     given = arrays(base_quat=arrays()["base_quat"].T, q=np.hstack([log().position] * 2))
     for name, values in given.items():
         np.savetxt(tmp_path / f"{name}.dat", values, delimiter="\t", fmt="%.17g")
-    columns = {**TOLD["columns"], "position": "q[3:4]"}
-    found = read_recording(tmp_path, **{**TOLD, "columns": columns})
+    told = {**TOLD, "columns": {**TOLD["columns"], "position": "q[3:4]"}}
+    found = read_recording(tmp_path, **told)
     np.testing.assert_array_equal(found.position, log().position)
     np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
     np.savetxt(tmp_path / "tau.dat", np.eye(3))
-    with pytest.raises(DataError, match="3 × 3 numbers, so that it is not known which side"):
-        read_recording(tmp_path, **TOLD)
+    words = "3 × 3 numbers, so that it is not known which side"
+    refuses(DataError, words, read_recording, tmp_path, **TOLD)
 
 
 @pytest.mark.parametrize("kind", ["mcap", "ros1"])
@@ -1063,10 +1020,9 @@ def test_odometry_and_imu_of_bags_come_to_the_stamps_of_the_joints(tmp_path: Pat
     turns = Rotation.from_rotvec(np.linspace(0.0, 1.0, N)[:, None] * [0.2, 0.5, -0.8])
     slope = np.linspace(0.0, 1.0, N)[:, None]
     rows = np.hstack([slope + np.arange(3.0), turns.as_quat(), slope * np.arange(1.0, 7.0)])
-    q, v, tau = log().position, log().effort, log().effort
-    file = write_bag(tmp_path / "bag", kind, TIME, q, v, tau, base=rows)
-    with pytest.raises(DataError, match=r"base_orientation: .*has no value"):
-        read_recording(file)  # The last joint state is later than the last odometry.
+    file = write_bag(tmp_path / "bag", kind, T, ALONE.position, TAU, ALONE.effort, base=rows)
+    # The last joint state is later than the last odometry.
+    refuses(DataError, r"base_orientation: .*has no value", read_recording, file)
     found = read_recording(file, missing="drop", imu={"translation": [0.1, 0.0, 0.0]})
     assert (found.n_samples, found.joint_names) == (N - 1, JOINTS)
     base = found.base
@@ -1074,8 +1030,8 @@ def test_odometry_and_imu_of_bags_come_to_the_stamps_of_the_joints(tmp_path: Pat
     np.testing.assert_allclose(base.position, rows[:-1, :3], atol=1e-12)
     np.testing.assert_allclose(base.imu.gyroscope, rows[:-1, 10:], atol=1e-12)
     assert base.velocity_frame == "base"
-    with pytest.raises(DataError, match=r"no topic /pose with .*Odometry; there is /odom"):
-        read_recording(file, base={"topic": "/pose"})
+    words = r"no topic /pose with .*Odometry; there is /odom"
+    refuses(DataError, words, read_recording, file, base={"topic": "/pose"})
 
 
 def test_solo12_simulated_elsewhere(data_folder: Path) -> None:

@@ -1,7 +1,6 @@
 """What readers find and refuse, mappings beside logs, currents, and commanded positions."""
 
 import gzip
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +8,12 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import sdpid
-from sdpid._common.files import load_toml
 from sdpid.cli.logs import LOG, READING
 from sdpid.errors import DataError
+from sdpid.experiment.plant.drives import load_drives
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.read import read_described, read_recording
@@ -26,12 +23,14 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.commands import given
+from tests.helpers.logs import numbered, write_csv, write_npz
 from tests.helpers.refusals import refuses
 
 N = 8
 RNG = np.random.default_rng(7)
 T = 0.5 * np.arange(N)
 Q, DQ, TAU = (RNG.standard_normal((N, 3)) for _ in range(3))
+TABLES = {"time": T, "position": Q, "effort": TAU, "velocity": DQ}
 GEARS = {"gear_ratios": [1, 2, 3]}
 NAMES = ["up", "down", "side"]
 
@@ -42,107 +41,88 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
     return values
 
 
-ARGUMENTS: list[tuple[dict[str, Any], str]] = [
+# What differs from a log that is read: arrays, the text of a CSV file or of a mapping, or
+# arguments.
+REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"columns": {"effort": "x"}}, "'x' for effort is not there"),
-    ({"columns": {"effort": ["x"]}}, "x for effort is not there"),
-    ({"columns": {"time": "x"}}, "'x' for time is not there"),
     ({"columns": {"torque": "tau"}}, "columns: torque is not a quantity"),
     ({"units": {"position": "grad"}}, "'grad' is not known for position; known are rad, deg"),
     ({"units": {"effort": "A"}}, "currents in A, which need gains: let `sdpid gains`"),
     *(
-        (given, r"units\.\w+ is .*, expected a text")
+        ({"units": units}, r"units\.\w+ is .*, expected a text")
         for units in ({"time": ["s"]}, {"position": 3}, {"position": [["rad"]]})
-        for given in ({"units": units}, {"mapping": {"units": units}})
     ),
     ({"missing": "guess"}, "missing is 'guess', expected one of refuse, drop"),
     ({"misssing": "drop"}, "misssing is no argument"),
-    ({"topic": "/states"}, "topic is for ROS bags"),
+    ({"topic": "/states"}, r"topic is for ROS bags; this is a file \.npz"),
+    ({"stored": True}, "stored=True keeps the values of Parquet files on disk; this is a file"),
     ({"mapping": True}, "no mapping beside it"),
     ({"motors": GEARS, "effort_scale": [1, 1, 1]}, "effort_scale is of the joints' side"),
     ({"motors": {}}, "give either gear_ratios"),
-    ({"motors": {**GEARS, "position_matrix": np.eye(3)}}, "give either gear_ratios"),
     ({"motors": {**GEARS, "signs": [1, 2, 1]}}, "expected 1 or -1"),
     ({"motors": {"gear_ratios": [1, 0, 3]}}, "cannot be inverted"),
-    ({"motors": {"gear_ratios": [1, "x", 3]}}, "real numbers"),
     ({"motors": {"gear_ratios": [1, 2]}}, "motors is for 2 columns"),
     ({"motors": {**GEARS, "offsets": [1, 2]}}, r"offsets: has shape \(2,\)"),
     ({"motors": {**GEARS, "offset": [1, 2, 3]}}, "offset is not known"),
     ({"motors": {**GEARS, "applies_to": "effort"}}, "applies_to"),
     ({"motors": {"position_matrix": [[1, 2, 3]]}}, "position_matrix: has shape"),
     ({"motors": {"position_matrix": 3}}, "position_matrix: has 0 axes"),
-]
-
-ARRAYS: list[tuple[dict[str, Any], str]] = [
-    ({"tau": None, "I": TAU}, r"effort is missing: none of effort, tau.*Found: t, q, I"),
-    ({"t": None}, "time is missing"),
-    ({"t": None, "fs": -2.0}, "sample rate"),
-    ({"t": changed(T, 6, T[5])}, r"log\.npz: time repeats at row 7: 2\.5 s after 2\.5 s"),
-    ({"dq": DQ.T, "joint_names": NAMES}, r"velocity: has shape \(3, 8\), expected \(8, 3\)"),
-    ({"q": changed(Q, 3, np.inf)}, "row 4: position: .* is inf, not finite"),
-]
-
-MAPPINGS = [
-    ("colums = 1", "colums is not known; known are columns"),
-    ("columns = 1", r"expected a table \[columns\]"),
-    ("[columns]\ntorque = 'x'", "torque is not a quantity"),
-    ("[units]\nposition = 3", "units.position is 3"),
-    ("[units]\nposition = ['deg', 'deg']", "2 units for position"),
-    ("joint_names = 'a'", "joint_names is 'a'"),
-    ("period = 'x'", "period is 'x'"),
-    ("topic = 3", "topic is 3"),
-    ("[units]\ntime = ['rad']", r"units.time is \['rad'\]"),
-    ("[motors]\ngear = 3", "log.toml: motors: gear is not known"),
-    ("x = ", "not a TOML file"),
-]
-
-TEXTS = [
-    ("t,q,tau\n0,1,2\n1,oops,2\n", "line 3: 'q' holds 'oops', not a number"),
-    ("0,1,2\n1,1,2\n", "first line must name the columns"),
-    ("t,q1,tau1\n0,1,2\n1,,2\n", r"line 3: position: 'q1' has no value \(NaN\), as in 1 of 2 rows"),
-    ("t;q1;tau1\n0;1.5;2\n1;1,5;2\n", "'q1' holds '1.5' where other decimals have commas"),
-    ("t,q1,tau1\n0,1,2\n1,2\n", "line 3 has 2 values for 3 columns"),
+    ({"motors": {**GEARS, "torque_constants": [1, 1, 1]}, "currents": True}, "leave one out"),
+    ({"effort_scale": [1, 0, 1]}, "expected 3 non-zero factors, one for each joint"),
+    ({"arrays": {"tau": None, "I": TAU}}, r"effort is missing: none of effort, .*: t, q, I"),
+    ({"arrays": {"t": None}}, "time is missing"),
+    ({"arrays": {"t": None, "fs": -2.0}}, r"log\.npz: the sample rate is -2"),
+    ({"arrays": {"t": np.ones((2, 4))}}, r"time: has the shape \(2, 4\)"),
+    ({"arrays": {"t": T.astype(str)}}, "time: holds <U.*, expected numbers"),
+    ({"arrays": {"t": changed(T, 6, T[5])}}, r"log\.npz: time repeats at row 7: 2\.5 s after 2"),
+    ({"arrays": {"q": np.ones((N, 1, 3))}}, r"position: has the shape \(8, 1, 3\)"),
+    ({"arrays": {"joint_names": np.arange(3)}}, "joint_names: holds int64, expected text"),
     (
-        "t,position_a,position_b,effort_a,effort_c\n0,1,2,1,2\n1,1,2,1,2\n",
+        {"arrays": {"dq": DQ.T, "joint_names": NAMES}},
+        r"velocity: has shape \(3, 8\), expected \(8, 3\)",
+    ),
+    ({"arrays": {"q": changed(Q, 3, np.inf)}}, "row 4: position: .* is inf, not finite"),
+    ({"toml": "colums = 1"}, "colums is not known; known are columns"),
+    ({"toml": "columns = 1"}, r"expected a table \[columns\]"),
+    ({"toml": "[units]\nposition = ['deg', 'deg']"}, "2 units for position"),
+    ({"toml": "joint_names = 'a'"}, "joint_names is 'a'"),
+    ({"toml": "period = 'x'"}, "period is 'x'"),
+    ({"toml": "topic = 3"}, "topic is 3"),
+    ({"toml": "[motors]\ngear = 3"}, "log.toml: motors: gear is not known"),
+    ({"toml": "x = "}, "not a TOML file"),
+    ({"csv": "t,q,tau\n0,1,2\n1,oops,2\n"}, "line 3: 'q' holds 'oops', not a number"),
+    ({"csv": "0,1,2\n1,1,2\n"}, "first line must name the columns"),
+    ({"csv": "t,q,tau\n"}, "has no header and no data"),
+    ({"csv": "t,q,q\n0,1,2\n"}, "3 column names, 2 of them distinct"),
+    ({"csv": "t,q,tau\n0,1\n"}, "3 column names for 2 values in line 2"),
+    (
+        {"csv": "t,q1,tau1\n0,1,2\n1,,2\n"},
+        r"line 3: position: 'q1' has no value \(NaN\), as in 1 of 2 rows",
+    ),
+    ({"csv": "t;q1;tau1\n0;1.5;2\n1;1,5;2\n"}, "'q1' holds '1.5' where other decimals have commas"),
+    ({"csv": "t,q1,tau1\n0,1,2\n1,2\n"}, "line 3 has 2 values for 3 columns"),
+    (
+        {"csv": "t,position_a,position_b,effort_a,effort_c\n0,1,2,1,2\n1,1,2,1,2\n"},
         "effort are of joints a, c",
     ),
+    ({"file": "log.xyz"}, r"supported are \.bag, \.csv, \.csv\.gz, \.db3.*, folder\."),
+    ({"file": "absent.npz"}, "no such file"),
 ]
 
 
-@pytest.mark.parametrize(("given", "words"), ARGUMENTS)
-def test_arguments(tmp_path: Path, given: dict[str, Any], words: str):
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    refuses(DataError, words, read_recording, tmp_path / "log.npz", **given)
-
-
-@pytest.mark.parametrize(("changes", "words"), ARRAYS)
-def test_arrays(tmp_path: Path, changes: dict[str, Any], words: str):
-    arrays = {"t": T, "q": Q, "tau": TAU} | changes
-    np.savez(tmp_path / "log.npz", **{k: v for k, v in arrays.items() if v is not None})
-    refuses(DataError, words, read_recording, tmp_path / "log.npz")
-
-
-@pytest.mark.parametrize(("text", "words"), MAPPINGS)
-def test_mappings(tmp_path: Path, text: str, words: str):
-    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
-    (tmp_path / "log.toml").write_text(text)
-    refuses(DataError, words, read_recording, tmp_path / "log.npz")
-
-
-@pytest.mark.parametrize(("text", "words"), TEXTS)
-def test_texts(tmp_path: Path, text: str, words: str):
-    (tmp_path / "log.csv").write_text(text)
-    refuses(DataError, words, read_recording, tmp_path / "log.csv")
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("log.xyz", r"supported are \.bag, \.csv, \.csv\.gz, \.db3.*, folder\."),
-        ("absent.npz", "no such file"),
-    ],
-)
-def test_files(tmp_path: Path, name: str, words: str):
-    refuses(DataError, words, read_recording, tmp_path / name)
+@pytest.mark.parametrize(("change", "words"), REFUSED)
+def test_what_is_refused(tmp_path: Path, change: dict[str, Any], words: str):
+    kinds = ("arrays", "toml", "csv", "file")
+    how = {name: value for name, value in change.items() if name not in kinds}
+    file = write_npz(
+        tmp_path / "log.npz", **{"t": T, "q": Q, "tau": TAU, **change.get("arrays", {})}
+    )
+    if "toml" in change:
+        (tmp_path / "log.toml").write_text(change["toml"])
+    if "csv" in change:
+        file = tmp_path / "log.csv"
+        file.write_text(change["csv"])
+    refuses(DataError, words, read_recording, tmp_path / change.get("file", file), **how)
 
 
 # Mappings beside logs, units joint by joint, and the motors' side.
@@ -152,20 +132,6 @@ def test_files(tmp_path: Path, name: str, words: str):
 R = np.array([[100.0, 0.0, 0.0], [0.0, -50.0, 0.0], [0.0, 32.0, 32.0]])
 OFFSETS = np.array([0.0, -1.5, 0.5])
 CONSTANTS = np.array([0.1, 0.2, 0.3])
-
-
-def motor_log(folder: Path) -> Path:
-    """Write what encoders in degrees and amplifiers in mA would have logged."""
-    file = folder / "run.csv"
-    enc = np.degrees((Q - OFFSETS) @ R.T)
-    speed = DQ @ R.T * 60.0 / (2.0 * np.pi)
-    current = TAU @ np.linalg.inv(R) / CONSTANTS * 1e3
-    header = ["tick", *(f"{key}{j}" for key in ("enc", "n", "cur") for j in (1, 2, 3))]
-    rows = np.column_stack([T * 1e6, enc, speed, current])
-    np.savetxt(file, rows, header=",".join(header), comments="", delimiter=",", fmt="%.17g")
-    return file
-
-
 MAPPING = """
 joint_names = ["base", "wrist", "hand"]
 period = 2.0
@@ -186,20 +152,36 @@ torque_constants = [0.1, 0.2, 0.3]
 """
 
 
-def test_a_mapping_beside_the_log(tmp_path: Path):
-    file = motor_log(tmp_path)
+def motor_log(folder: Path) -> Path:
+    """Write what encoders in degrees and amplifiers in mA would have logged."""
+    enc = np.degrees((Q - OFFSETS) @ R.T)
+    speed = DQ @ R.T * 60.0 / (2.0 * np.pi)
+    current = TAU @ np.linalg.inv(R) / CONSTANTS * 1e3
+    names = ["tick", *numbered("enc{}", "n{}", "cur{}", n=3)]
+    return write_csv(folder / "run.csv", names, T * 1e6, enc, speed, current)
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "run.2.txt.gz", "RUN.TSV.GZ"])
+def test_a_mapping_beside_the_log(tmp_path: Path, name: str):
+    plain = motor_log(tmp_path)
+    file, beside = (
+        tmp_path / name,
+        tmp_path / f"{re.sub(r'[.]...([.]gz)?$', '', name, flags=re.I)}.toml",
+    )
+    if file != plain:
+        file.write_bytes(gzip.compress(plain.read_bytes()))
     refuses(DataError, "position is missing", read_recording, file)
-    (tmp_path / "run.toml").write_text(MAPPING)
+    beside.write_text(MAPPING)
     reading = read_described(file)
     log = reading.recording
-    np.testing.assert_allclose(log.time, T, atol=1e-12)
-    np.testing.assert_allclose(log.position, Q, atol=1e-12)
-    np.testing.assert_allclose(log.velocity, DQ, atol=1e-12)
-    np.testing.assert_allclose(log.effort, TAU, atol=1e-12)
+    for quantity, wanted in TABLES.items():
+        np.testing.assert_allclose(getattr(log, quantity), wanted, atol=1e-12)
     assert log.joint_names == ("base", "wrist", "hand")
     assert log.period_layout == (0, 4, 2)
-    assert reading.mapping == str(tmp_path / "run.toml")
+    assert reading.mapping == str(beside)
     assert reading.sources["effort"] == "cur1 ... cur3 in mA, motor side"
+    # Commands know it as a file that they read.
+    assert beside in given(LOG, READING, log=file).inputs()
     # Arguments win, and the file beside the log can be ignored.
     assert read_recording(file, joint_names=["x", "y", "z"]).names == ("x", "y", "z")
     assert read_recording(file, columns={"velocity": None}).velocity is None
@@ -209,51 +191,37 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
     np.testing.assert_allclose(read_recording(file, mapping=other).effort, 1e3 * TAU, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["run.csv.gz", "run.2.txt.gz", "RUN.TSV.GZ"])
-def test_a_mapping_beside_a_compressed_log(tmp_path: Path, name: str):
-    plain = motor_log(tmp_path)
-    file, beside = tmp_path / name, tmp_path / f"{name[:-7]}.toml"
-    file.write_bytes(gzip.compress(plain.read_bytes()))
-    beside.write_text(MAPPING)
-    reading = read_described(file)
-    np.testing.assert_allclose(reading.recording.effort, TAU, atol=1e-12)
-    assert reading.mapping == str(beside)
-    # Commands know it as a file that they read.
-    assert beside in given(LOG, READING, log=file).inputs()
-
-
 def test_the_mapping_of_the_documentation(tmp_path: Path):
     page = Path(__file__).resolve().parents[2] / "docs/guides/logs.md"
     blocks = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
-    text, floating, held = blocks
-    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-    header = [*(f"enc{j}" for j in range(1, 7)), *(f"i{j}" for j in range(1, 7))]
+
+    def written(name: str, text: str) -> Path:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    written("run.toml", blocks[0])
     rows = RNG.standard_normal((N, 12))
-    file = tmp_path / "run.csv"
-    np.savetxt(file, rows, header=";".join(header), comments="", delimiter=";", fmt="%.17g")
-    log = read_recording(file)
+    log = read_recording(
+        write_csv(tmp_path / "run.csv", numbered("enc{}", "i{}", n=6), rows, mark=";")
+    )
     assert log.names[3] == "roll"
     assert log.rate_hz == pytest.approx(5000.0)
     np.testing.assert_allclose(log.position[:, 3], np.radians(rows[:, 3]) / -48)
     np.testing.assert_allclose(log.effort[:, 3], rows[:, 9] * 1e-3 * 0.08 * -48)
     # The keys that are commented out are right as well.
-    open_text = re.sub(r"^# (?!applies_to)(?=\w+ = )", "", text, flags=re.M)
-    assert {"topic", "period"} <= set(read_mapping(load_toml(_written(tmp_path, open_text))))
-    tables = {"rate_hz", "base", "imu", "contacts"}
-    assert set(read_mapping(_written(tmp_path, floating))) == tables
-    assert set(read_mapping(_written(tmp_path, held))["base"]) == {"held", "orientation"}
-
-
-def _written(folder: Path, text: str) -> Path:
-    (folder / "other.toml").write_text(text, encoding="utf-8")
-    return folder / "other.toml"
+    open_text = re.sub(r"^# (?!applies_to)(?=\w+ = )", "", blocks[0], flags=re.M)
+    wanted = ({"topic", "period"}, {"rate_hz", "base", "imu", "contacts"}, {"base"})
+    for text, keys in zip((open_text, *blocks[1:]), wanted, strict=True):
+        found = read_mapping(written("other.toml", text))
+        assert keys <= set(found)
+    assert set(found["base"]) == {"held", "orientation"}
 
 
 def test_gears_signs_and_sides():
     side = MotorSide.from_gears([10.0, 20.0], [1, -1], offsets=[0.0, 1.0])
-    np.testing.assert_array_equal(side.to_joints("position", np.array([[10.0, 20.0]])), [[1, 0]])
-    np.testing.assert_array_equal(side.to_joints("velocity", np.array([[10.0, 20.0]])), [[1, -1]])
-    np.testing.assert_array_equal(side.to_joints("effort", np.array([[1.0, 1.0]])), [[10, -20]])
+    rows = {"position": ([10, 20], [1, 0]), "velocity": ([10, 20], [1, -1])}
+    for quantity, (row, wanted) in {**rows, "effort": ([1, 1], [10, -20])}.items():
+        np.testing.assert_array_equal(side.to_joints(quantity, np.array([row])), [wanted])
     # Power is the same on both sides, for a coupled gear too.
     coupled = MotorSide(position_matrix=R)
     rates, efforts = coupled.to_joints("velocity", DQ), coupled.to_joints("effort", TAU)
@@ -262,33 +230,25 @@ def test_gears_signs_and_sides():
     assert sensors.to_joints("effort", TAU) is TAU
 
 
-def test_units_joint_by_joint_and_rates(tmp_path: Path):
-    file = tmp_path / "log.npz"
-    np.savez(file, q=Q, tau=TAU)
+def test_units_joint_by_joint_rates_and_joints_without_effort(tmp_path: Path):
+    file = write_npz(tmp_path / "log.npz", q=Q, tau=TAU)
     units = {"position": ["deg", "rad", "mm"], "effort": ["N.m", "mNm", "N"]}
     log = read_recording(file, units=units, rate_hz=2.0)
     np.testing.assert_allclose(log.position, Q * [np.pi / 180, 1.0, 1e-3], rtol=1e-15)
     np.testing.assert_array_equal(log.time, T)
     assert read_recording(file, mapping={"rate_hz": 4}).rate_hz == pytest.approx(4.0)
-
-
-def test_ranges_of_columns_without_names(tmp_path: Path):
-    file = tmp_path / "log.csv"
-    np.savetxt(file, np.column_stack([T, Q, TAU]), delimiter=",")
-    columns = {"time": 1, "position": "2:4", "effort": ["5:6", 7]}
-    np.testing.assert_array_equal(read_recording(file, columns=columns).effort, TAU)
+    file = write_npz(tmp_path / "log.npz", t=T, q=Q, tau=TAU * [1.0, np.nan, 1.0])
+    found = read_recording(file, without_effort=["2"]).effort
+    np.testing.assert_array_equal(found, TAU * [1.0, 0.0, 1.0])
 
 
 def test_the_coupled_wrist_of_a_real_robot(data_folder: Path):
     file = data_folder / "staubli_tx40/tx40_rows_0_24750.npz"
     ratios = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])
     ratios[5, 4] = 32.0
-    log = read_recording(
-        file,
-        columns={"position": "q_motor", "effort": "tau_motor"},
-        motors={"position_matrix": ratios, "offsets": [0, -np.pi / 2, np.pi / 2, 0, 0, 0]},
-    )
-    expected = read_recording(file)
+    motors = {"position_matrix": ratios, "offsets": [0, -np.pi / 2, np.pi / 2, 0, 0, 0]}
+    columns = {"position": "q_motor", "effort": "tau_motor"}
+    log, expected = read_recording(file, columns=columns, motors=motors), read_recording(file)
     np.testing.assert_allclose(log.position, expected.position, atol=1e-12)
     np.testing.assert_allclose(log.effort, expected.effort, atol=1e-12)
 
@@ -316,26 +276,25 @@ def test_gains_are_found_by_name() -> None:
     assert "in A" not in repr(torques)
     assert torques.gains.joint_names == log.joint_names
     np.testing.assert_array_equal(torques.effort, log.effort * [1.0, 2.0, 3.0])
-    refuses(DataError, "turned into torques by gains already", scaled, torques, GAINS)
-
-
-def test_a_payload_names_the_recording_without_gains() -> None:
+    # Names may have another prefix; without names the gains' order counts.
+    prefixed = scaled(currents(("ur_joint1", "ur_joint2", "ur_joint3")), GAINS)
+    np.testing.assert_array_equal(prefixed.effort, torques.effort)
+    np.testing.assert_array_equal(scaled(currents(None), GAINS).effort, log.effort * [3, 1, 2])
+    for given_log, gains, words in (
+        (torques, GAINS, "turned into torques by gains already"),
+        (currents(("hip", "knee", "heel")), GAINS, "none for hip, knee, heel"),
+        (log, [1.0, 2.0], "gains: are 2, expected 3"),
+        (currents(None), sdpid.DriveGains(joint_names=["a"], gains=[1.0]), "log has 3 columns"),
+    ):
+        refuses(DataError, words, scaled, given_log, gains)
     robot = sdpid.load_robot("denso_vp6242")
-    with pytest.raises(DataError, match="payload, without_load: efforts are currents in A"):
-        sdpid.identify_payload(robot, scaled(currents(), GAINS), currents())
-
-
-def test_names_of_joints_may_have_another_prefix() -> None:
-    assert scaled(currents(("ur_joint1", "ur_joint2", "ur_joint3")), GAINS).effort[-1, 2] == (
-        pytest.approx(3.0 * np.sin(3.0))
-    )
-    refuses(DataError, "none for hip, knee, heel", scaled, currents(("hip", "knee", "heel")), GAINS)
+    words = "payload, without_load: efforts are currents in A"
+    refuses(DataError, words, sdpid.identify_payload, robot, torques, log)
 
 
 def test_gains_follow_picked_joints() -> None:
     robot = sdpid.load_robot("denso_vp6242")
-    order = [4, 0, 1, 2, 3, 5, 6]
-    names = np.array([*robot.joint_names, "gripper"])[order]
+    names = np.array([*robot.joint_names, "gripper"])[[4, 0, 1, 2, 3, 5, 6]]
     rng = np.random.default_rng(0)
     time = np.arange(0.0, 6.0, 0.01)
     table = np.sin(np.outer(time, rng.uniform(1.0, 3.0, 7)))
@@ -349,77 +308,63 @@ def test_gains_follow_picked_joints() -> None:
     np.testing.assert_array_equal(samples.gains.gains, [2.0, 3.0, 4.0, 5.0, 1.0, 6.0])
     np.testing.assert_array_equal(samples.gains.covariance, np.diag(samples.gains.gains) / 1e4)
     assert samples.between(0, 50).gains is samples.gains
-    with pytest.raises(DataError, match="others than those of the first"):
-        sdpid.Samples.join([samples, samples_of(robot, scaled(log, gains.gains))])
+    others = [samples, samples_of(robot, scaled(log, gains.gains))]
+    refuses(DataError, "others than those of the first", sdpid.Samples.join, others)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_files_keep_currents_as_currents(tmp_path: Path, suffix: str) -> None:
     log, path = currents(), tmp_path / f"run{suffix}"
     (log.to_csv if suffix == ".csv" else log.to_parquet)(path)
-    refuses(DataError, "look like currents: give gains=", sdpid.read_recording, path)
-    again = sdpid.read_recording(path, currents=True)
+    refuses(DataError, "look like currents: give gains=", read_recording, path)
+    again = read_recording(path, currents=True)
     assert again.currents
     np.testing.assert_array_equal(again.effort, log.effort)
+    turned = read_recording(path, gains=GAINS, effort_scale=[1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(turned.effort[:, 1], -2.0 * log.effort[:, 1])
+    for how, words in (
+        ({"effort_scale": [1.0, 2.0, 3.0]}, "makes torques of currents"),
+        ({"units": {"effort": "N.m"}}, r"gains are for currents in A, but the unit .* is N\.m"),
+        ({"currents": True}, "asks for currents"),
+    ):
+        refuses(DataError, words, read_recording, path, gains=GAINS, **how)
     GAINS.to_toml(tmp_path / "gains.toml")
     (tmp_path / "run.toml").write_text('gains = "gains.toml"\n')
-    read = sdpid.read_recording(path)
+    read = read_recording(path)
     np.testing.assert_array_equal(read.effort, scaled(log, GAINS).effort)
     # How it was read reads the same again, without the file of the gains.
     (tmp_path / "gains.toml").unlink()
-    repeated = sdpid.read_recording(path, mapping=False, **read.source.options)
+    repeated = read_recording(path, mapping=False, **read.source.options)
     np.testing.assert_array_equal(repeated.effort, read.effort)
     assert repeated.gains.same_errors(read.gains)
     assert repeated.gains.source == read.gains.source
 
 
-def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    currents().to_csv(path)
-    with pytest.raises(DataError, match="makes torques of currents"):
-        sdpid.read_recording(path, gains=GAINS, effort_scale=[1.0, 2.0, 3.0])
-    turned = sdpid.read_recording(path, gains=GAINS, effort_scale=[1.0, -1.0, 1.0])
-    np.testing.assert_array_equal(turned.effort[:, 1], -2.0 * currents().effort[:, 1])
-    with pytest.raises(DataError, match=r"gains are for currents in A, but the unit .* is N\.m"):
-        sdpid.read_recording(path, gains=GAINS, units={"effort": "N.m"})
-    refuses(DataError, "asks for currents", sdpid.read_recording, path, gains=GAINS, currents=True)
-
-
 # What is found by the usual names, whatever writes it.
 
 
-def table_csv(folder: Path, header: list[str], *tables: np.ndarray, delimiter: str = ",") -> Path:
-    file, rows = folder / "log.csv", np.column_stack(tables)
-    text = delimiter.join(header)
-    np.savetxt(file, rows, header=text, delimiter=delimiter, comments="", fmt="%.17g")
-    return file
-
-
 def test_npz_by_the_usual_names(tmp_path: Path):
-    file = tmp_path / "log.npz"
-    np.savez(file, t=T, q=Q, tau=TAU, dq=DQ, joint_names=np.array(NAMES))
-    log = read_recording(file)
-    for name, wanted in {"time": T, "position": Q, "effort": TAU, "velocity": DQ}.items():
-        np.testing.assert_array_equal(getattr(log, name), wanted)
+    log = read_recording(
+        write_npz(tmp_path / "log.npz", t=T, q=Q, tau=TAU, dq=DQ, joint_names=np.array(NAMES))
+    )
+    for quantity, wanted in TABLES.items():
+        np.testing.assert_array_equal(getattr(log, quantity), wanted)
     assert log.joint_names == tuple(NAMES)
     # Time from the sample rate, and vectors of a single joint.
-    np.savez(file, q=Q[:, 0], tau=TAU[:, 0], fs=2.0)
-    reading = read_described(file)
+    reading = read_described(write_npz(tmp_path / "log.npz", q=Q[:, 0], tau=TAU[:, 0], fs=2.0))
     np.testing.assert_array_equal(reading.recording.time, T)
     assert reading.recording.n == 1
     assert reading.sources["time"] == "sample rate, 2 Hz"
 
 
 @pytest.mark.parametrize(
-    ("pattern", "delimiter"),
+    ("pattern", "mark"),
     [("q{}", ","), ("q_{}", ";"), ("q[{}]", "\t"), ("position.{}", ","), ("Pos_{}", ";")],
 )
-def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, delimiter: str):
+def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, mark: str):
     # In numeric order, and without those of commands.
-    header = ["time", *map(pattern.format, (10, 2, 1)), "tau_2", "tau_1", "tau_10"]
-    tables = T, Q, TAU, DQ[:, 0]
-    file = table_csv(tmp_path, [*header, "tau_target_1"], *tables, delimiter=delimiter)
-    log = read_recording(file)
+    names = ["time", *map(pattern.format, (10, 2, 1)), "tau_2", "tau_1", "tau_10", "tau_target_1"]
+    log = read_recording(write_csv(tmp_path / "log.csv", names, T, Q, TAU, DQ[:, 0], mark=mark))
     np.testing.assert_array_equal(log.position, Q[:, ::-1])
     np.testing.assert_array_equal(log.effort, TAU[:, [1, 0, 2]])
     assert log.joint_names is None
@@ -433,54 +378,27 @@ def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
     log = read_recording(file)
     assert log.joint_names == ("up", "down")
     assert log.effort[3].tolist() == [6.0, -6.0]
-    log = read_recording(file, joint_names=("down", "up"))
-    assert log.effort[3].tolist() == [-6.0, 6.0]
+    assert read_recording(file, joint_names=("down", "up")).effort[3].tolist() == [-6.0, 6.0]
     log = read_recording(file, columns={"position": ["position_down"], "effort": ["effort_down"]})
     assert log.position[:, 0].tolist() == [0.0, -1.0, -2.0, -3.0]
 
 
-def test_own_parquet_and_overrides(tmp_path: Path):
-    file = tmp_path / "log.PARQUET"
-    log = Recording(time=T, position=Q, effort=TAU, joint_names=tuple(NAMES), period=1.0)
-    log.to_parquet(file)
-    again = read_recording(file)
-    assert again.period == 1.0
-    assert again.effort.tobytes() == log.effort.tobytes()
-    assert read_recording(file, period=2.0).period == 2.0
-    turned = read_recording(file, joint_names=NAMES[::-1])
-    np.testing.assert_array_equal(turned.position, Q[:, ::-1])
-    assert turned.period == 1.0
-
-
-def test_foreign_parquet_with_lists(tmp_path: Path):
-    file = tmp_path / "log.parquet"
-    pq.write_table(pa.table({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}), file)
-    log = read_recording(file)
-    np.testing.assert_array_equal(log.position, Q)
-    pq.write_table(
-        pa.table({"t": [0.0, 1.0], "q": [[1.0], [1.0, 2.0]], "tau": [[1.0], [2.0]]}), file
+@pytest.mark.parametrize(
+    ("position", "effort"),
+    [
+        ("q_measured_{}", "tau_measured_{}"),
+        ("actual-position {}", "{}_torque"),
+        ("arms/{}/q", "arms/{}/tau"),
+    ],
+)
+def test_the_longest_name_of_a_quantity_leaves_the_joint(
+    tmp_path: Path, position: str, effort: str
+):
+    columns = [key.format(name) for key in (position, effort) for name in NAMES]
+    log = read_recording(
+        write_csv(tmp_path / "log.csv", ["t", *columns], T, Q, TAU), joint_names=NAMES
     )
-    refuses(DataError, "'q' is ragged: its rows have 1 to 2", read_recording, file)
-    pq.write_table(pa.table({"t": [0.0, 1.0], "q": [1.0, None], "tau": [1.0, 2.0]}), file)
-    refuses(DataError, "row 2: position: 'q' has no value", read_recording, file)
-
-
-class Bomb:
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (pytest.fail, ("a pickle was executed",))
-
-
-def test_nothing_is_unpickled(tmp_path: Path):
-    boxed = np.empty((), dtype=object)
-    boxed[()] = Bomb()
-    # An object beside the data does no harm, as long as it is not wanted.
-    file = tmp_path / "log.npz"
-    np.savez(file, t=T, q=Q, tau=TAU, config=boxed)
-    assert read_recording(file).n == 3
-    np.savez(file, t=T, q=boxed, tau=TAU)
-    refuses(DataError, "'q' holds Python objects", read_recording, file)
-    file.write_bytes(pickle.dumps([1]))
-    refuses(DataError, "not a readable NumPy archive", read_recording, file)
+    np.testing.assert_array_equal(log.effort, TAU)
 
 
 ROBOTS = {
@@ -509,100 +427,90 @@ SLOW = 0.01 * np.arange(STEPS)
 MOVED = np.sin(np.outer(SLOW, [1.0, 1.7]))
 REF = np.sin(np.outer(SLOW + 0.02, [1.0, 1.7]))
 TORQUE = np.random.default_rng(5).standard_normal((STEPS, 2))
+PLAIN = numbered("q_{}", "tau_{}")
 
 
 def with_reference(folder: Path, names: list[str], *tables: Any) -> Path:
-    file = folder / "log.csv"
-    rows = np.column_stack([SLOW, MOVED, TORQUE, *tables])
-    np.savetxt(file, rows, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.17g")
-    return file
-
-
-def pair(template: str) -> list[str]:
-    return [template.format(j) for j in (1, 2)]
+    return write_csv(folder / "log.csv", ["t", *names], SLOW, MOVED, TORQUE, *tables)
 
 
 @pytest.mark.parametrize(
     "name",
-    [
-        *("q_d_{}", "q_d[{}]", "q_des_{}", "target_q_{}", "position_reference_{}", "reference_{}"),
-        *("ref_pos_{}", "q_cmd{}", "joint_position_command_{}", "q_setpoint_{}"),
-    ],
+    ["q_d_{}", "q_d[{}]", "target_q_{}", "position_reference_{}", "reference_{}", "q_cmd{}"],
 )
 def test_numbered_references_are_found(tmp_path: Path, name: str):
-    names = [*pair("q_{}"), *pair("tau_{}"), *pair("dq_d_{}"), *pair("tau_J_d_{}"), *pair(name)]
+    names = [*PLAIN, *numbered("dq_d_{}", "tau_J_d_{}", name)]
     log = read_recording(with_reference(tmp_path, names, 0 * MOVED, 0 * MOVED, REF))
     np.testing.assert_array_equal(log.reference, REF)
     np.testing.assert_array_equal(log.position, MOVED)
     assert log.velocity is None
 
 
-def test_references_by_joints_units_and_arrays(tmp_path: Path):
-    labels = ("lift", "elbow")
-    names = [f"{each}_{q}" for q in ("position", "effort") for each in labels]
-    file = with_reference(
-        tmp_path, [*names, "elbow_target_position", "lift_target_position"], REF[:, ::-1]
-    )
-    np.testing.assert_array_equal(read_recording(file).reference, REF)
-    assert read_recording(file, columns={"reference": None}).reference is None
-    # A reference has the unit of the position, unless it says otherwise.
-    names = [*pair("Joint {} [deg]"), *pair("Torque {} (Nm)"), *pair("Command {} [deg]")]
-    file = with_reference(tmp_path, names, REF)
-    np.testing.assert_allclose(read_recording(file).reference, np.radians(REF))
-    names = [*pair("q_{}"), *pair("tau_{}"), *pair("q_ref_{}")]
-    file = with_reference(tmp_path, names, REF)
-    log = read_recording(file, units={"position": "deg"})
-    np.testing.assert_allclose(log.reference, np.radians(REF))
-    log = read_recording(file, units={"position": "deg", "reference": "rad"})
-    np.testing.assert_array_equal(log.reference, REF)
-    log = read_recording(file, motors={"gear_ratios": [10.0, -20.0], "offsets": [0.5, 0.0]})
-    np.testing.assert_allclose(log.reference, REF / [10.0, -20.0] + [0.5, 0.0])
-    motors = {"gear_ratios": [10.0, 20.0], "applies_to": ["position"]}
-    np.testing.assert_array_equal(read_recording(file, motors=motors).reference, REF)
-    np.savez(tmp_path / "log.npz", t=SLOW, q=MOVED, tau=TORQUE, q_d=REF)
-    np.testing.assert_array_equal(read_recording(tmp_path / "log.npz").reference, REF)
+LABELED = [f"{each}_{q}" for q in ("position", "effort") for each in ("lift", "elbow")]
+COMMANDED = numbered("Joint {} [deg]", "Torque {} (Nm)", "Command {} [deg]")
+BESIDE = [*PLAIN, *numbered("q_ref_{}")]
+AT_MOTORS = {"gear_ratios": [10.0, -20.0], "offsets": [0.5, 0.0]}
+OF_POSITIONS = {"gear_ratios": [10.0, 20.0], "applies_to": ["position"]}
+
+
+@pytest.mark.parametrize(
+    ("names", "table", "how", "wanted"),
+    [
+        ([*LABELED, "elbow_target_position", "lift_target_position"], REF[:, ::-1], {}, REF),
+        (BESIDE, REF, {"columns": {"reference": None}}, None),
+        # A reference has the unit of the position, unless it says otherwise.
+        (COMMANDED, REF, {}, np.radians(REF)),
+        (BESIDE, REF, {"units": {"position": "deg"}}, np.radians(REF)),
+        (BESIDE, REF, {"units": {"position": "deg", "reference": "rad"}}, REF),
+        (BESIDE, REF, {"motors": AT_MOTORS}, REF / [10.0, -20.0] + [0.5, 0.0]),
+        (BESIDE, REF, {"motors": OF_POSITIONS}, REF),
+        # A joint called d has no reference.
+        (["q_c", "q_d", "tau_c", "tau_d"], np.empty((STEPS, 0)), {}, None),
+    ],
+)
+def test_references_by_joints_and_units(
+    tmp_path: Path, names: list[str], table: Any, how: dict[str, Any], wanted: Any
+):
+    log = read_recording(with_reference(tmp_path, names, table), **how)
+    assert (log.reference is None) == (wanted is None)
+    if wanted is not None:
+        np.testing.assert_allclose(log.reference, wanted, rtol=1e-15)
+    arrays = {"t": SLOW, "q": MOVED, "tau": TORQUE, "q_d": REF}
+    found = read_recording(write_npz(tmp_path / "log.npz", **arrays))
+    np.testing.assert_array_equal(found.reference, REF)
 
 
 @pytest.mark.parametrize(
     ("names", "table", "why"),
     [
         # A derivative by its values, and by the second derivative beside it.
-        (pair("q_d_{}"), np.cos(np.outer(SLOW, [1.0, 1.7])), "may be a derivative"),
-        ([*pair("q_d_{}"), *pair("q_dd_{}")], np.hstack([REF, REF]), None),
-        (pair("command_{}"), REF, None),
-        (pair("target_{}"), REF, None),
-        (pair("target_qd_{}"), REF, None),
-        (pair("qd_des_{}"), REF, None),
-        (pair("tau_ref_{}"), REF, None),
-        (pair("Command {} [A]"), REF, None),
-        (pair("position_error_{}"), REF, None),
-        ([*pair("q_ref_{}"), *pair("target_q_{}")], np.hstack([REF, REF]), "it could be "),
-        (pair("q_ref_{}"), np.where(SLOW[:, None] > 1.0, np.nan, REF), "lacks values"),
+        (["q_d_{}"], np.cos(np.outer(SLOW, [1.0, 1.7])), "may be a derivative"),
+        (["q_d_{}", "q_dd_{}"], np.hstack([REF, REF]), None),
+        (["command_{}"], REF, None),
+        (["target_{}"], REF, None),
+        (["target_qd_{}"], REF, None),
+        (["qd_des_{}"], REF, None),
+        (["tau_ref_{}"], REF, None),
+        (["Command {} [A]"], REF, None),
+        (["position_error_{}"], REF, None),
+        (["q_ref_{}", "target_q_{}"], np.hstack([REF, REF]), "it could be "),
+        (["q_ref_{}"], np.where(SLOW[:, None] > 1.0, np.nan, REF), "lacks values"),
     ],
 )
 def test_what_may_be_something_else_is_left_out(
     tmp_path: Path, names: list[str], table: np.ndarray, why: str | None
 ):
-    file = with_reference(tmp_path, [*pair("q_{}"), *pair("tau_{}"), *names], table)
+    columns = numbered(*names)
+    file = with_reference(tmp_path, [*PLAIN, *columns], table)
     reading = read_described(file)
     assert reading.recording.reference is None
-    if why is None:
-        assert "reference" not in reading.sources
-    else:
-        assert why in reading.sources["reference"]
+    assert ("reference" in reading.sources) == (why is not None)
+    assert why is None or why in reading.sources["reference"]
+    how = {"columns": {"reference": columns[:2]}, "units": {"reference": "rad"}}
     if np.isfinite(table).all():
-        units = {"reference": "rad"}
-        log = read_recording(file, columns={"reference": names[:2]}, units=units)
-        np.testing.assert_array_equal(log.reference, table[:, :2])
+        np.testing.assert_array_equal(read_recording(file, **how).reference, table[:, :2])
     else:
-        refuses(DataError, "reference", read_recording, file, columns={"reference": names[:2]})
-
-
-def test_positions_of_a_joint_called_d_are_no_reference(tmp_path: Path):
-    names = ["q_c", "q_d", "tau_c", "tau_d"]
-    log = read_recording(with_reference(tmp_path, names))
-    assert log.joint_names == ("c", "d")
-    assert log.reference is None
+        refuses(DataError, "reference", read_recording, file, **how)
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -619,8 +527,8 @@ def test_a_recording_keeps_its_reference(tmp_path: Path, stored: bool):
     np.testing.assert_array_equal(log.reference, REF)
     picked = read_recording(tmp_path / "log.parquet", joint_names=["elbow"], stored=stored)
     np.testing.assert_array_equal(picked.reference, REF[:, 1:])
-    with pytest.raises(DataError, match=r"reference: has shape \(300, 1\), expected \(300, 2\)"):
-        replace(log, reference=REF[:, :1])
+    words = r"reference: has shape \(300, 1\), expected \(300, 2\)"
+    refuses(DataError, words, replace, log, reference=REF[:, :1])
     # The robot's order, gaps and late stamps.
     robot = SimpleNamespace(n=2, n_base=0, name="arm", joint_names=("elbow", "lift"), passive=())
     np.testing.assert_array_equal(match_joints(cast(Any, robot), log).reference, REF[:, ::-1])
@@ -637,12 +545,10 @@ def test_wrapped_references_follow_positions():
     def wrapped(values: np.ndarray) -> np.ndarray:
         return np.mod(values + np.pi, 2.0 * np.pi) - np.pi
 
-    log = Recording(time=SLOW, position=wrapped(angle), effort=TORQUE, reference=wrapped(ahead))
-    found, _ = unwrapped(log)
-    np.testing.assert_allclose(found.reference, ahead, atol=1e-12)
-    # Whole turns off, and only one of them wrapped.
-    log = Recording(time=SLOW, position=angle, effort=TORQUE, reference=ahead + 4.0 * np.pi)
-    np.testing.assert_allclose(unwrapped(log)[0].reference, ahead, atol=1e-12)
+    # Both wrapped, or whole turns off and only one of them wrapped.
+    for positions, reference in ((wrapped(angle), wrapped(ahead)), (angle, ahead + 4.0 * np.pi)):
+        log = Recording(time=SLOW, position=positions, effort=TORQUE, reference=reference)
+        np.testing.assert_allclose(unwrapped(log)[0].reference, ahead, atol=1e-12)
     # In degrees nothing is known of turns.
     log = Recording(time=SLOW, position=angle, effort=TORQUE, reference=np.degrees(ahead))
     assert unwrapped(log)[0] is log
@@ -650,8 +556,6 @@ def test_wrapped_references_follow_positions():
 
 def test_simulated_references_are_what_the_controller_followed():
     robot = sdpid.load_robot("denso_vp6242")
-    from sdpid.experiment.plant.drives import load_drives
-
     log = sdpid.simulate(robot, seed=1, noise=False)
     drives = load_drives(robot.name)
     speed = (log.position[2:] - log.position[:-2]) / (2.0 * log.step)

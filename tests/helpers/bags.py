@@ -20,14 +20,17 @@ def write_bag(
     gripper: bool = False,
     ragged: int | None = None,
     base: np.ndarray | None = None,
+    packed: str | None = None,
 ) -> Path:
     """Write a bag of kind db3, mcap, folder or ros1; it was recorded at half the speed.
+
+    With `packed`, a mode of compression, the folder is returned.
 
     With `base`, rows of position, quaternion x y z w, linear and angular velocity, every second
     state has an odometry and an IMU that measures the angular velocity.
     """
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 
@@ -41,6 +44,8 @@ def write_bag(
     others: dict[str, Any] = {}
     file = folder.with_suffix(".bag") if one else folder
     writer: Any = Writer1(file) if one else Writer2(file, version=9, storage_plugin=plugin)
+    if packed is not None:
+        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     with writer as out:
         where = out.add_connection("/joint_states", state.__msgtype__, typestore=store)
 
@@ -69,7 +74,7 @@ def write_bag(
                     out.write(others[topic], recorded, pack(message, message.__msgtype__))
             if gripper:
                 write(k, ("finger",), *(np.zeros(1),) * 3)
-    if kind in ("folder", "ros1"):
+    if kind in ("folder", "ros1") or packed:
         return file
     return next(folder.glob(f"*.{kind}"))
 
