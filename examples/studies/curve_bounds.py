@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from sdpid._common.tables import Table
-from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.curve import Curve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.spline import Spline
 
 DURATION, FREE, JOINTS, HARMONICS = 20.0, 35, 3, 10
 DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
@@ -53,7 +52,8 @@ def enclosed(curve: Curve, order: int, cell: float) -> np.ndarray:
 
 def controlled(curve: Spline, order: int, halvings: int) -> np.ndarray:
     """Return the size (n,) of the largest control point of a derivative."""
-    return np.asarray(np.abs(curve.control(order, halvings)).max(axis=0))
+    matrix = Spline.control_matrix(len(curve.control_points), DURATION, order, halvings)
+    return np.asarray(np.abs(matrix @ curve.control_points).max(axis=0))
 
 
 WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] = {

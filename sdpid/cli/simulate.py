@@ -71,9 +71,9 @@ def _arm(given: Given) -> None:
     from sdpid.experiment.plant.drives import load_drives, plant_folder
     from sdpid.experiment.plant.simulate import simulate as run
     from sdpid.experiment.plant.simulate import true_parameters
+    from sdpid.experiment.trajectory.curve import SampledCurve
     from sdpid.experiment.trajectory.paper import paper_excitation
     from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
-    from sdpid.experiment.trajectory.sampled import SampledCurve
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
 

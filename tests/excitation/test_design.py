@@ -23,7 +23,7 @@ from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.search.search import Candidate, Search
 from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.search.starts import random_start
-from sdpid.experiment.trajectory.spline import Spline
+from sdpid.experiment.trajectory.curve import Spline
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.plans import small_plan
 from tests.helpers.refusals import refuses

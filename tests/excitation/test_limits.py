@@ -26,10 +26,8 @@ from sdpid.excitation.limits.norms import body_sizes, effort_norms, link_norms, 
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.sampled import SampledCurve
-from sdpid.experiment.trajectory.spline import Spline
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm
 from tests.helpers.small_robots import URDFS

@@ -3,8 +3,8 @@
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.trajectory.curve import Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.spline import Spline
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.curve import Curve, SampledCurve
 from sdpid.experiment.trajectory.reading import read_trajectory
-from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.model import RobotModel
 

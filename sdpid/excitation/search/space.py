@@ -11,9 +11,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.curve import Curve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.spline import Spline
 
 # Intervals of a spline a second, and at least as many: with 36 intervals in 20 s the condition
 # number of a UR10e is within a tenth of what any number reaches, and more only take longer.

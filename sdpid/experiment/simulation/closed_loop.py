@@ -18,7 +18,7 @@ from sdpid.experiment.simulation.controllers import Controller, JointLaw
 from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.loops import NEAR
-from sdpid.experiment.trajectory.sampled import SampledCurve
+from sdpid.experiment.trajectory.curve import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
 

@@ -15,8 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import Columns, LogTable
 from sdpid.experiment.readers.conversion import in_seconds, in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
-from sdpid.experiment.trajectory.curve import rests_at_ends
-from sdpid.experiment.trajectory.sampled import SampledCurve
+from sdpid.experiment.trajectory.curve import SampledCurve, rests_at_ends
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
 # Names of accelerations, which logs do not have; those of the rest are the readers'.

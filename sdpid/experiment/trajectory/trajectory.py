@@ -15,10 +15,15 @@ from sdpid._common.arrays import Array, frozen, frozen_view, shaped
 from sdpid._common.files import atomic_write_text, load_toml
 from sdpid._common.tables import Shown, plain
 from sdpid.errors import DataError, ExportError
-from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
+from sdpid.experiment.trajectory.curve import (
+    Curve,
+    SampledCurve,
+    Spline,
+    end_states,
+    is_closed,
+    rests_at_ends,
+)
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.sampled import SampledCurve
-from sdpid.experiment.trajectory.spline import Spline
 
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
 # above the rounding of the product, far below any intended timing.
