@@ -43,8 +43,7 @@ from sdpid.estimation.information import Excitation, least_squares
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.experiment.processing.base import unit
-from sdpid.experiment.processing.feet import landing_share
+from sdpid.experiment.processing.base import landing_share, unit
 from sdpid.experiment.processing.motion import fourth_differences, noise_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing

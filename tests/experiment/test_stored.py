@@ -18,7 +18,6 @@ import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.processing import pipeline
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.processing.pipeline import in_threads
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.formats import parquet_file
@@ -237,14 +236,6 @@ def test_stamps_are_counted(steps: list[float]):
         wrong[row:] -= steps[row - 1]
         words = rf"time repeats at row {row + 1}: .*\(1 such rows\)"
         refuses(DataError, words, Stamps.of, wrong)
-
-
-def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPatch):
-    for cores in (1, 3):
-        monkeypatch.setattr(pipeline, "_cores", lambda cores=cores: cores)
-        assert in_threads(lambda i: i * i, 7) == [i * i for i in range(7)]
-        with pytest.raises(ZeroDivisionError):
-            in_threads(lambda i: 1 // (i - 3), 7)
 
 
 def test_noise_that_the_filter_removes_is_no_wrong_period():

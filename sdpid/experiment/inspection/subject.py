@@ -16,8 +16,8 @@ from sdpid.experiment.inspection.explain import ExplainedLog, fixed_log, floatin
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, note, refuse
 from sdpid.experiment.inspection.rows import FilteredRows, low_passed
 from sdpid.experiment.inspection.standing import Standing
+from sdpid.experiment.processing.base import carried
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES, default_processing
-from sdpid.experiment.processing.feet import carried
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples

@@ -151,7 +151,7 @@ class Twin:
             pairs = zip(self.logs, arrays["position"], strict=True)
             arrays["velocity"] = [_spline_velocity(log.time, q) for log, q in pairs]
         moved = self._moved(arrays)
-        states = [states_of(*each, self.processing, repeats=False) for each in moved]
+        states = [states_of(*each, repeats=False) for each in moved]
         changed: dict[str, Any] = {
             name: np.concatenate([each[name] for each in states])
             for name in ("position", "velocity", "acceleration")

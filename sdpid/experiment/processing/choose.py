@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from operator import itemgetter
-from typing import Any, Literal
+from typing import Any
 
 from sdpid.errors import DataError
-from sdpid.experiment.processing.base import base_limit
-from sdpid.experiment.processing.feet import landing_share
+from sdpid.experiment.processing.base import base_limit, landing_share
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
@@ -86,15 +85,17 @@ def default_processing(
     DataError
         When no joint moves.
     """
-    given = changes if isinstance(changes, Mapping) else {}
+    source: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+    if isinstance(changes, Mapping) and "base_motion" in changes:
+        source["base_motion"] = changes["base_motion"]
     if log.period_layout is not None:
-        processing, reason = _with_periods(log.period_layout[2], log.n)
-        reasons = [reason]
+        reasons = [_with_periods(log.period_layout[2], log.n)]
     else:
         log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
-        processing, reasons = _without_periods(log, given.get("base_motion", "auto"))
-    source = {"base_motion": given["base_motion"]} if "base_motion" in given else {}
-    return replace(processing, reasons=tuple(reasons), **source)
+        settings, reasons = _without_periods(log, source.get("base_motion", "auto"))
+    settings |= {reason.field: reason.value for reason in reasons}
+    return Processing(**settings, **source, reasons=tuple(reasons))
 
 
 def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processing:
@@ -118,22 +119,19 @@ def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processi
     return replace(processing, **changes)
 
 
-def _with_periods(periods: int, joints: int) -> tuple[Processing, Reason]:
+def _with_periods(periods: int, joints: int) -> Reason:
     """Choose the covariance that the periods allow."""
-    covariance: Literal["period", "pooled"] | None
+    covariance, why = None, "no spread"
     if periods > joints:
         covariance, why = "period", "more than joints"
     elif periods > 1:
         covariance, why = "pooled", f"no more than {joints} joints: too few for one a sample"
-    else:
-        covariance, why = None, "no spread"
     text = f"{periods} {'period' if periods == 1 else 'periods'}, {why}"
-    reason = Reason(field="covariance", value=covariance, text=text)
-    return Processing(covariance=covariance), reason
+    return Reason(field="covariance", value=covariance, text=text)
 
 
-def _without_periods(log: Recording, base_motion: str) -> tuple[Processing, list[Reason]]:
-    """Choose filter, velocity and derivative from a record without gaps."""
+def _without_periods(log: Recording, base_motion: str) -> tuple[dict[str, Any], list[Reason]]:
+    """Choose filter, velocity and derivative from a record without gaps, the last two with why."""
     motion, rate = motion_frequency(log), log.rate_hz
     slowest = rate / log.n_samples
     times = _CUTOFF_OVER_MOTION if log.base is None else _FINITE_CUTOFF_OVER_MOTION
@@ -162,22 +160,21 @@ def _without_periods(log: Recording, base_motion: str) -> tuple[Processing, list
         bounds.append((max(still, least * motion), why))
     # The first of equal ones.
     cutoff, why = min(bounds, key=itemgetter(0))
-    processing = Processing(
-        cutoff_hz=cutoff,
-        order=4 if log.base is None else _FINITE_ORDER,
-        decimation=None,
-        reversal_time=_MASKED_PERIODS / cutoff,
-        kept_share=_KEPT_SHARE,
-        derivative="central4",
-        filter="butterworth" if log.base is None else "finite",
-    )
-    reasons = [Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why)]
-    velocity, why = _velocity(log, max(motion, slowest))
-    reasons.append(Reason(field="velocity", value=velocity, text=why))
+    velocity, why_velocity = _velocity(log, max(motion, slowest))
+    reasons = [
+        Reason(field="cutoff_hz", value=cutoff, text=why),
+        Reason(field="velocity", value=velocity, text=why_velocity),
+    ]
     if log.contacts is not None:
-        reasons.append(_impact(log.contacts, rate, processing.cutoff_hz))
-        processing = replace(processing, impact_s=reasons[-1].value)
-    return replace(processing, velocity=velocity), reasons
+        reasons.append(_impact(log.contacts, rate, cutoff))
+    return {
+        "order": 4 if log.base is None else _FINITE_ORDER,
+        "decimation": None,
+        "reversal_time": _MASKED_PERIODS / cutoff,
+        "kept_share": _KEPT_SHARE,
+        "derivative": "central4",
+        "filter": "butterworth" if log.base is None else "finite",
+    }, reasons
 
 
 def _impact(contacts: Contacts, rate: float, cutoff: float) -> Reason:
@@ -190,7 +187,7 @@ def _impact(contacts: Contacts, rate: float, cutoff: float) -> Reason:
     return Reason(field="impact_s", value=0.0, text=f"{seen}, where positions jump: left out")
 
 
-def _velocity(log: Recording, motion: float) -> tuple[Literal["measured", "differentiated"], str]:
+def _velocity(log: Recording, motion: float) -> tuple[str, str]:
     """Choose between the recorded velocity and the position's derivative."""
     limit = f"{RATE_OF_DIFFERENCES:g} Hz"
     if log.velocity is None:

@@ -65,6 +65,8 @@ class Pipeline:
 
     Attributes
     ----------
+    processing : Processing
+        The settings that it is made of.
     grid : Grid
         The uniform grid of the record.
     first, length, periods : int
@@ -74,8 +76,6 @@ class Pipeline:
         end; False for one that is continued by point reflection at the ends of the record.
     low_pass : ZeroPhaseFilter
         The filter; a pass is forward and backward.
-    differences : Weights
-        Central differences.
     decimation : int
         One sample in `decimation` is kept.
     passes : int
@@ -87,13 +87,13 @@ class Pipeline:
         Samples on either side that differences and mask need.
     """
 
+    processing: Processing
     grid: Grid
     first: int
     length: int
     periods: int
     circular: bool
     low_pass: ZeroPhaseFilter
-    differences: Weights
     decimation: int
     passes: int
     masked: int
@@ -112,7 +112,7 @@ class Pipeline:
         """
         grid = make_grid(log, processing.timing)
         rate, cutoff = 1.0 / grid.step, processing.cutoff_hz
-        low_pass, differences = processing.low_pass(rate), processing.stencil()
+        low_pass = processing.low_pass(rate)
         circular = log.period_layout is not None
         if log.period_layout is not None:
             first, length, periods = log.period_layout
@@ -137,20 +137,25 @@ class Pipeline:
         fitting = math.floor(1.0 / (grid.step * _RATE_OVER_CUTOFF * cutoff) + 1e-9)
         masked = math.floor((processing.reversal_time or 0.0) / grid.step + 1e-9)
         return Pipeline(
+            processing=processing,
             grid=grid,
             first=first,
             length=length,
             periods=periods,
             circular=circular,
             low_pass=low_pass,
-            differences=differences,
             decimation=processing.decimation or max(1, fitting),
             passes=1 if processing.filter_alike else 2,
             masked=masked,
             # A reversal just outside masks rows inside (a change of sign shows one sample further
             # out); a periodic record has no outside.
-            margin=differences.margin + (0 if circular else masked + 1),
+            margin=processing.stencil().margin + (0 if circular else masked + 1),
         )
+
+    @property
+    def differences(self) -> Weights:
+        """Central differences."""
+        return self.processing.stencil()
 
     @property
     def count(self) -> int:
@@ -254,30 +259,14 @@ class Pipeline:
             advance(1)
             return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
-        found = in_threads(columns, n)
+        with ThreadPoolExecutor(min(_MOST_THREADS, n, os.cpu_count() or 1)) as pool:
+            found = list(pool.map(columns, range(n)))
         return tuple(np.stack(table, axis=1) for table in zip(*found, strict=True))
-
-
-def in_threads(action: Callable[[int], Any], count: int) -> list[Any]:
-    """Return ``[action(i) for i in range(count)]``, computed on up to four cores."""
-    workers = min(_MOST_THREADS, count, _cores())
-    if workers <= 1:
-        return [action(i) for i in range(count)]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(action, range(count)))
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def states_of(
     log: Recording,
     pipeline: Pipeline,
-    processing: Processing,
     *,
     repeats: bool = True,
     advance: Callable[[int], object] = lambda _: None,
@@ -294,8 +283,6 @@ def states_of(
         The record.
     pipeline : Pipeline
         Of this record or of another one with the same time stamps.
-    processing : Processing
-        The settings.
     repeats : bool, optional
         Whether periods that do not look alike are refused.
     advance : callable, optional
@@ -311,7 +298,7 @@ def states_of(
     DataError
         When periods do not look alike.
     """
-    differences, step = pipeline.differences, pipeline.grid.step
+    processing, differences, step = pipeline.processing, pipeline.differences, pipeline.grid.step
     measured = log.velocity if processing.velocity == "measured" else None
 
     def states(part: Pipeline, j: int) -> tuple[NDArray[Any], ...]:
@@ -335,7 +322,7 @@ def states_of(
     velocity[:, resting] = acceleration[:, resting] = 0.0
     wide = None
     if processing.filter_friction:
-        wide = (_wide_velocity(log, measured, pipeline, processing, resting),)
+        wide = (_wide_velocity(log, measured, pipeline, resting),)
     return {
         "position": position,
         "velocity": velocity,
@@ -363,15 +350,11 @@ def _check_repeats(log: Recording, part: Pipeline, j: int, last: Array, spread: 
 
 
 def _wide_velocity(
-    log: Recording,
-    measured: Array | None,
-    pipeline: Pipeline,
-    processing: Processing,
-    resting: Mask,
+    log: Recording, measured: Array | None, pipeline: Pipeline, resting: Mask
 ) -> WideVelocity:
     """Return the wide velocity of a record, zero for joints at rest: their noise has no sign."""
-    rate, cutoff = 1.0 / pipeline.grid.step, processing.cutoff_hz
-    differences, decimation = pipeline.differences, pipeline.decimation
+    processing, differences = pipeline.processing, pipeline.differences
+    rate, cutoff, decimation = 1.0 / pipeline.grid.step, processing.cutoff_hz, pipeline.decimation
     band = min(_WIDE_BAND * cutoff, max(BAND_OVER_RATE * rate, cutoff))
     most = max(rate / (_WIDE_RATE_OVER_CUTOFF * cutoff), 1.0)
     stride = max(d for d in range(1, decimation + 1) if decimation % d == 0 and d <= most)

@@ -14,10 +14,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sdpid._common import progress as _progress
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.processing.base import GRAVITY, require_finite, with_base
@@ -164,10 +164,10 @@ def _processed(
     """Process a record without gaps and wrapped angles."""
     pipeline = Pipeline.of(log, processing)
     step, decimation = pipeline.grid.step, pipeline.decimation
-    states = states_of(log, pipeline, processing, advance=advance)
+    states = states_of(log, pipeline, advance=advance)
     wanted = log.period is not None and processing.covariance is not None
     effort, covariance, effort_periods, lost = efforts_of(log, pipeline, covariance=wanted)
-    notes = [*_notes(log, processing, pipeline, states["mask"]), *lost]
+    notes = [*_notes(log, pipeline, states["mask"]), *lost]
     if covariance is not None:
         covariance = _shrunk(covariance, processing)
         notes += _noise_free(log, covariance, effort)
@@ -186,7 +186,7 @@ def _processed(
         effort_periods=effort_periods,
         gains=log.gains,
     )
-    return samples if log.base is None else with_base(samples, log, pipeline, processing, gravity)
+    return samples if log.base is None else with_base(samples, log, pipeline, gravity)
 
 
 def _shrunk(covariance: Array, processing: Processing) -> Array:
@@ -194,8 +194,7 @@ def _shrunk(covariance: Array, processing: Processing) -> Array:
     pooled = np.asarray(covariance.mean(axis=0))
     if processing.covariance == "pooled":
         return pooled
-    share = processing.shrinkage
-    return (1.0 - share) * covariance + share * pooled if share > 0.0 else covariance
+    return (1.0 - processing.shrinkage) * covariance + processing.shrinkage * pooled
 
 
 def _noise_free(log: Recording, covariance: Array, effort: Array) -> list[str]:
@@ -257,11 +256,9 @@ def _unmasked(samples: Samples, processing: Processing) -> Samples:
     return samples
 
 
-def _notes(
-    log: Recording, processing: Processing, pipeline: Pipeline, mask: NDArray[np.bool_] | None
-) -> list[str]:
+def _notes(log: Recording, pipeline: Pipeline, mask: Mask | None) -> list[str]:
     """Return notes on what was done, in order."""
-    grid, low_pass = pipeline.grid, pipeline.low_pass
+    processing, grid, low_pass = pipeline.processing, pipeline.grid, pipeline.low_pass
     notes = [] if grid.note is None else [grid.note]
     alike = "all signals once"
     if pipeline.passes == 2:
