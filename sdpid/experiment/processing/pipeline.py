@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -174,13 +175,15 @@ class Pipeline:
         return np.stack(columns, axis=1).reshape(-1, *table.shape[1:])
 
     def parts(self) -> Iterator[Pipeline]:
-        """Yield what keeps consecutive parts of about `CHUNK` samples; periods are not parted."""
-        size = self.length
-        if not self.circular:
-            size = max(1, CHUNK // self.decimation) * self.decimation
-        for first in range(0, self.length, size):
-            length = min(size, self.length - first)
-            yield replace(self, first=self.first + first, length=length)
+        """Yield what keeps consecutive parts of `CHUNK` samples or more; periods are not parted.
+
+        The last part is no shorter than others: what lies beyond the end of a record is a
+        reflection of what is before it.
+        """
+        size = max(1, CHUNK // self.decimation) * self.decimation
+        count = 1 if self.circular else max(1, self.length // size)
+        for begin, end in pairwise([*range(0, count * size, size), self.length]):
+            yield replace(self, first=self.first + begin, length=end - begin)
 
     def read(self, column: Array, period: int) -> Array:
         """Return a stretch of a channel (N,), with what filter and margin need on either side.

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 import sdpid
+from sdpid import Recording
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.overview import gaps
 from sdpid.experiment.preparation.prepare import (
@@ -28,13 +29,22 @@ from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import make_grid
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import rows_of
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
 RATE = 1000.0
 PERIOD = 2.0
 ALL_ROWS = Processing(reversal_time=None, covariance=None)
+STATES = ("position", "velocity", "acceleration", "effort")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_parts() -> Any:
+    """Filter records without periods in parts of less than a second: they must not show."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "CHUNK", 700)
+        yield
 
 
 class Tones:
@@ -56,13 +66,13 @@ class Tones:
 
 def periodic(
     periods: int = 3, *, lead: float = 0.0, seed: int = 0, noise: float = 0.0, joints: int = 2
-) -> sdpid.Recording:
+) -> Recording:
     """Return a record of whole periods with a lead-in and a lead-out of the same motion."""
     count = round((periods * PERIOD + 2 * lead) * RATE)
     time = 7.0 + np.arange(count) / RATE
     rng = np.random.default_rng(seed)
     draw = lambda: noise * rng.standard_normal((count, joints))  # noqa: E731
-    return sdpid.Recording(
+    return Recording(
         time=time,
         position=Tones(seed, joints)(time) + draw(),
         effort=10.0 * Tones(seed + 100, joints)(time) + draw(),
@@ -89,36 +99,44 @@ def difference_gains(tones: Tones, weights: Weights) -> tuple[np.ndarray, np.nda
 
 @pytest.mark.parametrize("lead", [0.0, 0.1, 1.5])
 @pytest.mark.parametrize("alike", [True, False])
-@pytest.mark.parametrize(("order", "derivative"), [(1, "central"), (3, "central4")])
+@pytest.mark.parametrize(
+    ("order", "derivative", "velocity"),
+    [
+        (1, "central", "differentiated"),
+        (3, "central4", "differentiated"),
+        (2, "central6", "measured"),
+    ],
+)
 def test_tones_come_out_filtered_and_exact_in_every_sample(
-    lead: float, alike: bool, order: int, derivative: Any
+    lead: float, alike: bool, order: int, derivative: Any, velocity: Any
 ):
-    log = periodic(lead=lead)
     motion, torque = Tones(0), Tones(100)
-    setting = replace(ALL_ROWS, filter_alike=alike, order=order, derivative=derivative)
-    samples = process(log, setting)
+    log = periodic(lead=lead)
+    log = replace(log, velocity=motion(log.time, 1.0, 1))
+    changes = {"order": order, "derivative": derivative, "velocity": velocity}
+    samples = process(log, replace(ALL_ROWS, filter_alike=alike, **changes))
     assert samples.n_samples == 200
-    np.testing.assert_allclose(samples.time, 7.0 + lead + 0.01 * np.arange(200), rtol=1e-14)
-    once = gains(motion, order=order)
-    inner = once if alike else once**2
-    first, second = difference_gains(motion, stencil(derivative))
     time = samples.time
-    np.testing.assert_allclose(samples.position, motion(time, once), atol=1e-12)
-    np.testing.assert_allclose(samples.effort, 10 * torque(time, once), atol=1e-11)
-    np.testing.assert_allclose(samples.velocity, motion(time, inner * first, 1), atol=1e-10)
-    # Rounding of positions near 1 rad, divided by the squared step: 2e-16 · 1e6.
-    np.testing.assert_allclose(samples.acceleration, motion(time, inner * second, 2), atol=1e-8)
-
-
-def test_derivatives_are_those_of_the_filtered_signal():
-    motion = Tones(0)
-    samples = process(periodic(), replace(ALL_ROWS, derivative="central6"))
-    gain = gains(motion)
-    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-10)
-    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-8)
-    # The default's second-order differences lose (w h)²/6, here 6e-5 of the fastest tone.
-    samples = process(periodic(), ALL_ROWS)
-    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), rtol=0, atol=2e-3)
+    np.testing.assert_allclose(time, 7.0 + lead + 0.01 * np.arange(200), rtol=1e-14)
+    once = gains(motion, order=order)
+    first, second = difference_gains(motion, stencil(derivative))
+    inner = once if alike else once**2
+    rates = (inner * first, inner * second) if velocity != "measured" else (once, inner * first)
+    # Rounding of positions near 1 rad, divided by the step: 2e-16 · 1e3, and by its square.
+    expected = (motion(time, once), motion(time, rates[0], 1), motion(time, rates[1], 2))
+    for name, wanted, tolerance in zip(
+        STATES, (*expected, 10 * torque(time, once)), (1e-12, 1e-10, 1e-8, 1e-11), strict=True
+    ):
+        np.testing.assert_allclose(getattr(samples, name), wanted, rtol=0, atol=tolerance)
+    # What differences lose: with second order (w h)²/6 of the fastest tone, here 6e-5.
+    most = {"central": 1e-4, "central4": 1e-7, "central6": 1e-10}[derivative]
+    assert np.abs([first - 1.0, second - 1.0]).max() < most
+    how = {
+        (True, velocity): f"order {order} at 15 Hz: all signals once",
+        (False, "differentiated"): "position and torque once, velocity and acceleration twice",
+        (False, "measured"): "position, velocity and torque once, acceleration twice",
+    }
+    assert any(how[alike, velocity] in note for note in samples.notes)
 
 
 def test_a_step_through_the_filter():
@@ -137,11 +155,10 @@ def test_a_step_through_the_filter():
 def test_without_periods_the_ends_are_trimmed(trim: float | None, tolerance: float):
     time = np.arange(6000) / RATE
     motion, torque = Tones(5), Tones(6)
-    log = sdpid.Recording(time=time, position=motion(time), effort=torque(time))
+    log = Recording(time=time, position=motion(time), effort=torque(time))
     samples = process(log, replace(ALL_ROWS, trim_s=trim, derivative="central6", decimation=1))
     cut = 0.076 if trim is None else trim
-    assert samples.time[0] == pytest.approx(cut)
-    assert samples.time[-1] == pytest.approx(5.999 - cut)
+    np.testing.assert_allclose(samples.time[[0, -1]], [cut, 5.999 - cut])
     gain = gains(motion)
     scale = np.abs(motion(time, 1.0, 2)).max()
     assert np.abs(samples.position - motion(samples.time, gain)).max() < 0.1 * tolerance
@@ -149,22 +166,6 @@ def test_without_periods_the_ends_are_trimmed(trim: float | None, tolerance: flo
     error = samples.acceleration - motion(samples.time, gain, 2)
     assert np.abs(error).max() < max(tolerance, 2e-9) * scale
     assert (samples.covariance, samples.periods, samples.effort_periods) == (None, None, None)
-
-
-def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch):
-    time = np.arange(6000) / RATE
-    rng = np.random.default_rng(0)
-    log = sdpid.Recording(
-        time=time,
-        position=Tones(5)(time) + 1e-4 * rng.standard_normal((6000, 2)),
-        effort=rng.standard_normal((6000, 2)),
-    )
-    whole = process(log, Processing(decimation=7))
-    monkeypatch.setattr(pipeline, "CHUNK", 500)
-    pieces = process(log, Processing(decimation=7))
-    for name in ("position", "velocity", "acceleration", "effort"):
-        np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=0, atol=1e-7)
-    np.testing.assert_array_equal(pieces.mask, whole.mask)
 
 
 def test_paper_is_the_literal_chain():
@@ -185,7 +186,7 @@ def test_paper_is_the_literal_chain():
     chain = [position, low_pass(velocity), low_pass(acceleration), torque]
     # Rest and connection phases go, periods are split off, averaged, and decimated.
     split = [values[3000:-3000].reshape(4, 2000, 2)[:, ::10] for values in chain]
-    for name, values in zip(("position", "velocity", "acceleration", "effort"), split, strict=True):
+    for name, values in zip(STATES, split, strict=True):
         scale = np.abs(values).max()
         expected = values.mean(axis=0)
         np.testing.assert_allclose(getattr(samples, name), expected, rtol=0, atol=1e-10 * scale)
@@ -195,56 +196,6 @@ def test_paper_is_the_literal_chain():
     np.testing.assert_allclose(samples.effort_periods, split[3], rtol=0, atol=1e-10)
     assert samples.mask is None
     assert samples.periods == 4
-
-
-def test_defaults():
-    settings_ = Processing()
-    assert (settings_.cutoff_hz, settings_.order, settings_.decimation) == (15.0, 2, 10)
-    assert settings_.filter_alike
-    samples = process(periodic(4, noise=0.01))
-    assert samples.mask is not None
-    assert 0 < samples.n_rows < samples.effort.size
-    assert samples.covariance.shape == (200, 2, 2)
-    assert samples.block == 100
-    assert any("mean of 4 periods of 2000 samples" in note for note in samples.notes)
-
-
-@settings(max_examples=10, deadline=None)
-@given(periods=st.integers(1, 5), seed=st.integers(0, 99))
-def test_averaging_and_filtering_commute(periods: int, seed: int):
-    log = periodic(periods, seed=seed, noise=0.01)
-    fold = lambda values: values.reshape(periods, -1, 2).mean(axis=0)  # noqa: E731
-    mean = sdpid.Recording(
-        time=log.time[:2000],
-        position=fold(log.position),
-        effort=fold(log.effort),
-        period=PERIOD,
-    )
-    setting = Processing(covariance=None, reversal_time=0.01)
-    samples, expected = process(log, setting), process(mean, setting)
-    for name, tolerance in (("position", 1e-12), ("velocity", 1e-9), ("acceleration", 1e-6)):
-        a, b = getattr(samples, name), getattr(expected, name)
-        np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
-    np.testing.assert_allclose(samples.effort, expected.effort, rtol=0, atol=1e-11)
-    np.testing.assert_array_equal(samples.mask, expected.mask)
-
-
-@settings(max_examples=10, deadline=None)
-@given(shift=st.integers(0, 199), alike=st.booleans())
-def test_a_periodic_record_may_begin_anywhere(shift: int, alike: bool):
-    log = periodic(2, noise=0.0)
-    rolled = replace(
-        log,
-        position=np.roll(log.position, -10 * shift, axis=0),
-        effort=np.roll(log.effort, -10 * shift, axis=0),
-    )
-    setting = Processing(covariance=None, filter_alike=alike)
-    samples, moved = process(log, setting), process(rolled, setting)
-    for name in ("position", "effort", "mask"):
-        expected = np.roll(getattr(samples, name), -shift, axis=0)
-        np.testing.assert_allclose(getattr(moved, name), expected, rtol=0, atol=1e-11)
-    expected = np.roll(samples.acceleration, -shift, axis=0)
-    np.testing.assert_allclose(moved.acceleration, expected, rtol=0, atol=1e-7)
 
 
 @pytest.mark.parametrize("periods", [None, 2])
@@ -270,37 +221,18 @@ def test_mask_by_its_definition(periods: int | None, seed: int, speed: float, re
     full = process(log, setting).velocity
     trim = 0 if periods else 400
     setting = replace(setting, reversal_time=reach, trim_s=None if periods else 0.4)
-    count = full.shape[0]
-    within = round(reach * RATE)
-    expected = np.ones((count, log.n), dtype=bool)
-    for j in range(log.n):
-        sign = full[:, j] >= 0
-        for i in range(count):
-            after, before = (i + 1) % count, (i - 1) % count
-            turns = sign[i] != sign[after] and (periods or i + 1 < count)
-            turned = sign[i] != sign[before] and (periods or i > 0)
-            if abs(full[i, j]) < speed or turns or turned:
-                near = np.arange(i - within, i + within + 1)
-                near = near % count if periods else near[(near >= 0) & (near < count)]
-                expected[near, j] = False
+    count, within = len(full), round(reach * RATE)
+    turned = (full >= 0) != (np.roll(full, 1, axis=0) >= 0)
+    turned[0] &= periods is not None
+    expected = np.ones(full.shape, dtype=bool)
+    for i, j in np.argwhere((np.abs(full) < speed) | turned | np.roll(turned, -1, axis=0)):
+        near = np.arange(i - within, i + within + 1)
+        expected[near % count if periods else near[(near >= 0) & (near < count)], j] = False
     expected = expected[trim : count - trim]
     if not expected.any(axis=0).all():
         refuses(DataError, "leaves no row of joint", process, log, setting)
         return
     np.testing.assert_array_equal(process(log, setting).mask, expected)
-
-
-def test_a_joint_at_rest_is_named():
-    log = periodic(2)
-    position = log.position.copy()
-    position[:, 1] = 0.3
-    log = replace(log, position=position, joint_names=("waist", "wrist"))
-    with pytest.raises(
-        DataError,
-        match=r"no row of joint wrist: .* 0.1 s away .* below 0.02 rad/s.*reversal_time=None",
-    ):
-        process(log, Processing(covariance=None))
-    assert process(log, ALL_ROWS).mask is None
 
 
 def test_a_coulomb_step_is_forgotten_where_rows_are_used():
@@ -315,26 +247,11 @@ def test_a_coulomb_step_is_forgotten_where_rows_are_used():
     assert error[~samples.mask].max() > 0.5
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, "order 2 at 15 Hz: all signals once"),
-        ({"filter_alike": False}, "position and torque once, velocity and acceleration twice"),
-        (
-            {"filter_alike": False, "velocity": "measured"},
-            "position, velocity and torque once, acceleration twice",
-        ),
-    ],
-)
-def test_notes_say_how_often_what_was_filtered(changes: dict[str, Any], expected: str):
-    log = periodic(2)
-    log = replace(log, velocity=Tones(0)(log.time, 1.0, 1))
-    assert any(expected in note for note in process(log, replace(ALL_ROWS, **changes)).notes)
-
-
 def test_covariance_of_the_periods():
     log = periodic(5, noise=0.5)
     samples = process(log)
+    assert samples.block == 100
+    assert any("mean of 5 periods of 2000 samples" in note for note in samples.notes)
     for k in (0, 17, 199):
         expected = np.cov(samples.effort_periods[:, k].T)
         np.testing.assert_allclose(samples.covariance[k], expected, rtol=1e-9)
@@ -343,53 +260,125 @@ def test_covariance_of_the_periods():
     np.testing.assert_allclose(pooled, samples.covariance.mean(axis=0), rtol=1e-12)
     shrunk = process(log, Processing(shrinkage=0.3)).covariance
     np.testing.assert_allclose(shrunk, 0.7 * samples.covariance + 0.3 * pooled, rtol=1e-9)
-    assert process(log, Processing(covariance=None)).covariance is None
-
-
-def test_too_few_periods_for_a_covariance():
-    log = periodic(2, noise=0.5)
-    refuses(DataError, r"2 periods for 2 joints: .* at least 3 periods", process, log, Processing())
-    shrunk = process(log, Processing(shrinkage=0.1)).covariance
-    assert np.linalg.eigvalsh(shrunk).min() > 0
-    assert process(log, Processing(covariance="pooled")).covariance.shape == (2, 2)
-    single = periodic(1)
-    with pytest.raises(DataError, match="has 1, a covariance needs at least 2"):
-        process(single, Processing(covariance="pooled"))
-    assert process(single, ALL_ROWS).effort_periods is None
+    few = process(periodic(2, noise=0.5), Processing(shrinkage=0.1)).covariance
+    assert np.linalg.eigvalsh(few).min() > 0
+    assert process(periodic(1), ALL_ROWS).effort_periods is None
+    assert any("repeats exactly" in note for note in process(periodic(3)).notes)
 
 
 def test_the_default_is_what_identify_chooses():
-    rng = np.random.default_rng(1)
-    time = np.arange(4000) / 200.0
-    position = np.sin(2.0 * np.pi * time[:, None] * np.array([0.3, 0.5])) + 1.0
-    log = sdpid.Recording(time=time, position=position, effort=rng.normal(size=position.shape))
-    for each in (log, periodic(12, noise=0.5), periodic(2, noise=0.5), periodic(1)):
+    aperiodic = replace(periodic(3), period=None, start=None, periods=None)
+    for each in (aperiodic, periodic(12, noise=0.5), periodic(2, noise=0.5), periodic(1)):
         own, chosen = process(each), process(each, default_processing(each))
         assert own.notes == chosen.notes
         np.testing.assert_array_equal(own.acceleration, chosen.acceleration)
-        assert (own.mask is None) == (chosen.mask is None)
-    short, long = process(log).mask, process(log, Processing()).mask
-    assert 0.0 < 1.0 - short.mean() < 0.5 * (1.0 - long.mean())
+        np.testing.assert_array_equal(own.used, chosen.used)
 
 
-def test_degrees_are_refused():
-    log = periodic(3)
-    far = replace(log, position=np.degrees(log.position) * 2.0)
-    refuses(DataError, "looks like degrees", process, far)
+def standing(log: Recording) -> Recording:
+    position = np.array(log.position)
+    position[:, 1] = 0.3
+    return replace(log, position=position, joint_names=("waist", "wrist"))
+
+
+def jumping(log: Recording) -> Recording:
+    position = np.array(log.position)
+    position[77, 1] += 20.0
+    return replace(log, position=position)
+
+
+def without(log: Recording, rows: Any) -> Recording:
+    return rows_of(log, np.isin(np.arange(log.n_samples), rows, invert=True))
+
+
+SHORT = Recording(time=np.arange(50) / RATE, position=np.zeros((50, 1)), effort=np.zeros((50, 1)))
+LOST = [500, 1500, 1501, 4000]
+REFUSED: dict[str, tuple[Any, Any, str]] = {
+    "no recording": (3, None, "log: is 3; give a Recording"),
+    "degrees": (
+        replace(periodic(3), position=np.degrees(periodic(3).position) * 2.0),
+        None,
+        "looks like degrees",
+    ),
+    "outlier": (jumping(periodic(3)), None, "joint 2 jumps by .* at sample 78 of .*: an outlier"),
+    "at rest": (
+        standing(periodic(2)),
+        Processing(covariance=None),
+        r"no row of joint wrist: .* 0.1 s away .* below 0.02 rad/s.*reversal_time=None",
+    ),
+    "too few periods": (
+        periodic(2, noise=0.5),
+        Processing(),
+        r"2 periods for 2 joints: .* at least 3 periods",
+    ),
+    "one period": (
+        periodic(1),
+        Processing(covariance="pooled"),
+        "has 1, a covariance needs at least 2",
+    ),
+    "other periods": (
+        replace(periodic(3), period=1.5, periods=4),
+        Processing(covariance=None),
+        "periods of joint 1 do not repeat",
+    ),
+    "no velocity": (
+        periodic(2),
+        {"velocity": "measured"},
+        "velocity: the recording has none",
+    ),
+    "cut-off": (
+        periodic(2),
+        replace(ALL_ROWS, cutoff_hz=500.0),
+        "500 Hz is not below half the sample rate of 1000 Hz",
+    ),
+    "short": (SHORT, ALL_ROWS, r"lasts 0.049 s, and 0.076 s are cut off at either end"),
+    "gap": (
+        without(periodic(3), [*LOST, *range(1495, 1510)]),
+        ALL_ROWS,
+        r"gap of 0.016 s before row 1495 \(from 8.494 s to 8.51 s\)",
+    ),
+    "lost": (
+        without(periodic(3), 500),
+        replace(ALL_ROWS, timing="nominal"),
+        "samples were lost; use timing='resample'",
+    ),
+    **{
+        f"settings {wrong!r}": (periodic(3), wrong, r"processing: (has no setting|is)")
+        for wrong in ({"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2})
+    },
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_processed_is_refused(case: str) -> None:
+    log, processing, words = REFUSED[case]
+    refuses(DataError, words, process, log, processing)
+    if case.startswith("settings"):
+        refuses(DataError, words, chosen_processing, [log], processing)
+
+
+def test_what_looks_like_that_and_is_sound() -> None:
+    far = REFUSED["degrees"][0]
     # The limits of the robot say that its joints do turn that far.
     assert process(far, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
-
-
-@pytest.mark.parametrize("size", [20.0, 1e4, 1e12])
-def test_an_outlier_is_named(size: float):
-    log = periodic(3)
-    position = log.position.copy()
-    position[77, 1] += size
-    with pytest.raises(DataError, match=r"joint 2 jumps by .* at sample 78 of .*: an outlier"):
-        process(replace(log, position=position))
     # A step in the counter by whole turns is no outlier.
-    position[77:, 1] = log.position[77:, 1] + 6.0 * np.pi
-    assert process(replace(log, position=position, period=None, start=None, periods=None)).n == 2
+    turns = np.array(periodic(3).position)
+    turns[77:, 1] += 6.0 * np.pi
+    assert process(replace(far, position=turns, period=None, start=None, periods=None)).n == 2
+    assert process(standing(periodic(2)), ALL_ROWS).mask is None
+    assert process(SHORT, replace(ALL_ROWS, trim_s=0.0)).n_samples == 5
+    for cutoff, kept in ((10.0, 200), (25.0, 500), (5.0, 100), (200.0, 2000)):
+        setting = replace(ALL_ROWS, decimation=None, cutoff_hz=cutoff)
+        assert process(periodic(2), setting).n_samples == kept
+    # Single samples that were lost are bridged; stamps since 1970 are uniform.
+    whole = process(periodic(3), ALL_ROWS).acceleration
+    bridged = process(without(periodic(3), LOST), ALL_ROWS)
+    assert "resampled" in bridged.notes[0]
+    np.testing.assert_allclose(bridged.acceleration, whole, rtol=0, atol=1e-5)
+    log = periodic(3)
+    late = process(replace(log, time=log.time + 1.7e9, start=log.start + 1.7e9), ALL_ROWS)
+    assert not any("jitter" in note for note in late.notes)
+    np.testing.assert_allclose(late.acceleration, whole, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -419,62 +408,7 @@ def test_settings_print_what_differs_from_the_defaults():
     assert eval(repr(changed)) == changed
 
 
-@pytest.mark.parametrize("wrong", [{"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2}])
-def test_what_is_no_setting_is_refused(wrong: object):
-    refuses(DataError, r"processing: (has no setting|is)", chosen_processing, [periodic(3)], wrong)
-    refuses(DataError, r"processing: (has no setting|is)", process, periodic(3), wrong)
-
-
-def test_noise_free_periods_are_noticed():
-    assert any("repeats exactly" in note for note in process(periodic(3)).notes)
-
-
-def test_periods_that_do_not_repeat():
-    log = periodic(3)
-    with pytest.raises(DataError, match="periods of joint 1 do not repeat"):
-        process(replace(log, period=1.5, periods=4), Processing(covariance=None))
-
-
-def test_joints_do_not_mix():
-    log = periodic(3, noise=0.1)
-    swapped = replace(log, position=log.position[:, ::-1], effort=log.effort[:, ::-1])
-    setting = Processing(covariance=None)
-    samples, other = process(log, setting), process(swapped, setting)
-    for name in ("position", "velocity", "acceleration", "effort", "mask"):
-        np.testing.assert_array_equal(getattr(samples, name)[:, ::-1], getattr(other, name))
-
-
-@pytest.mark.parametrize("alike", [True, False])
-def test_measured_velocity(alike: bool):
-    log = periodic(2)
-    motion = Tones(0)
-    log = replace(log, velocity=motion(log.time, 1.0, 1))
-    setting = replace(ALL_ROWS, velocity="measured", filter_alike=alike, derivative="central6")
-    samples = process(log, setting)
-    once = gains(motion)
-    np.testing.assert_allclose(samples.velocity, motion(samples.time, once, 1), atol=1e-11)
-    expected = motion(samples.time, once if alike else once**2, 2)
-    np.testing.assert_allclose(samples.acceleration, expected, atol=1e-8)
-    refuses(DataError, "velocity: the recording has none", process, periodic(2), setting)
-
-
-def test_decimation_by_the_papers_rule():
-    for cutoff, kept in ((10.0, 200), (25.0, 500), (5.0, 100), (200.0, 2000)):
-        setting = replace(ALL_ROWS, decimation=None, cutoff_hz=cutoff)
-        assert process(periodic(2), setting).n_samples == kept
-
-
-def test_cutoff_and_length_are_checked():
-    with pytest.raises(DataError, match="500 Hz is not below half the sample rate of 1000 Hz"):
-        process(periodic(2), replace(ALL_ROWS, cutoff_hz=500.0))
-    still = np.zeros((50, 1))
-    short = sdpid.Recording(time=np.arange(50) / RATE, position=still, effort=still)
-    with pytest.raises(DataError, match=r"lasts 0.049 s, and 0.076 s are cut off at either end"):
-        process(short, ALL_ROWS)
-    assert process(short, replace(ALL_ROWS, trim_s=0.0)).n_samples == 5
-
-
-def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[sdpid.Recording, Tones]:
+def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[Recording, Tones]:
     """Regular samples with jittered stamps, or jittered samples with true stamps."""
     rng = np.random.default_rng(seed)
     regular = np.arange(4000) / RATE
@@ -483,7 +417,7 @@ def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[sdpid.Recording, 
         stamps = regular * (1.0 + 0.01 * regular)
     taken = regular if kind == "stamps" else stamps
     motion = Tones(seed)
-    return sdpid.Recording(time=stamps, position=motion(taken), effort=motion(taken)), motion
+    return Recording(time=stamps, position=motion(taken), effort=motion(taken)), motion
 
 
 @pytest.mark.parametrize(("kind", "resampled"), [("stamps", 0), ("samples", 1), ("drift", 1)])
@@ -499,45 +433,6 @@ def test_timing_is_decided_by_what_the_motion_says(kind: str, resampled: int):
     error = samples.position - motion(samples.time, gain)
     assert np.abs(error).max() < 1e-4 + late * bounds[0]
     assert np.abs(samples.velocity - expected).max() < 5e-3 + late * bounds[1]
-
-
-def test_timing_as_asked():
-    log, motion = jittered("samples", 0.3)
-    resampled = process(log, replace(ALL_ROWS, timing="resample", trim_s=0.8))
-    nominal = process(log, replace(ALL_ROWS, timing="nominal", trim_s=0.8))
-    gain = gains(motion, log.rate_hz)
-    errors = [
-        np.abs(samples.acceleration - motion(samples.time, gain, 2)).max()
-        for samples in (resampled, nominal)
-    ]
-    assert 10 * errors[0] < errors[1]
-
-
-def test_lost_samples_are_bridged_and_gaps_are_not():
-    log = periodic(3)
-    keep = np.ones(log.n_samples, dtype=bool)
-    keep[[500, 1500, 1501, 4000]] = False
-    bridged = process(rows_of(log, keep), ALL_ROWS)
-    assert "resampled" in bridged.notes[0]
-    whole = process(log, ALL_ROWS)
-    np.testing.assert_allclose(bridged.acceleration, whole.acceleration, rtol=0, atol=1e-5)
-    keep[1495:1510] = False
-    with pytest.raises(
-        DataError, match=r"gap of 0.016 s before row 1495 \(from 8.494 s to 8.51 s\)"
-    ):
-        process(rows_of(log, keep), ALL_ROWS)
-    keep = np.ones(log.n_samples, dtype=bool)
-    keep[500] = False
-    with pytest.raises(DataError, match="samples were lost; use timing='resample'"):
-        process(rows_of(log, keep), replace(ALL_ROWS, timing="nominal"))
-
-
-def test_stamps_since_1970_are_uniform():
-    log = periodic(3)
-    shifted = replace(log, time=log.time + 1.7e9, start=log.start + 1.7e9)
-    samples, expected = process(shifted, ALL_ROWS), process(log, ALL_ROWS)
-    assert not any("jitter" in note for note in samples.notes)
-    np.testing.assert_allclose(samples.acceleration, expected.acceleration, rtol=0, atol=1e-6)
 
 
 REAL = {
@@ -564,19 +459,6 @@ def test_real_logs(data_folder: Path, name: str):
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(log.velocity**2))
 
 
-@pytest.mark.parametrize("place", [0.4, -3.0])
-def test_a_joint_that_stands_still_has_no_velocity(place: float) -> None:
-    log = periodic()
-    position = np.array(log.position)
-    position[:, 0] = place
-    standing = sdpid.Recording(time=log.time, position=position, effort=log.effort)
-    samples = process(standing)
-    np.testing.assert_allclose(samples.position[:, 0], place, rtol=1e-9)
-    assert not samples.velocity[:, 0].any()
-    assert not samples.acceleration[:, 0].any()
-    assert samples.velocity[:, 1].any()
-
-
 # Recordings prepared for a robot: what is chosen for them, and other motions beside them.
 
 
@@ -593,62 +475,42 @@ TARGETS = {
 WRIST = ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05))
 
 
-def sine(rate: float, seconds: float, hertz: float, joints: int = 2) -> sdpid.Recording:
-    time = np.arange(round(rate * seconds)) / rate
-    position = np.sin(2.0 * np.pi * hertz * time)[:, None] * np.ones(joints)
-    return sdpid.Recording(time=time, position=position, effort=position)
+def sine(rate: float, hertz: float) -> Recording:
+    """Return 20 s of two joints that turn as a sine."""
+    time = np.arange(round(20.0 * rate)) / rate
+    position = np.sin(2.0 * np.pi * hertz * time)[:, None] * np.ones(2)
+    return Recording(time=time, position=position, effort=position)
 
 
 def test_the_cut_off_follows_the_motion() -> None:
-    slow = default_processing(sine(1000.0, 20.0, 0.5))
+    slow = default_processing(sine(1000.0, 0.5))
     # 95 % of a windowed sine lie below its frequency and one or two steps of the spectrum, 0.05 Hz.
     assert 25.0 * 0.5 <= slow.cutoff_hz <= 25.0 * 0.61
     assert (slow.order, slow.derivative, slow.velocity) == (4, "central4", "differentiated")
     assert slow.reversal_time == pytest.approx(0.1 / slow.cutoff_hz)
-    fast = default_processing(sine(1000.0, 20.0, 10.0))
-    assert fast.cutoff_hz == pytest.approx(1000.0 / 7.5)
-
-
-def test_default_among_friction_terms_stands_for_the_default_ones() -> None:
-    log = sine(100.0, 10.0, 0.5)
-    usual = default_friction(log)
-    assert friction_of(log, None) == friction_of(log, ("default",)) == usual
-    assert friction_of(log, ("default", "stribeck")) == (*usual, "stribeck")
-    assert friction_of(log, ("viscous",)) == ("viscous",)
+    assert default_processing(sine(1000.0, 10.0)).cutoff_hz == pytest.approx(1000.0 / 7.5)
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(30.0, "measured"), (200.0, "differentiated")])
 def test_a_measured_velocity_serves_at_low_rates(rate: float, expected: str) -> None:
-    log = sine(rate, 20.0, 0.2)
+    log = sine(rate, 0.2)
     velocity = np.gradient(log.position, log.time, axis=0)
     assert default_processing(replace(log, velocity=velocity)).velocity == expected
     # What is no velocity of these positions does not serve.
     wrong = default_processing(replace(log, velocity=log.position))
-    assert wrong.velocity == "differentiated"
-    assert default_processing(log).velocity == "differentiated"
+    assert wrong.velocity == default_processing(log).velocity == "differentiated"
 
 
-def test_friction_of_records_with_and_without_periods() -> None:
-    log = sine(100.0, 10.0, 0.5)
+def test_friction_by_default() -> None:
+    log = sine(100.0, 0.5)
     assert default_friction(replace(log, period=2.0)) == ("coulomb", "viscous")
-    sign, sigmoid, *others = default_friction(log)
-    assert sign == sdpid.friction.Coulomb(width=0.005)
-    assert sigmoid == sdpid.friction.SigmoidFriction(velocity=None)
-    assert others == ["viscous", "offset"]
-
-
-def test_a_joint_that_rests_does_not_stop_the_default() -> None:
-    robot = sdpid.load_robot("denso_vp6242")
-    robot = replace(robot, prior=np.tile([3.0, 0, 0, 0.3, 0.1, 0, 0.1, 0, 0, 0.1], (6, 1)))
-    time = np.arange(0.0, 20.0, 0.01)
-    phase = time[:, None] * np.array([1.0, 1.3, 1.7, 0.0, 2.1, 2.6])
-    state = np.sin(phase), np.gradient(np.sin(phase), 0.01, axis=0)
-    effort = robot.inverse_dynamics(robot.prior, *state, np.gradient(state[1], 0.01, axis=0))
-    effort += 2.0 * np.tanh(state[1] / 0.3)
-    log = sdpid.Recording(time=time, position=state[0], effort=effort)
-    result = sdpid.identify(robot, log)
-    assert result.certificate.passed
-    assert result.training.relative < 0.01
+    usual = default_friction(log)
+    assert usual[0] == sdpid.friction.Coulomb(width=0.005)
+    assert usual[1] == sdpid.friction.SigmoidFriction(velocity=None)
+    assert usual[2:] == ("viscous", "offset")
+    assert friction_of(log, None) == friction_of(log, ("default",)) == usual
+    assert friction_of(log, ("default", "stribeck")) == (*usual, "stribeck")
+    assert friction_of(log, ("viscous",)) == ("viscous",)
 
 
 @pytest.mark.parametrize("case", TARGETS)
@@ -672,47 +534,39 @@ def test_held_out_motion_of_real_robots(data_folder: Path, case: str) -> None:
     assert 100.0 * sdpid.validate(result.estimate, fresh).relative <= target
 
 
-LOW_RATE = 200.0
-LOW_T = np.arange(2000) / LOW_RATE
+CLOCK = np.arange(2000) / 200.0
 
 
-def test_noise_is_told_from_motion():
+def test_noise_and_tones_of_a_motion():
     rng = np.random.default_rng(0)
-    motion = np.sin(2.0 * np.pi * LOW_T)
+    tone = np.sin(2.0 * np.pi * CLOCK)
     for sigma in (1e-4, 1e-2):
-        assert white_noise(motion + rng.normal(0.0, sigma, LOW_T.size)) == pytest.approx(
-            sigma, rel=0.1
-        )
-    assert white_noise(motion) < 1e-5
+        noisy = tone + rng.normal(0.0, sigma, CLOCK.size)
+        assert white_noise(noisy) == pytest.approx(sigma, rel=0.1)
+    assert white_noise(tone) < 1e-5
     assert white_noise(np.zeros(3)) == 0.0
-
-
-def test_spectrum_of_two_tones():
-    column = 3.0 + np.sin(2.0 * np.pi * 2.0 * LOW_T) + 0.5 * np.sin(2.0 * np.pi * 8.0 * LOW_T)
+    column = 3.0 + np.sin(2.0 * np.pi * 2.0 * CLOCK) + 0.5 * np.sin(2.0 * np.pi * 8.0 * CLOCK)
     position = np.column_stack([column, np.ones_like(column)])
-    log = Recording(time=LOW_T, position=position, effort=position)
-    (dominant, below), still = joint_frequencies(log)
+    (dominant, below), still = joint_frequencies(
+        Recording(time=CLOCK, position=position, effort=position)
+    )
     assert dominant == pytest.approx(2.0, abs=0.11)
     assert below == pytest.approx(8.0, abs=0.2)
     assert still is None
 
 
 def test_gaps_are_counted():
-    log = Recording(time=LOW_T, position=np.sin(LOW_T)[:, None], effort=np.sin(LOW_T)[:, None])
+    log = Recording(time=CLOCK, position=np.sin(CLOCK)[:, None], effort=np.sin(CLOCK)[:, None])
     assert gaps(log)["gaps"] == 0
-    keep = np.ones(LOW_T.size, dtype=bool)
-    keep[100:103] = keep[500:502] = False
-    found = gaps(rows_of(log, keep))
+    found = gaps(without(log, [100, 101, 102, 500, 501]))
     assert (found["gaps"], found["longest_step_row"]) == (2, 100)
-    assert found["longest_step_s"] == pytest.approx(4.0 / LOW_RATE)
+    assert found["longest_step_s"] == pytest.approx(4.0 / 200.0)
 
 
 # Another motion of a recording, aligned row by row with the measured one.
 
 
-@pytest.fixture(scope="module")
-def arm() -> sdpid.RobotModel:
-    return small_arm(2)
+ARM = small_arm(2)
 
 
 def moved(time: np.ndarray, slow: float = 1.0) -> np.ndarray:
@@ -721,15 +575,15 @@ def moved(time: np.ndarray, slow: float = 1.0) -> np.ndarray:
     return np.stack([np.sin(angle) + 0.3 * np.sin(3.0 * angle), np.cos(2.0 * angle)], axis=1)
 
 
-def recorded(time: np.ndarray, arm: sdpid.RobotModel, **fields: object) -> sdpid.Recording:
+def recorded(time: np.ndarray, **fields: object) -> Recording:
     rng = np.random.default_rng(0)
     position = moved(time) + 1e-3 * rng.standard_normal((len(time), 2))
-    names = arm.joint_names
     effort = rng.standard_normal((len(time), 2))
-    return sdpid.Recording(time=time, position=position, effort=effort, joint_names=names, **fields)
+    return Recording(
+        time=time, position=position, effort=effort, joint_names=ARM.joint_names, **fields
+    )
 
 
-CLOCK = np.arange(2000) / 200.0
 JITTERY = CLOCK + 5e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, CLOCK.size)
 
 
@@ -748,11 +602,11 @@ JITTERY = CLOCK + 5e-4 * np.random.default_rng(1).uniform(-1.0, 1.0, CLOCK.size)
     ],
 )
 def test_a_twin_is_what_processing_that_motion_gives(
-    arm: sdpid.RobotModel, logs: list, processing: sdpid.Processing | None
+    logs: list, processing: sdpid.Processing | None
 ) -> None:
-    records = [recorded(time, arm, **fields) for time, fields in logs]
-    prepared = prepare(arm, records, processing)
-    twin = Twin.of(arm, records, prepared.processing, measured=prepared.samples)
+    records = [recorded(time, **fields) for time, fields in logs]
+    prepared = prepare(ARM, records, processing)
+    twin = Twin.of(ARM, records, prepared.processing, measured=prepared.samples)
     measured = twin.measured
     # The measured motion is its own twin, to the last bit.
     same = twin.samples([log.position for log in records])
@@ -761,14 +615,14 @@ def test_a_twin_is_what_processing_that_motion_gives(
     efforts = [np.cos(q) for q in motion]
     other = twin.samples(motion, effort=efforts)
     alone = prepare(
-        arm,
+        ARM,
         [
             replace(log, position=q, effort=e)
             for log, q, e in zip(records, motion, efforts, strict=True)
         ],
         prepared.processing,
     ).samples
-    for name in ("position", "velocity", "acceleration", "effort"):
+    for name in STATES:
         np.testing.assert_array_equal(getattr(same, name), getattr(measured, name))
         np.testing.assert_allclose(getattr(other, name), getattr(alone, name), atol=1e-12)
     if measured.wide is not None:
@@ -781,10 +635,10 @@ def test_a_twin_is_what_processing_that_motion_gives(
     assert other.effort_periods is None
 
 
-def test_a_measured_velocity_is_replaced_too(arm: sdpid.RobotModel) -> None:
+def test_a_measured_velocity_is_replaced_too() -> None:
     time = np.arange(900) / 30.0
-    log = replace(recorded(time, arm), velocity=np.gradient(moved(time), time, axis=0))
-    twin = Twin.of(arm, log)
+    log = replace(recorded(time), velocity=np.gradient(moved(time), time, axis=0))
+    twin = Twin.of(ARM, log)
     assert twin.processing.velocity == "measured"
     motion = moved(time, 0.5)
     rate = np.gradient(motion, time, axis=0, edge_order=2)
@@ -793,24 +647,21 @@ def test_a_measured_velocity_is_replaced_too(arm: sdpid.RobotModel) -> None:
     assert np.abs(splined.velocity - twin.measured.velocity).max() > 1.0
 
 
-def test_what_does_not_belong_together_is_refused(arm: sdpid.RobotModel) -> None:
-    log = recorded(CLOCK, arm)
-    samples = sdpid.process(log, {"cutoff_hz": 10.0})
-    with pytest.raises(DataError, match=r"recording: its position, processed.*same processing"):
-        Twin.of(arm, log, {"cutoff_hz": 9.0, "decimation": 2}, measured=of_another_cut_off(log))
-    with pytest.raises(DataError, match=r"is processed to .* samples, the problem's pieces have"):
-        Twin.of(arm, log, {"decimation": 7}, measured=samples)
-    twin = Twin.of(arm, log, {"cutoff_hz": 10.0}, measured=samples)
+def test_what_does_not_belong_together_is_refused() -> None:
+    log = recorded(CLOCK)
+    samples, other = sdpid.process(log, {"cutoff_hz": 10.0}), {"cutoff_hz": 9.0, "decimation": 2}
+    # As many samples, of another cut-off.
+    trim = float(sdpid.process(log, other).time[0])
+    alike = sdpid.process(log, {"cutoff_hz": 10.0, "decimation": 2, "trim_s": trim})
+    words = r"recording: its position, processed.*same processing"
+    refuses(DataError, words, Twin.of, ARM, log, other, measured=alike)
+    words = r"is processed to .* samples, the problem's pieces have"
+    refuses(DataError, words, Twin.of, ARM, log, {"decimation": 7}, measured=samples)
+    twin = Twin.of(ARM, log, {"cutoff_hz": 10.0}, measured=samples)
     assert repr(twin).startswith("Twin(1 recordings of ")
-    with pytest.raises(DataError, match=r"position: has shape \(10, 2\), expected \(2000, 2\)"):
-        twin.samples(np.zeros((10, 2)))
-    with pytest.raises(DataError, match="position: has 2 arrays for 1 recordings"):
-        twin.samples([log.position, log.position])
-    refuses(DataError, "position", twin.samples, np.full((2000, 2), np.nan))
-
-
-def of_another_cut_off(log: sdpid.Recording) -> sdpid.Samples:
-    """Return samples of another cut-off with as many samples."""
-    trimmed = sdpid.process(log, {"cutoff_hz": 9.0, "decimation": 2})
-    trim = float(trimmed.time[0])
-    return sdpid.process(log, {"cutoff_hz": 10.0, "decimation": 2, "trim_s": trim})
+    for wrong, words in (
+        (np.zeros((10, 2)), r"position: has shape \(10, 2\), expected \(2000, 2\)"),
+        ([log.position, log.position], "position: has 2 arrays for 1 recordings"),
+        (np.full((2000, 2), np.nan), "position"),
+    ):
+        refuses(DataError, words, twin.samples, wrong)
