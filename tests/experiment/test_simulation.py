@@ -109,7 +109,7 @@ def test_terms_of_ones_own_are_simulated(function: Callable[[Array], Array]) -> 
     model = model_of(small_arm(3), ("viscous", Own(function)), np.linspace(0.2, 1.0, 6), links)
     q, v, effort = np.random.default_rng(4).normal(size=(3, 20, 3))
     expected = model.forward_dynamics(q, v, effort)
-    found = SimulatedArm.of(model).acceleration(q, v, effort)
+    found = SimulatedArm.of(model).dynamics(q, v, effort)[2]
     np.testing.assert_allclose(found, expected, atol=5e-3 * np.abs(expected).max())
 
 
@@ -121,7 +121,7 @@ def test_masses_and_biases_are_those_of_pinocchio(seed: int) -> None:
         robot = sdpid.load_robot(text)
         model = model_of(robot, ("rotor_inertia", "offset"), rng.uniform(0.0, 1.0, 2 * robot.n))
         q, v = rng.normal(size=(2, 3, robot.n))
-        M, h = SimulatedArm.of(model).mass_and_bias(q, v)
+        M, h, _ = SimulatedArm.of(model).dynamics(q, v, 0.0 * q)
         expected = model.inverse_dynamics(q, v, np.zeros_like(q))
         np.testing.assert_allclose(M, model.mass_matrix(q), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(h, expected, rtol=1e-12, atol=1e-11)
@@ -133,7 +133,7 @@ def test_accelerations_are_those_of_the_model_with_every_friction() -> None:
         model = rubbing(seed)
         q, v, effort = rng.normal(size=(3, 20, 3))
         expected = model.forward_dynamics(q, v, effort)
-        found = SimulatedArm.of(model).acceleration(q, v, effort)
+        found = SimulatedArm.of(model).dynamics(q, v, effort)[2]
         np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
 
 
@@ -145,7 +145,7 @@ def test_the_loops_do_the_same_without_a_compiler(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(arm_module, "entries", entries)
         efforts = np.repeat(effort[:, None], 20, axis=1)
         found.append(
-            (*arm.mass_and_bias(q, v), *arm.run(np.stack([q, v])[:, :, None], efforts, 2e-3))
+            (*arm.dynamics(q, v, effort), *arm.run(np.stack([q, v])[:, :, None], efforts, 2e-3))
         )
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-9)
@@ -183,7 +183,7 @@ def test_a_sliding_mass_stops_where_it_must_and_sticks(term: Any) -> None:
     assert np.ptp(q[0, 100:151]) == 0.0
     assert (v[0, 70:151] == 0.0).all()
     assert v[0, -1, 0] == pytest.approx(50 * 5e-3 * 0.5, rel=1e-9)
-    stays = arm.acceleration(np.zeros((3, 1)), np.zeros((3, 1)), np.array([[2.9], [-2.9], [5.0]]))
+    stays = arm.dynamics(np.zeros((3, 1)), np.zeros((3, 1)), np.array([[2.9], [-2.9], [5.0]]))[2]
     np.testing.assert_allclose(stays, [[0.0], [0.0], [1.0]], atol=1e-12)
 
 

@@ -32,8 +32,7 @@ def _simulation() -> None:
     body = [1.0, 0.1, 0.0, 0.0, 0.05, 0.0, 0.05, 0.0, 0.0, 0.05]
     model = RobotDynamics(robot=robot, terms=terms, theta=np.array(body))
     arm, still = SimulatedArm.of(model), np.zeros((1, 1))
-    arm.mass_and_bias(still, still)
-    arm.acceleration(still, still, still)
+    arm.dynamics(still, still, still)
     arm.run(np.zeros((2, 1, 1, 1)), np.zeros((1, 2, 1)), 0.01)
     law = sdpid.controllers.PD(np.ones(1), np.ones(1))
     sdpid.simulate_closed_loop(model, np.zeros((5, 1)), law, rate_hz=100.0)

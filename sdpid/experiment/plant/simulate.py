@@ -39,6 +39,8 @@ from sdpid.robot.model.model import RobotModel
 # A loop whose state after a period is the one before it to this (rad, rad/s) has settled: a
 # thousandth of an encoder count, and far above the rounding of a period's steps.
 SETTLED = 1e-9
+# Most samples that are simulated at once: enough to drown what a call costs, few enough for memory.
+_AT_ONCE = 20_000
 
 # Moves a robot along samples start … stop − 1 from a state (2, n), None for the trajectory's first,
 # to positions, velocities and efforts (3, K, n), and the state after them.
@@ -215,6 +217,11 @@ def controlled(model: RobotDynamics, trajectory: Trajectory, drives: Drives) -> 
     law = P(drives.proportional_gain, drives.velocity_gain)
 
     def move(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
+        if stop - start > _AT_ONCE:
+            middle = (start + stop) // 2
+            before, now = move(start, middle, state)
+            after, end = move(middle, stop, now)
+            return np.concatenate([before, after], axis=1), end
         # With the sample after these, which has the state after them.
         told = np.stack(trajectory.sample(start, min(stop + 1, trajectory.n_samples)))
         # A last sample alone is held.

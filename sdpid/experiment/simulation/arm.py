@@ -95,31 +95,23 @@ class SimulatedArm:
         """Number of joints."""
         return self.model.robot.n
 
-    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return mass matrices (S, n, n) and biases (S, n): Coriolis, gravity, offsets.
+    def dynamics(self, q: Array, v: Array, effort: Array) -> tuple[Array, Array, Array]:
+        """Return mass matrices (S, n, n), biases (S, n) and accelerations (S, n) under efforts.
 
-        Parameters
-        ----------
-        q, v : ndarray, shape (S, n)
-            Positions and velocities.
-        """
-        q, v = self._taken("position", q, len(q)), self._taken("velocity", v, len(q))
-        M, h = np.empty((len(q), self.n, self.n)), np.empty((len(q), self.n))
-        entries().many_dynamics(self.arrays, memory_for(self.arrays), q, v, M, h)
-        return M, h
-
-    def acceleration(self, q: Array, v: Array, effort: Array) -> Array:
-        """Return accelerations (S, n) under efforts; joints at rest stay while friction holds them.
+        Biases are Coriolis, gravity and offsets. Joints at rest stay while friction holds them.
 
         Parameters
         ----------
         q, v, effort : ndarray, shape (S, n)
             States and efforts.
         """
-        q, v = self._taken("position", q, len(q)), self._taken("velocity", v, len(q))
-        effort, out = self._taken("effort", effort, len(q)), np.empty_like(q)
-        entries().many_accelerations(self.arrays, memory_for(self.arrays), q, v, effort, out)
-        return out
+        states = [
+            self._taken(name, values, len(q))
+            for name, values in (("position", q), ("velocity", v), ("effort", effort))
+        ]
+        M, (h, a) = np.empty((len(q), self.n, self.n)), np.empty((2, len(q), self.n))
+        entries().dynamics(self.arrays, memory_for(self.arrays), *states, M, h, a)
+        return M, h, a
 
     def run(
         self, states: ArrayLike, effort: Array, dt: float, *, free: ArrayLike | None = None

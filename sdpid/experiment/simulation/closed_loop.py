@@ -146,30 +146,25 @@ class Motion(Shown):
     measured: Array
     diverged: float | None = None
 
-    _facts = ("_samples", "_joints", "_duration, s", "diverged, s")
-
     def __post_init__(self) -> None:
         for name in ("time", "position", "velocity", "acceleration", "effort", "measured"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
-    @property
-    def _samples(self) -> int:
-        return len(self.time)
-
-    @property
-    def _joints(self) -> int:
-        return int(self.position.shape[1])
-
-    @property
-    def _duration(self) -> float:
-        return float(np.ptp(self.time)) if len(self.time) else 0.0
+    def _shown(self) -> dict[str, object]:
+        return {
+            "samples": len(self.time),
+            "joints": self.position.shape[1],
+            "duration, s": float(np.ptp(self.time)) if len(self.time) else 0.0,
+            "diverged, s": self.diverged,
+        }
 
     def _tables(self) -> Iterator[Table]:
         """Yield the range of every joint's motion."""
-        rows = self.position if len(self.time) else np.zeros((1, self._joints))
+        n = self.position.shape[1]
+        rows = self.position if len(self.time) else np.zeros((1, n))
         yield Table.of_columns(
             {
-                "joint": [j + 1 for j in range(self._joints)],
+                "joint": list(range(1, n + 1)),
                 "least position": rows.min(axis=0).tolist(),
                 "greatest position": rows.max(axis=0).tolist(),
                 "top speed": np.abs(self.velocity).max(axis=0, initial=0.0).tolist(),
@@ -277,7 +272,7 @@ def simulate_closed_loop(
     out = np.zeros((5, len(times), n))
     run = told, noise, times, steps, every, dt, differenced, np.ascontiguousarray(states), out
     if isinstance(controller, JointLaw):
-        own = arm.arrays if controller.arm is None else controller.arm.arrays
+        own = (controller.arm or arm).arrays
         law = controller.arm is not None, np.array(controller.gains), own
         count = entries().closed_loop(arm.arrays, law, memory_for(arm.arrays, own), *run)
     else:
@@ -291,30 +286,19 @@ def simulate_closed_loop(
         time=times[:count],
         position=q,
         velocity=v,
-        acceleration=arm.acceleration(q, v, effort),
+        acceleration=arm.dynamics(q, v, effort)[2],
         effort=effort,
         measured=measured,
         diverged=float(times[count]) if count < len(times) else None,
     )
 
 
-def _python(
-    arm: SimulatedArm,
-    controller: Controller,
-    desired: Array,
-    noise: Array,
-    times: Array,
-    steps: int,
-    every: int,
-    dt: float,
-    differenced: bool,
-    start: Array,
-    out: Array,
-) -> int:
+def _python(arm: SimulatedArm, controller: Controller, *run: Any) -> int:
     """Run a controller of the user's, whose effort is held from step to step.
 
-    Arguments are those of the compiled loop.
+    The others are what the compiled loop takes.
     """
+    desired, noise, times, steps, every, dt, differenced, start, out = run
     every = max(every, 1)
     q, v = start[:, None]
     integral, before = np.zeros_like(q), q
@@ -328,7 +312,7 @@ def _python(
             before, error = measured, told[:, 0] - measured
             states = (measured, speed, *told.swapaxes(0, 1), integral)
             effort = controller.effort(*states)
-        q1, v1 = arm.run(np.stack([q, v])[:, :, None], effort[:, None], dt)[:, :, 1]
+        q1, v1 = arm.run([q[:, None], v[:, None]], effort[:, None], dt)[:, :, 1]
         if not np.isfinite(v1).all():
             return sample
         while sample < len(times) and times[sample] < (step + 1 - NEAR) * dt:

@@ -432,7 +432,7 @@ class ComputedTorque(JointLaw):
     def _unlimited(
         self, q: Array, v: Array, qd: Array, vd: Array, ad: Array, integral: Array
     ) -> Array:
-        M, h = self.arm.mass_and_bias(q, v)
+        M, h, _ = self.arm.dynamics(q, v, np.zeros_like(q))
         a = ad + super()._unlimited(q, v, qd, vd, ad, integral)
         # The constants of friction are in the bias.
         friction = self.model.friction(vd) - self.model.friction(np.zeros_like(vd))
@@ -440,7 +440,7 @@ class ComputedTorque(JointLaw):
 
     def _slopes(self, q: Array, *states: Array) -> tuple[Array, Array]:
         v, _, _, ad, _ = states
-        M, _ = self.arm.mass_and_bias(q, v)
+        M, _, _ = self.arm.dynamics(q, v, np.zeros_like(q))
         a = ad + super()._unlimited(q, *states)
         by_position, by_velocity = inverse_dynamics_slopes(self.model, q, v, a)
         return by_position - M * self.kp, by_velocity - M * self.kd

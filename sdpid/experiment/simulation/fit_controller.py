@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.gaps import continuous, make_grid
 from sdpid.experiment.recording.joints import require_fixed_base
-from sdpid.experiment.recording.recording import Recording, channels
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD, PID, Controller, P
 
 KINDS: dict[str, type[P] | type[PD] | type[PID]] = {"p": P, "pd": PD, "pid": PID}
@@ -209,19 +209,24 @@ def fit_controller(
             "read them as torques."
         )
     signals, cutoff_hz = _signals(recording, cutoff_hz)
-    off = signals["reference"] - signals["position"]
-    told, seen = signals["reference_velocity"], signals["velocity"]
-    others = [signals["integral"]] if kind == "pid" else []
-    feedforward, reasons = _feedforward(signals, [off, told, -seen, *others])
+    off, told, seen, integral, *efforts = signals
+    others = [integral] if kind == "pid" else []
+    feedforward, doubts = _feedforward(_law_fit(efforts, [off, told, -seen, *others]))
     columns = [off, told - seen if feedforward else -seen, *others]
-    fit = _law_fit(signals, columns)
+    fit = _law_fit(efforts, columns)
     gains, deviations = _named(fit, kind)
-    reasons += _doubts(fit, gains, deviations, recording.names)
+    doubts += _doubts(fit, gains, deviations, recording.names)
     if kind != "pid":
-        reasons += _missing_integral(signals, columns, fit, recording.names)
-    limited = {name: np.maximum(x, 0.0) if name == "ki" else x for name, x in gains.items()}
+        more = _law_fit(efforts, [*columns, integral])
+        taken = np.where(fit.left > _LEFT, 1.0 - more.left / np.maximum(fit.left, 1e-300), 0.0)
+        if taken.max() >= _INTEGRAL:
+            doubts.append(
+                f"an integral of the error explains {taken.max():.0%} of what is left at "
+                f"{recording.names[taken.argmax()]}, limit {_INTEGRAL:.0%}: fit kind='pid'"
+            )
     controller: Controller | None = None
     if all(x.min() > 0.0 for name, x in gains.items() if name != "ki"):
+        limited = {name: np.maximum(x, 0.0) for name, x in gains.items()}
         controller = KINDS[kind](**limited, feedforward=feedforward)
     return FittedController(
         kind=kind,
@@ -233,84 +238,9 @@ def fit_controller(
         delay=fit.delay,
         feedforward=feedforward,
         cutoff_hz=cutoff_hz,
-        reasons=tuple(reasons),
+        reasons=tuple(doubts),
         controller=controller,
     )
-
-
-def _feedforward(signals: dict[str, Array], columns: list[Array]) -> tuple[bool, list[str]]:
-    """Return whether the commanded velocity is in the law, and a doubt about that.
-
-    Either velocity has a weight of its own: equal ones with it, or none for the commanded one.
-    """
-    fit = _law_fit(signals, columns)
-    (told, seen), C = fit.weights[:, 1:3].T, fit.covariances
-    of_difference = C[:, 1, 1] + C[:, 2, 2] - 2.0 * C[:, 1, 2]
-    # Efforts of zero show neither, and without an error.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        with_it = float(np.mean((told - seen) ** 2 / of_difference))
-        without = float(np.mean(told**2 / C[:, 1, 1]))
-    if max(with_it, without) > _DECIDED:
-        return with_it < without, []
-    doubt = "the log does not show whether the commanded velocity is in the law"
-    return with_it < without, [doubt]
-
-
-def _named(fit: _LawFit, kind: str) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return gains, and their deviations as parts of them, by the names of a class."""
-    w, C = fit.weights[:, :-1], fit.covariances
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variances = np.einsum("jmm->jm", C)[:, :-1] / w**2
-        if kind == "p":
-            w = np.column_stack([w[:, 0] / w[:, 1], w[:, 1]])
-            common = 2.0 * C[:, 0, 1] / (fit.weights[:, 0] * fit.weights[:, 1])
-            ratio = np.maximum(variances[:, 0] + variances[:, 1] - common, 0.0)
-            variances = np.column_stack([ratio, variances[:, 1]])
-    names = ("proportional_gain", "velocity_gain") if kind == "p" else ("kp", "kd", "ki")
-    deviations = np.nan_to_num(np.sqrt(variances), nan=np.inf)
-    return dict(zip(names, w.T, strict=False)), dict(zip(names, deviations.T, strict=False))
-
-
-def _doubts(
-    fit: _LawFit,
-    gains: dict[str, Array],
-    deviations: dict[str, Array],
-    names: tuple[str, ...],
-) -> list[str]:
-    """Return why a controller is not to be used."""
-    reasons = []
-    left = int(np.argmax(fit.left))
-    if 1.0 - fit.left[left] < _LEAST_EXPLAINED:
-        reasons.append(
-            f"the law explains {1.0 - fit.left[left]:.1%} of what moves {names[left]}, limit "
-            f"{_LEAST_EXPLAINED:.0%}: it is another controller, or the efforts have other parts"
-        )
-    for name in [each for each in gains if each != "ki"]:
-        values, worst = gains[name], int(np.argmax(deviations[name]))
-        if not values.min() > 0.0:
-            j = int(np.argmin(values))
-            reasons.append(f"{name} of {names[j]} is {values[j]:.3g}, and must be positive")
-        elif not deviations[name][worst] <= _LARGEST_DEVIATION:
-            reasons.append(
-                f"{name} of {names[worst]} has a standard deviation of "
-                f"{deviations[name][worst]:.0%}, limit {_LARGEST_DEVIATION:.0%}"
-            )
-    return reasons
-
-
-def _missing_integral(
-    signals: dict[str, Array], columns: list[Array], fit: _LawFit, names: tuple[str, ...]
-) -> list[str]:
-    """Return that the law lacks an integral, where it does."""
-    more = _law_fit(signals, [*columns, signals["integral"]])
-    taken = np.where(fit.left > _LEFT, 1.0 - more.left / np.maximum(fit.left, 1e-300), 0.0)
-    j = int(np.argmax(taken))
-    if taken[j] < _INTEGRAL:
-        return []
-    return [
-        f"an integral of the error explains {taken[j]:.0%} of what is left at {names[j]}, limit "
-        f"{_INTEGRAL:.0%}: fit kind='pid'"
-    ]
 
 
 class _LawFit(NamedTuple):
@@ -322,66 +252,99 @@ class _LawFit(NamedTuple):
     delay: float
 
 
-def _law_fit(signals: dict[str, Array], columns: list[Array]) -> _LawFit:
-    """Fit the weights of columns (K, n) and a constant to the efforts."""
-    table = np.stack([*columns, np.ones_like(columns[0])], axis=-1).transpose(1, 0, 2)
-    joints = list(zip(table, signals["effort"].T, signals["effort_rate"].T, strict=True))
-    delay, variance = _delay(joints)
-    if delay**2 <= _SURE**2 * variance or abs(delay) > _LONGEST:
-        delay, variance = 0.0, 0.0
-    found = [_solved(*each, delay, variance) for each in joints]
-    weights, covariances, left = map(np.stack, zip(*found, strict=True))
-    return _LawFit(weights, covariances, left, delay)
-
-
-def _delay(joints: list[tuple[Array, Array, Array]]) -> tuple[float, float]:
-    """Return by how much efforts are later than the law, and the variance of that.
+def _law_fit(efforts: Sequence[Array], columns: list[Array]) -> _LawFit:
+    """Fit weights of columns (K, n) and a constant to efforts and their rates, which may be late.
 
     The effort at t + d, to first order in d, follows from the columns at t.
     """
-    moves = []
-    for X, y, rate in joints:
-        rest, move = (each - X @ np.linalg.lstsq(X, each)[0] for each in (y, rate))
-        weight = 1.0 / max(float(np.mean(rest**2)), 1e-12 * float(np.mean(y**2)), 1e-300)
-        moves.append((weight, rest, move))
-    bottom = sum(weight * float(move @ move) for weight, _, move in moves)
-    if bottom <= 0.0:
-        return 0.0, 0.0
-    delay = -sum(weight * float(move @ rest) for weight, rest, move in moves) / bottom
-    rows = np.sum([w * move * (rest + delay * move) for w, rest, move in moves], axis=0)
-    scores = _block_sums(rows)
-    return delay, float(scores @ scores) / bottom**2
-
-
-def _solved(
-    X: Array, y: Array, rate: Array, delay: float, delay_variance: float
-) -> tuple[Array, Array, float]:
-    """Return weights, their covariance and the part of the variance that is left."""
-    target = y + delay * rate
+    X = np.stack([*columns, np.ones_like(columns[0])], axis=-1).transpose(1, 0, 2)
+    effort, rate = (each.T[..., None] for each in efforts)
     inverse = np.linalg.pinv(X)
-    w = inverse @ target
-    residual = target - X @ w
-    scores = _block_sums(X * residual[:, None])
-    spread = inverse @ inverse.T @ scores.T
+    rest, move = (each - X @ (inverse @ each) for each in (effort, rate))
+    least = np.maximum(1e-12 * np.mean(effort**2, axis=1, keepdims=True), 1e-300)
+    weighted = move / np.maximum(np.mean(rest**2, axis=1, keepdims=True), least)
+    size, delay, variance = float(np.sum(weighted * move)), 0.0, 0.0
+    if size > 0.0:
+        delay = -float(np.sum(weighted * rest)) / size
+        scores = _block_sums(np.sum(weighted * (rest + delay * move), axis=0, keepdims=True))
+        variance = float(np.sum(scores**2)) / size**2
+    if delay**2 <= _SURE**2 * variance or abs(delay) > _LONGEST:
+        delay, variance = 0.0, 0.0
+    target, residual, moved = effort + delay * rate, rest + delay * move, inverse @ rate
+    scores = _block_sums(X * residual)
+    spread = inverse @ inverse.mT @ scores.mT
     # As many blocks as weights less.
-    covariance = len(scores) / (len(scores) - X.shape[1]) * spread @ spread.T
-    moved = inverse @ rate
-    covariance += delay_variance * np.outer(moved, moved)
-    left = float(np.mean(residual**2)) / max(float(np.var(target)), 1e-300)
-    return w, covariance, left
+    blocks, m = scores.shape[1:]
+    covariances = blocks / (blocks - m) * spread @ spread.mT + variance * moved @ moved.mT
+    left = np.mean(residual**2, axis=(1, 2)) / np.maximum(target.var(axis=(1, 2)), 1e-300)
+    return _LawFit((inverse @ target)[..., 0], covariances, left, delay)
 
 
 def _block_sums(rows: Array) -> Array:
-    """Return the sums over contiguous blocks of rows, (blocks, ...)."""
-    count = min(max(len(rows) // _ROWS_OF_BLOCK, _LEAST_BLOCKS), _MOST_BLOCKS)
-    starts = np.linspace(0, len(rows), count, endpoint=False).astype(np.intp)
-    return np.asarray(np.add.reduceat(rows, starts, axis=0))
+    """Return the sums over contiguous blocks of rows (n, K, m), (n, blocks, m)."""
+    count = min(max(rows.shape[1] // _ROWS_OF_BLOCK, _LEAST_BLOCKS), _MOST_BLOCKS)
+    starts = np.linspace(0, rows.shape[1], count, endpoint=False).astype(np.intp)
+    return np.asarray(np.add.reduceat(rows, starts, axis=1))
 
 
-def _signals(log: Recording, cutoff_hz: float | None) -> tuple[dict[str, Array], float]:
-    """Return the signals of a controller (K, n), all passed through one filter, and its cut-off.
+def _feedforward(fit: _LawFit) -> tuple[bool, list[str]]:
+    """Return whether the commanded velocity is in the law, and a doubt about that.
 
-    The integral is that of the position error from the first sample of each piece on.
+    Either velocity has a weight of its own: equal ones with it, or none for the commanded one.
+    """
+    (told, seen), C = fit.weights[:, 1:3].T, fit.covariances
+    of_difference = C[:, 1, 1] + C[:, 2, 2] - 2.0 * C[:, 1, 2]
+    # Efforts of zero show neither, and without an error.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        with_it = float(np.mean((told - seen) ** 2 / of_difference))
+        without = float(np.mean(told**2 / C[:, 1, 1]))
+    doubt = "the log does not show whether the commanded velocity is in the law"
+    return with_it < without, [] if max(with_it, without) > _DECIDED else [doubt]
+
+
+def _named(fit: _LawFit, kind: str) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return gains, and their deviations as parts of them, by the names of a class."""
+    w, C = fit.weights[:, :-1].T, fit.covariances
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variances = np.einsum("jmm->mj", C)[:-1] / w**2
+        if kind == "p":
+            common = 2.0 * C[:, 0, 1] / (w[0] * w[1])
+            variances[0] = np.maximum(variances[0] + variances[1] - common, 0.0)
+            w = np.stack([w[0] / w[1], w[1]])
+    names = ("proportional_gain", "velocity_gain") if kind == "p" else ("kp", "kd", "ki")
+    deviations = np.nan_to_num(np.sqrt(variances), nan=np.inf)
+    return dict(zip(names, w, strict=False)), dict(zip(names, deviations, strict=False))
+
+
+def _doubts(
+    fit: _LawFit, gains: dict[str, Array], deviations: dict[str, Array], names: tuple[str, ...]
+) -> list[str]:
+    """Return why a controller is not to be used."""
+    reasons = []
+    left = int(np.argmax(fit.left))
+    if 1.0 - fit.left[left] < _LEAST_EXPLAINED:
+        reasons.append(
+            f"the law explains {1.0 - fit.left[left]:.1%} of what moves {names[left]}, limit "
+            f"{_LEAST_EXPLAINED:.0%}: it is another controller, or the efforts have other parts"
+        )
+    for name in [each for each in gains if each != "ki"]:
+        values, own = gains[name], deviations[name]
+        low, worst = int(np.argmin(values)), int(np.argmax(own))
+        if not values[low] > 0.0:
+            reasons.append(f"{name} of {names[low]} is {values[low]:.3g}, and must be positive")
+        elif not own[worst] <= _LARGEST_DEVIATION:
+            reasons.append(
+                f"{name} of {names[worst]} has a standard deviation of {own[worst]:.0%}, limit "
+                f"{_LARGEST_DEVIATION:.0%}"
+            )
+    return reasons
+
+
+def _signals(log: Recording, cutoff_hz: float | None) -> tuple[Array, float]:
+    """Return the signals of a controller (6, K, n), passed through one filter, and its cut-off.
+
+    They are position error, commanded and measured velocity, integral, effort and its rate. The
+    integral is that of the position error from the first sample of each piece on.
     """
     pieces, _ = continuous(log)
     if cutoff_hz is None:
@@ -392,41 +355,27 @@ def _signals(log: Recording, cutoff_hz: float | None) -> tuple[dict[str, Array],
             f"cutoff_hz: is {cutoff_hz!r:.80}, expected at most "
             f"{_LARGEST_PART * log.rate_hz:.4g} Hz, {_LARGEST_PART:g} of the sample rate."
         )
-    found = [rows for piece in pieces if (rows := _filtered(piece, cutoff_hz)) is not None]
-    count = sum(len(rows["position"]) for rows in found)
-    if count < _LEAST_ROWS:
+    signals = np.concatenate([_filtered(piece, cutoff_hz) for piece in pieces], axis=1)
+    if signals.shape[1] < _LEAST_ROWS:
         raise DataError(
-            f"fit_controller: {count} rows are left at a cut-off of {cutoff_hz:.3g} Hz, at least "
-            f"{_LEAST_ROWS} are needed; give a longer recording."
+            f"fit_controller: {signals.shape[1]} rows are left at a cut-off of {cutoff_hz:.3g} Hz, "
+            f"at least {_LEAST_ROWS} are needed; give a longer recording."
         )
-    return {name: np.concatenate([rows[name] for rows in found]) for name in found[0]}, cutoff_hz
+    return signals, cutoff_hz
 
 
-def _filtered(log: Recording, cutoff_hz: float) -> dict[str, Array] | None:
-    """Return the signals of a piece without gaps; None if it is too short."""
+def _filtered(log: Recording, cutoff_hz: float) -> Array:
+    """Return the signals of a piece without gaps: every so many rows, without the ends."""
     grid = make_grid(log)
-    rate = 1.0 / grid.step
-    low = low_pass("butterworth", cutoff_hz, _ORDER, rate)
+    low = low_pass("butterworth", cutoff_hz, _ORDER, 1.0 / grid.step)
     edge = int(_FORGOTTEN * low.time_constant) + 3
-    stride = max(1, int(rate / (_ROWS * cutoff_hz)))
+    stride = max(1, int(1.0 / (grid.step * _ROWS * cutoff_hz)))
     if grid.count < 3 * edge:
-        return None
-    tables = {
-        name: np.column_stack([grid.read(table[:, j], 0, grid.count) for j in range(log.n)])
-        for name, table in channels(log).items()
-        if name != "velocity"
-    }
-    smooth = {name: low.apply(table) for name, table in tables.items()}
-    off = smooth["reference"] - smooth["position"]
-    sums = np.cumsum(off, axis=0) * grid.step - off * (grid.step / 2.0)
-    rates = {name: np.gradient(smooth[name], grid.step, axis=0) for name in smooth}
-    signals = {
-        **smooth,
-        "velocity": rates["position"],
-        "reference_velocity": rates["reference"],
-        "effort_rate": rates["effort"],
-        "integral": sums,
-    }
-    # Every so many rows, without the ends.
-    own = slice(edge, grid.count - edge, stride)
-    return {name: np.ascontiguousarray(signal[own]) for name, signal in signals.items()}
+        return np.empty((6, 0, log.n))
+    tables: Any = (log.position, log.reference, log.effort)
+    q, told, effort = (low.apply(grid.read(table, 0, grid.count)) for table in tables)
+    v, told_v, rate = (np.gradient(each, grid.step, axis=0) for each in (q, told, effort))
+    off = told - q
+    integral = np.cumsum(off, axis=0) * grid.step - off * (grid.step / 2.0)
+    signals = np.stack([off, told_v, v, integral, effort, rate])
+    return np.ascontiguousarray(signals[:, edge : grid.count - edge : stride])

@@ -97,8 +97,7 @@ def _linearized(
     q, v, effort, stiffness, damping = acting
     # A joint that sticks keeps a velocity of rounding.
     v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
-    a = arm.acceleration(q, v, effort)
-    M, _ = arm.mass_and_bias(q, v)
+    M, _, a = arm.dynamics(q, v, effort)
     by_position, by_velocity = inverse_dynamics_slopes(arm.model, q, v, a)
     C = by_velocity + _friction_slopes(arm.model, v) - damping
     return M, C, by_position - stiffness, base_regressor(arm.model, base, q, v, a), v, a

@@ -14,14 +14,21 @@ from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.legs import Legs
 
 # Gaits: seconds a cycle, share of it that a foot is down, height of a step and speed (m/s) for a
-# leg of 1 m, and how far the base leans over the feet that are down. Feet on a diagonal trot
-# together; otherwise one after the other is lifted, of two soles once the weight is over the other.
-_TROT = (0.5, 0.6, 0.2, 0.0, 0.0)
-_STEP, _WALK = (2.0, 0.85, 0.2, 0.0, 1.0), (2.0, 0.85, 0.2, 0.4, 1.0)
-_STEP_ON_SOLES, _WALK_ON_SOLES = (3.0, 0.75, 0.05, 0.0, 1.45), (3.0, 0.75, 0.05, 0.03, 1.45)
+# leg of 1 m, how far the base leans over the feet that are down, and its sway as a share of that of
+# a robot that stands. Feet on a diagonal trot together; otherwise one after the other is lifted, of
+# two soles once the weight is over the other.
+_STAND, _TROT = (1.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.5, 0.6, 0.2, 0.0, 0.0, 0.25)
+_STEP, _WALK = (2.0, 0.85, 0.2, 0.0, 1.0, 0.25), (2.0, 0.85, 0.2, 0.4, 1.0, 0.25)
+_STEP_ON_SOLES = (3.0, 0.75, 0.05, 0.0, 1.45, 0.25)
+_WALK_ON_SOLES = (3.0, 0.75, 0.05, 0.03, 1.45, 0.25)
 # By name: of balls, and of soles.
-_GAITS = {"trot": (_TROT, None), "step": (_STEP, _STEP_ON_SOLES), "walk": (_WALK, _WALK_ON_SOLES)}
-MOTIONS = ("stand", *_GAITS, "hang")
+_GAITS = {
+    "stand": (_STAND, _STAND),
+    "trot": (_TROT, None),
+    "step": (_STEP, _STEP_ON_SOLES),
+    "walk": (_WALK, _WALK_ON_SOLES),
+}
+MOTIONS = (*_GAITS, "hang")
 # Instants a second at which inverse kinematics is solved: splines between them are exact to 1e-6
 # of a motion of 3 Hz.
 _KNOT_RATE = 200.0
@@ -210,59 +217,19 @@ def plan_motion(
         raise DataError(f"motion {motion!r}: there are {', '.join(MOTIONS)}.")
     if motion == "hang":
         return _hang(legs, duration, rng)
-    if motion != "stand":
-        gait = _GAITS[motion][legs.flat]
-        if gait is None:
-            raise DataError(
-                f"motion '{motion}': '{legs.robot.name}' stands on {len(legs.frames)} soles; there "
-                f"are {', '.join(name for name in MOTIONS if name != motion)}."
-            )
-        return _gait(legs, duration, rng, gait, together=motion == "trot")
-    places = legs.feet(legs.standing[None])[0]
-
-    def feet(t: Array) -> Array:
-        return np.broadcast_to(places, (len(t), *places.shape))
-
-    def down(t: Array) -> Mask:
-        return np.ones((len(t), len(places)), bool)
-
-    return planned(legs, duration, rng, base_sines(legs, rng, 1.0), feet, down)
-
-
-def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> LeggedPlan:
-    swing = joint_sines(legs.n_joints, rng)
-
-    def joints(t: Array) -> tuple[Array, Array]:
-        wave, slope = swing(t)
-        return legs.standing + wave, slope
-
-    height = np.array([0.0, 0.0, 2.0 * float(np.abs(legs.feet(legs.standing[None])).max())])
-
-    def base(t: Array) -> tuple[Array, Array]:
-        return np.broadcast_to(height, (len(t), 3)), np.zeros((len(t), 3))
-
-    return LeggedPlan(
-        joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration
-    )
-
-
-def _gait(
-    legs: Legs,
-    duration: float,
-    rng: np.random.Generator,
-    gait: tuple[float, float, float, float, float],
-    *,
-    together: bool,
-) -> LeggedPlan:
-    """Plan a gait: feet lifted in turn, the base above those that are down."""
-    cycle, duty, lift, speed, shift = gait
-    places = legs.feet(legs.standing[None])[0]
-    phases = _phases(legs, places, cycle, duty, together)
-    length = legs.height
-    sway = base_sines(legs, rng, 0.25)
-    stride = speed * length * cycle
+    gait = _GAITS[motion][legs.flat]
+    if gait is None:
+        raise DataError(
+            f"motion '{motion}': '{legs.robot.name}' stands on {len(legs.frames)} soles; there "
+            f"are {', '.join(name for name in MOTIONS if name != motion)}."
+        )
+    cycle, duty, lift, speed, shift, share_of_sway = gait
+    places, length = legs.feet(legs.standing[None])[0], legs.height
+    phases = _phases(legs, places, cycle, duty, motion == "trot")
+    sway, stride = base_sines(legs, rng, share_of_sway), speed * length * cycle
     # A pair of feet on a diagonal bears the weight alone; soles are planned by the weight anyway.
-    middle = np.zeros(2) if legs.flat else places[:, :2].mean(axis=0) - legs.center_of_mass[:2]
+    middle = places[:, :2].mean(axis=0) - legs.center_of_mass[:2]
+    middle = np.zeros(2) if legs.flat or duty == 1.0 else middle
 
     def phase(t: Array) -> Array:
         return np.asarray(np.mod(t[:, None] / cycle + phases, 1.0))
@@ -270,7 +237,7 @@ def _gait(
     def feet(t: Array) -> Array:
         # In the frame that moves along with the walk: back while down, forth while lifted.
         share = phase(t)
-        swing = np.clip((share - duty) / (1.0 - duty), 0.0, 1.0)
+        swing = np.clip((share - duty) / max(1.0 - duty, 1e-9), 0.0, 1.0)
         smooth = swing**3 * (10.0 - 15.0 * swing + 6.0 * swing**2)
         ramp = rise(t)[0][:, None]
         out = np.tile(places, (len(t), 1, 1))
@@ -294,6 +261,23 @@ def _gait(
         return position, turn
 
     return planned(legs, duration, rng, base, feet, down)
+
+
+def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> LeggedPlan:
+    swing = joint_sines(legs.n_joints, rng)
+
+    def joints(t: Array) -> tuple[Array, Array]:
+        wave, slope = swing(t)
+        return legs.standing + wave, slope
+
+    height = np.array([0.0, 0.0, 2.0 * float(np.abs(legs.feet(legs.standing[None])).max())])
+
+    def base(t: Array) -> tuple[Array, Array]:
+        return np.broadcast_to(height, (len(t), 3)), np.zeros((len(t), 3))
+
+    return LeggedPlan(
+        joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration
+    )
 
 
 def _phases(legs: Legs, places: Array, cycle: float, duty: float, together: bool) -> Array:

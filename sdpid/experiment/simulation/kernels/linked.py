@@ -19,7 +19,7 @@ from sdpid.robot.model.regressor_kernel import announced
 _MODULES: tuple[ModuleType, ...] = (links, solve, loops)
 
 # What is called from outside, and kept on the disk.
-_ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")
+_ENTRIES = ("closed_loop", "open_loop", "dynamics")
 
 
 @functools.cache

@@ -180,32 +180,26 @@ def open_loop(
                     q1[i], v1[i] = states[0, s, k + 1, i], states[1, s, k + 1, i]
 
 
-def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Array) -> None:
-    """Write mass matrices and biases of many states."""
-    n = q.shape[1]
+def dynamics(
+    robot: Any, memory: Any, q: Array, v: Array, effort: Array, M: Array, h: Array, a: Array
+) -> None:
+    """Write mass matrices, biases and accelerations of many states.
+
+    Joints at rest stay there where friction holds them.
+    """
+    vectors, S = memory.vectors, memory.matrices[slot.SLOPES]
+    carried, F, n = vectors[slot.CARRIED], vectors[slot.SMOOTH], q.shape[1]
     for k in range(len(q)):
         dynamics_at(robot, q[k], v[k], memory)
         for i in range(n):
-            h[k, i] = memory.vectors[slot.BIAS, i]
+            h[k, i], a[k, i] = vectors[slot.BIAS, i], 0.0
+            vectors[slot.PUSH, i] = effort[k, i] - h[k, i]
             for j in range(n):
                 M[k, i, j] = memory.matrices[slot.MASSES, i, j]
-
-
-def many_accelerations(
-    robot: Any, memory: Any, q: Array, v: Array, effort: Array, out: Array
-) -> None:
-    """Write accelerations of many states; joints at rest stay there where friction holds them."""
-    vectors, S = memory.vectors, memory.matrices[slot.SLOPES]
-    carried, F = vectors[slot.CARRIED], vectors[slot.SMOOTH]
-    for k in range(len(q)):
-        dynamics_at(robot, q[k], v[k], memory)
-        for i in range(q.shape[1]):
-            vectors[slot.PUSH, i] = effort[k, i] - vectors[slot.BIAS, i]
-            out[k, i] = 0.0
         for _ in range(LOAD_ROUNDS if robot.loaded else 1):
-            carry_load(robot, memory, out[k])
+            carry_load(robot, memory, a[k])
             bounds_at(robot, carried, memory.bounds)
             smooth_at(robot, carried, v[k], F, S)
             change_over(robot, v[k], INSTANT, memory)
-            if is_settled(vectors[slot.CHANGE], INSTANT, out[k]):
+            if is_settled(vectors[slot.CHANGE], INSTANT, a[k]):
                 break
