@@ -168,7 +168,7 @@ class Given(SimpleNamespace):
 
     def inputs(self, *others: str) -> list[Path | str | None]:
         """Return the files that the command reads, but for some options; beside logs mappings."""
-        from sdpid.experiment.recording.columns import mapping_beside
+        from sdpid.experiment.recording.recording import mapping_beside
 
         found: list[Path | str | None] = []
         for row in self.rows.values():

@@ -117,7 +117,7 @@ def _legged(given: Given) -> None:
     from sdpid.experiment.plant.legged.sensors import Sensors
     from sdpid.experiment.plant.legged.simulate import simulate_legged
     from sdpid.experiment.plant.legged.truth import changed_parameters
-    from sdpid.experiment.recording.columns import mapping_beside
+    from sdpid.experiment.recording.recording import mapping_beside
     from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
     from sdpid.robot.model.load import load_robot
 

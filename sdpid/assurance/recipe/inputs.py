@@ -11,7 +11,6 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
-from sdpid.experiment.recording.columns import base_metadata
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.base_parameters import kinematics_digest
@@ -63,7 +62,7 @@ def recording_digest(log: Recording) -> str:
     """
     stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
     stated["joints"] = plain(log.joint_names)
-    stated |= base_metadata(log.base, log.contacts)
+    stated |= log.settings()
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
     quantities = CHANNELS[:-1] if log.reference is None else CHANNELS
     tables = {name: getattr(log, name) for name in ("time", *quantities)}

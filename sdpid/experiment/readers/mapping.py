@@ -18,8 +18,8 @@ from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.readers.names import QUANTITIES, UNITS
-from sdpid.experiment.recording.columns import mapping_beside
 from sdpid.experiment.recording.motor_side import MotorSide
+from sdpid.experiment.recording.recording import mapping_beside
 
 # What to do with samples that lack a value.
 MISSING = ("refuse", "drop", "interpolate")

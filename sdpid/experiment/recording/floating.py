@@ -20,7 +20,7 @@ from sdpid._common.arrays import (
     shaped,
 )
 from sdpid._common.files import printable
-from sdpid._common.tables import Shown, Table
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
 
@@ -71,7 +71,9 @@ def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool =
 class Sampled(Shown):
     """A frozen dataclass with channels of as many samples each, of which some may be missing."""
 
+    # What it is called in messages, and what files say of it beside its columns.
     _called: ClassVar[str] = ""
+    _settings: ClassVar[tuple[str, ...]] = ()
 
     @property
     def channels(self) -> dict[str, Any]:
@@ -116,6 +118,14 @@ class Sampled(Shown):
         """Return what `samples` says of each channel."""
         found = {each.name: each.metadata.get("samples") for each in fields(cls)}  # type: ignore[arg-type]
         return {name: said for name, said in found.items() if said is not None}
+
+    def settings(self) -> dict[str, dict[str, Any]]:
+        """Return what a file says beside the columns, by table and name."""
+        own = {key: plain(getattr(self, key)) for key in self._settings}
+        found = {self._called.rstrip("."): own} if own else {}
+        for _, part in self._parts:
+            found |= part.settings()
+        return found
 
     @property
     def _parts(self) -> list[tuple[str, Any]]:
@@ -230,6 +240,7 @@ class Imu(Sampled):
     translation: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.eye(3))
     _called: ClassVar[str] = "imu."
+    _settings: ClassVar[tuple[str, ...]] = ("translation", "rotation")
 
     def __post_init__(self) -> None:
         self._keep_samples()
@@ -375,6 +386,7 @@ class Contacts(Sampled):
     )
     offset: Array = field(default_factory=lambda: np.zeros(3))
     _called: ClassVar[str] = "contacts."
+    _settings: ClassVar[tuple[str, ...]] = ("frames", "kind", "offset")
 
     def __post_init__(self) -> None:
         frames = distinct_names(self.frames, "contacts.frames", "frame names")
@@ -419,8 +431,7 @@ class Contacts(Sampled):
         measured = self.measured
         assert measured is not None  # one of the three is always there
         size = np.linalg.norm(measured, axis=-1)
-        told: Mask = size > _CLOSED_SHARE * np.quantile(size, _STRONG)
-        return told
+        return np.asarray(size > _CLOSED_SHARE * np.quantile(size, _STRONG))
 
     def _words(self) -> list[str]:
         counts = {kind: self.kind.count(kind) for kind in get_args(ContactKind)}
@@ -436,12 +447,8 @@ class Contacts(Sampled):
 
 def offsets(given: Any, count: int, called: str) -> Array:
     """Return a place (3,), or one for each of several frames, as places (count, 3)."""
-    places = real_array(given, called, ndim=np.ndim(given) or 1)
-    if places.shape not in ((3,), (count, 3)):
-        raise DataError(
-            f"{called}: has shape {places.shape}, expected (3,) or {(count, 3)}: x, y, z in m, for "
-            "all frames or for each."
-        )
+    shape = (count, 3) if np.ndim(given) == 2 else (3,)
+    places = shaped(given, called, shape, ": x, y, z in m, for all frames or for each")
     return frozen(np.broadcast_to(places, (count, 3)))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -177,25 +177,7 @@ def require_no_outliers(log: Recording) -> None:
             )
 
 
-class VelocityFit(NamedTuple):
-    """A recorded velocity as scale × the rate of the position, later by a lag.
-
-    Attributes
-    ----------
-    scale : float
-        Negative for opposite signs.
-    lag : float
-        In s.
-    correlation : float
-        Of the two, once they are shifted by the lag.
-    """
-
-    scale: float
-    lag: float
-    correlation: float
-
-
-def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
+def velocity_fit(log: Recording, joint: int) -> tuple[float, float, float] | None:
     """Compare a joint's recorded velocity with the rate of its position.
 
     Parameters
@@ -207,8 +189,10 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
 
     Returns
     -------
-    VelocityFit or None
-        None where the joint stands still or there are too few samples.
+    scale, lag, correlation : float
+        The velocity as scale × the rate of the position, later by a lag in s, and how the two
+        agree then. The scale of opposite signs is negative. None where the joint stands still or
+        there are too few samples.
     """
     assert log.velocity is not None
     begin = max(0, (log.n_samples - _COMPARED) // 2)
@@ -234,7 +218,7 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
     scale = float(weights[0])
     # Noise in the rate makes the slope over it too small, by the correlation.
     lag = -float(weights[1]) / scale if scale != 0.0 else 0.0
-    return VelocityFit(scale / correlation if correlation > 0.0 else 0.0, lag, correlation)
+    return scale / correlation if correlation > 0.0 else 0.0, lag, correlation
 
 
 def disagreement(log: Recording, motion_hz: float) -> str | None:
@@ -258,20 +242,20 @@ def disagreement(log: Recording, motion_hz: float) -> str | None:
         fit = velocity_fit(log, joint)
         if fit is None:
             continue
-        said = None
-        if fit.correlation < _CORRELATED:
+        said, (scale, lag, correlation) = None, fit
+        if correlation < _CORRELATED:
             said = (
-                f"does not follow d/dt of its position (correlation {fit.correlation:.2f}, limit "
+                f"does not follow d/dt of its position (correlation {correlation:.2f}, limit "
                 f"{_CORRELATED:g})"
             )
-        elif abs(fit.scale - 1.0) > _TOLERATED:
+        elif abs(scale - 1.0) > _TOLERATED:
             said = (
-                f"is {fit.scale:.3g} times d/dt of its position, limit {1.0 - _TOLERATED:g} to "
+                f"is {scale:.3g} times d/dt of its position, limit {1.0 - _TOLERATED:g} to "
                 f"{1.0 + _TOLERATED:g}"
             )
-        elif abs(fit.lag) > latest:
+        elif abs(lag) > latest:
             said = (
-                f"is {'late' if fit.lag > 0 else 'early'} by {abs(fit.lag):.3g} s against d/dt of "
+                f"is {'late' if lag > 0 else 'early'} by {abs(lag):.3g} s against d/dt of "
                 f"its position, limit {latest:.3g} s"
             )
         if said is not None:

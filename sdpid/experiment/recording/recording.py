@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -12,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sdpid._common.arrays import Array
-from sdpid._common.files import Source
+from sdpid._common.extras import require
+from sdpid._common.files import Source, atomic_path, atomic_write_text
 from sdpid._common.tables import Table
-from sdpid.errors import DataError
+from sdpid.errors import DataError, ExportError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.recording.columns import base_metadata, write_columns, write_mapping
 from sdpid.experiment.recording.floating import (
     LARGEST,
     BaseMotion,
@@ -25,12 +26,20 @@ from sdpid.experiment.recording.floating import (
     distinct_names,
     samples,
 )
-from sdpid.experiment.recording.stored import StoredArray
+from sdpid.experiment.recording.stored import ROWS, StoredArray, extremes
 from sdpid.experiment.recording.timestamps import Stamps
 
 # What is measured, or commanded, of each joint.
 CHANNELS = ("position", "effort", "velocity", "reference")
 
+# Where the metadata of a recording stand in Parquet files, and their version.
+KEY = b"sdpid"
+FORMAT = 1
+# The first line of mappings that are written beside CSV files, and may be replaced.
+_MADE = "# What the columns of the log beside it cannot tell; written with it."
+# A number this near to one of nine decimals, in m or a cosine, was that one before rounding: radii
+# of feet are measured in meshes, and rotations are made of cosines.
+_DECIMALS, _ROUNDED = 9, 1e-10
 _EACH = "one column for each joint"
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.
@@ -168,14 +177,11 @@ class Recording(Sampled):
         return words
 
     def _tables(self) -> list[Table]:
-        columns = {
-            "joint": self.names,
-            "least position": self.position.min(axis=0).tolist(),
-            "greatest position": self.position.max(axis=0).tolist(),
-            f"rms effort{', A' * self.currents}": np.sqrt(
-                np.mean(np.square(self.effort), axis=0)
-            ).tolist(),
-        }
+        low, high = extremes(self.position)
+        rms = np.sqrt(np.mean(np.square(self.effort), axis=0))
+        columns: dict[str, Any] = {"joint": self.names, "least position": low.tolist()}
+        columns |= {"greatest position": high.tolist()}
+        columns |= {f"rms effort{', A' * self.currents}": rms.tolist()}
         return [Table.of_columns(columns)]
 
     @property
@@ -344,10 +350,20 @@ class Recording(Sampled):
         MissingExtraError
             When pyarrow is not installed (extra ``io``).
         """
+        pa = require("pyarrow", extra="io")
+        pq = require("pyarrow.parquet", extra="io")
         names = ("n", "joint_names", "period", "start", "periods", "currents")
-        stated = {name: getattr(self, name) for name in names}
-        stated |= base_metadata(self.base, self.contacts)
-        write_columns(path, self.columns(), stated)
+        stated = {"format": FORMAT} | {name: getattr(self, name) for name in names}
+        columns, count = self.columns(), self.n_samples
+        schema = pa.schema([pa.field(name, pa.float64(), nullable=False) for name in columns])
+        schema = schema.with_metadata({KEY: json.dumps(stated | self.settings()).encode()})
+        # Noisy doubles do not repeat, so a dictionary is a waste; splitting their bytes compresses.
+        options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
+        with atomic_path(path) as file, pq.ParquetWriter(file, schema, **options) as writer:
+            for begin in range(0, count, ROWS):
+                parts = (values[begin : begin + ROWS] for values in columns.values())
+                arrays = [pa.array(np.ascontiguousarray(part)) for part in parts]
+                writer.write_batch(pa.record_batch(arrays, schema=schema))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a CSV file with all digits, whole or not at all.
@@ -361,8 +377,36 @@ class Recording(Sampled):
         ExportError
             When a file cannot be written, or another mapping lies beside it.
         """
-        write_mapping(Path(path), self.base, self.contacts)
+        import tomli_w
+
+        log, text = Path(path), tomli_w.dumps(_in_decimals(self.settings()))
+        mapping = mapping_beside(log)
+        there = mapping.read_text("utf-8", errors="replace") if mapping.is_file() else ""
+        if text and there and not there.startswith(_MADE):
+            raise ExportError(
+                f"{mapping}: is a mapping of another log, and would tell how {log.name} is read; "
+                f"move it away, or write to another name than {log.name}."
+            )
+        if text or there.startswith(_MADE):
+            atomic_write_text(mapping, f"{_MADE}\n{text}")
         Table.of_columns({k: column.tolist() for k, column in self.columns().items()}).write(path)
+
+
+def mapping_beside(log: Path) -> Path:
+    """Return where the mapping of a log lies: `run.toml` for `run.csv`, `run.csv.gz` or `run`."""
+    unpacked = log.with_suffix("") if log.suffix.lower() == ".gz" else log
+    return log.parent / f"{unpacked.stem}.toml"
+
+
+def _in_decimals(value: Any) -> Any:
+    """Return nested values whose numbers are decimals where they all but are."""
+    if isinstance(value, dict):
+        return {key: _in_decimals(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_in_decimals(each) for each in value]
+    if isinstance(value, float) and abs(value - (near := round(value, _DECIMALS))) < _ROUNDED:
+        return near + 0.0
+    return value
 
 
 def channels(log: Recording) -> dict[str, Any]:

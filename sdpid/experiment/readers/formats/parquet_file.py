@@ -16,8 +16,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import LogTable
-from sdpid.experiment.recording.columns import FORMAT, KEY
-from sdpid.experiment.recording.recording import CHANNELS
+from sdpid.experiment.recording.recording import CHANNELS, FORMAT, KEY
 from sdpid.experiment.recording.stored import ROWS, check_claim, store
 
 # Logs that would take more bytes than this are kept in temporary files.
