@@ -44,6 +44,9 @@ _LARGEST, _SMALLEST = 1e12, 1e-100
 # Names of parameters that a message lists.
 _LISTED = 8
 
+# What `Judgment.to_dict` tells as it is.
+_TOLD = ("feasible", "violations", "refitted", "cost", "gap", "audit")
+
 _DESCRIPTIONS = (".urdf", ".xml", ".mjcf", ".xacro")
 
 
@@ -151,12 +154,8 @@ def _described(given: RobotModel, robot: RobotModel, file: Path) -> dict[str, fl
             f"'{robot.name}' {listed(robot.joint_names, _LISTED)}; give a description of the same "
             "robot."
         )
-    for name, own, other in zip(
-        robot.pin_model.names,
-        robot.pin_model.jointPlacements,
-        given.pin_model.jointPlacements,
-        strict=True,
-    ):
+    places = (each.pin_model.jointPlacements for each in (robot, given))
+    for name, own, other in zip(robot.pin_model.names, *places, strict=True):
         if np.abs(own.homogeneous - other.homogeneous).max() > _SAME_PLACE:
             raise ModelError(
                 f"{file}: joint {name} is elsewhere than in '{robot.name}', so that its links' "
@@ -281,15 +280,10 @@ class Judgment:
         content = {
             "source": self.given.source,
             "standard": self.estimate.theta is not None,
-            "feasible": self.feasible,
-            "violations": self.violations,
-            "refitted": self.refitted,
-            "cost": self.cost,
+            **{name: getattr(self, name) for name in _TOLD},
             "lower_bound": self.certificate.lower_bound,
-            "gap": self.gap,
             "optimum": self.optimum.cost,
             "relative_residuals": self.residuals,
-            "audit": self.audit,
         }
         return plain_dict(content)
 
@@ -325,14 +319,12 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
         # What a prior on the links costs cannot be told of base parameters.
         problem = replace(problem, prior=None)
     estimate, refitted = _completed(problem, given, standard)
-    optimum = _optimum(problem)
-    certificate = certify(estimate, bound=optimum)
+    optimum, robot, theta = _optimum(problem), problem.robot, estimate.theta
     wls = solve_wls(replace(problem, prior=None))
     residuals = {
         name: validate(each).told.relative
         for name, each in (("given", estimate), ("optimum", optimum), ("unconstrained", wls))
     }
-    robot = problem.robot
     if not robot.free_flyer and np.any(robot.prior[:, 0] > 0.0):
         residuals["description"] = validate_robot(robot, problem.samples).told.relative
     return Judgment(
@@ -340,8 +332,8 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
         estimate=estimate,
         refitted=refitted,
         optimum=optimum,
-        certificate=certificate,
-        violations=() if estimate.theta is None else violations(problem.feasible, estimate.theta),
+        certificate=certify(estimate, bound=optimum),
+        violations=() if theta is None else violations(problem.feasible, theta),
         residuals=residuals,
         audit=None if standard else _audit(problem, given),
     )
@@ -386,20 +378,14 @@ def _completed(
         C = np.vstack([np.eye(len(free)), rows])
         values[free] = _least(matrix[:, free], rhs - matrix @ values, C, lower, upper)
     refitted = tuple(names[k] for k in free)
+    told: dict[str, Any] = {"method": "given", "status": "given"}
     if not standard:
-        estimate = Estimate(
-            problem=problem,
-            method="given",
-            base=values,
-            theta=None,
-            status="given",
-            message=given.source,
-        )
+        message = given.source
+        estimate = Estimate(problem=problem, base=values, theta=None, message=message, **told)
         return estimate, refitted
     status = "optimal" if feasible.violation(values) <= FEASIBLE else "infeasible"
     message = f"{given.source}: {status}"
-    estimate = Estimate.of_theta(problem, values, method="given", status="given", message=message)
-    return estimate, refitted
+    return Estimate.of_theta(problem, values, message=message, **told), refitted
 
 
 def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> Array:

@@ -69,6 +69,9 @@ _LABELS = {"slsqp": "SLSQP", "log_cholesky": "log-Cholesky"}
 
 _COLUMNS = tuple(SolverRun.__dataclass_fields__)
 
+# Columns that are an estimate's own.
+_OF_ESTIMATE = ("status", "cost", "worst_margin", "violation", "iterations", "message")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Shown):
@@ -307,16 +310,10 @@ def _row(solver: str, start: str, result: Estimate | str, certificate: Certifica
     """Return the row of a run: of its estimate, or of the message of its error."""
     if isinstance(result, str):
         return SolverRun(solver=solver, start=start, status="error", message=result)
-    gap = certify(result, bound=certificate.bound).gap
     return SolverRun(
         solver=solver,
         start=start,
-        status=result.status,
-        cost=result.cost,
-        gap=gap,
-        worst_margin=result.worst_margin,
-        violation=result.violation,
-        iterations=result.iterations,
+        gap=certify(result, bound=certificate.bound).gap,
         seconds=result.solve_time,
-        message=result.message,
+        **{name: getattr(result, name) for name in _OF_ESTIMATE},
     )

@@ -61,10 +61,12 @@ class Formulation:
         object.__setattr__(self, "friction", None if friction is None else tuple(friction))
         object.__setattr__(self, "effects", "auto" if asked is None else asked)
 
-    @property
-    def total_mass(self) -> float | None:
-        """What the robot is known to weigh."""
-        return None if self.constraints is None else known_mass(self.constraints.others)
+    def prepare(
+        self, robot: RobotModel | str | os.PathLike[str], log: Logs, **how: Any
+    ) -> Prepared:
+        """Prepare recordings of a robot that weighs what the constraints say."""
+        mass = None if self.constraints is None else known_mass(self.constraints.others)
+        return prepare(robot, log, total_mass=mass, **how)
 
     def without_choices(self, problem: Problem) -> Formulation:
         """Return the same with the terms that were chosen for a problem, and no more."""
@@ -119,15 +121,8 @@ def formulate(
     """
     formulation = Formulation(**options)
     if not isinstance(log, Prepared):
-        log = prepare(
-            robot,
-            log,
-            processing,
-            without_effort=without_effort,
-            accept=accept,
-            gains=gains,
-            total_mass=formulation.total_mass,
-        )
+        how = {"without_effort": without_effort, "accept": accept, "gains": gains}
+        log = formulation.prepare(robot, log, processing=processing, **how)
     return formulation.problem(log)
 
 

@@ -34,7 +34,7 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.inspection.kinds import Finding, found
-from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf, prepare
+from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.output.report.kinds import listed
 from sdpid.robot.friction.term import FrictionTerm
@@ -201,15 +201,8 @@ def identify(
         effects=effects,
     )
     kinds, known = kinds_accepted(accept), as_gains(gains)
-    prepared = prepare(
-        robot,
-        log,
-        processing,
-        without_effort=without_effort,
-        accept=kinds,
-        gains=known,
-        total_mass=formulation.total_mass,
-    )
+    how = {"without_effort": without_effort, "accept": kinds, "gains": known}
+    prepared = formulation.prepare(robot, log, processing=processing, **how)
     fresh = None
     if validation is not None:
         fresh = prepared.others(validation, accept=kinds, gains=known)

@@ -42,6 +42,12 @@ if TYPE_CHECKING:
     from sdpid.assurance.rollouts.result import Rollout
     from sdpid.workflow.cross_validation import CrossValidation
 
+# What `Identification.to_dict` tells as it is.
+_TOLD = (
+    *("findings", "verdict", "headline", "training", "validation", "held_out", "remedies"),
+    *("cross_validation", "rollouts", "bias", "bias_note"),
+)
+
 # Stands for the kind of a file while statements are compared.
 _KIND = "\0"
 
@@ -422,9 +428,6 @@ class Identification(Judged, Shown):
             "problem": describe(self.problem),
             "processing": self.problem.samples.notes,
             "notes": notes,
-            "findings": self.findings,
-            "verdict": self.verdict,
-            "headline": self.headline,
             "grades": {
                 self.training.joint_names[each.joint]: {"level": each.level, "shown": each.shown}
                 for each in self._subject.grades
@@ -444,16 +447,9 @@ class Identification(Judged, Shown):
             "weakly_excited": [{"singular_value": v, "parameters": n} for v, n in weak],
             "base_parameters": estimate.named(),
             "standard_parameters": estimate.named_theta(),
-            "training": self.training,
             "training_unconstrained": self.training_wls,
-            "validation": self.validation,
-            "held_out": self.held_out,
-            "remedies": self.remedies,
-            "cross_validation": self.cross_validation,
-            "rollouts": self.rollouts,
             "intervals": None if self.intervals is None else intervals_dict(self.intervals),
-            "bias": self.bias,
-            "bias_note": self.bias_note,
+            **{name: getattr(self, name) for name in _TOLD},
         }
         return plain_dict(content)
 

@@ -14,7 +14,6 @@ import numpy as np
 from sdpid._common.arrays import frozen
 from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
-from sdpid.assurance.diagnostics.held_out import OURS
 from sdpid.errors import DataError
 from sdpid.output.tables.parameters_file import parameters_dict
 from sdpid.robot.description.urdf import without_level
@@ -42,7 +41,6 @@ _LOG = "log, SHA-256"
 _CHOSEN = ("weighting", "consistency", "margin", "prior", "samples", "rows_used")
 _FOUND = ("cost", "lower_bound", "gap", "certified", "worst_margin")
 
-_ERROR = f"error of {OURS}, %"
 _NO_JOINT_TEST = (
     "Files hold no covariances, so parameters are tested one by one and never together; "
     "first.compare_to(other) of the estimates does both."
@@ -204,26 +202,24 @@ class SavedRun(Shown):
     def facts(self) -> dict[str, object]:
         """What was given, asked, chosen and found, by where it stands in the files."""
         result, problem = self.result, self.result["problem"]
-        held = dict(result["held_out"] or {})
-        facts: dict[str, object] = {}
-        for role, files in (self.inputs or {}).items():
-            facts[role] = ", ".join(name for name, _ in files)
-            facts[f"{role}, SHA-256"] = ", ".join(digest for _, digest in files)
-        asked = {k: v for k, v in (self.options or {}).items() if k not in _NOT_COMPUTED}
-        facts |= {f"option {name}": value for name, value in asked.items()}
-        facts |= {name: problem.get(name) for name in _CHOSEN}
-        facts["friction terms"] = [
-            text(each["term"], "terms") for each in problem["friction_terms"]
-        ]
-        processing = (self.recipe or {}).get("processing", {})
-        facts |= {f"processing {name}": value for name, value in processing.items()}
-        facts |= {f"held out {name}": held.pop(name, None) for name in ("by", "blocks")}
-        if held:
-            joints = held[OURS]["moving"]["joints"].values()
-            facts["held out rows"] = [each["rows"] for each in joints]
-        for model, each in held.items():
-            facts[f"error of {model}, %"] = 100.0 * numbers(each["moving"]["relative_residual"])
-        return facts | {name: result[name] for name in _FOUND}
+        held, recipe = dict(result["held_out"] or {}), self.recipe or {"processing": {}}
+        options = {k: v for k, v in (self.options or {}).items() if k not in _NOT_COMPUTED}
+        return {
+            **{
+                f"{role}, SHA-256": ", ".join(digest for _, digest in files)
+                for role, files in (self.inputs or {}).items()
+            },
+            **{f"option {name}": value for name, value in options.items()},
+            **{name: problem.get(name) for name in _CHOSEN},
+            "friction terms": [text(each["term"], "terms") for each in problem["friction_terms"]],
+            **{f"processing {name}": value for name, value in recipe["processing"].items()},
+            **{f"held out {name}": held.pop(name, None) for name in ("by", "blocks")},
+            **{
+                f"error of {model}, %": 100.0 * numbers(each["moving"]["relative_residual"])
+                for model, each in held.items()
+            },
+            **{name: result[name] for name in _FOUND},
+        }
 
     def model(self) -> RobotDynamics:
         """Return the identified robot, to compute with; see `Estimate.model`.
@@ -330,8 +326,6 @@ class RunComparison(Shown):
         Base parameters with their differences, and what the intervals of both allow.
     same_log : bool or None
         Whether both were fitted to the same log; None where the files do not say.
-    better : str or None
-        The folder that predicts better what was held out from both.
     outside : tuple of str
         Base parameters that differ by more than their intervals together; none where the runs
         share data.
@@ -343,7 +337,6 @@ class RunComparison(Shown):
     facts: Table
     parameters: Table
     same_log: bool | None
-    better: str | None
     notes: tuple[str, ...]
 
     def _shown(self) -> dict[str, object]:
@@ -431,15 +424,13 @@ def compare_runs(first: Saved, other: Saved) -> RunComparison:
     facts = tuple(
         (name, *(_cell(run.facts.get(name)) for run in (a, b))) for name in a.facts | b.facts
     )
-    better, sentence = _better(a, b, [str(row[0]) for row in facts if row[1] != row[2]])
-    parameters, sentences = _parameters(runs, untested)
+    parameters, notes = _parameters(runs, untested)
     return RunComparison(
         folders=names,
         facts=Table(("what", *runs), facts),
         parameters=parameters,
         same_log=a.facts.get(_LOG) == b.facts.get(_LOG) if known else None,
-        better=None if better is None else names[better],
-        notes=(sentence, *sentences),
+        notes=tuple(notes),
     )
 
 
@@ -448,22 +439,6 @@ def _cell(value: Any) -> object:
     if isinstance(value, list):
         return ", ".join(map(str, value))
     return value if value is None or isinstance(value, float) else str(value)
-
-
-def _better(a: SavedRun, b: SavedRun, differ: list[str]) -> tuple[int | None, str]:
-    """Return which run predicts better what was held out from both, and a sentence."""
-    log = _LOG if a.facts.get("held out by") == "blocks" else "validation, SHA-256"
-    other = [name for name in differ if name.startswith(("held out", "processing", log))]
-    errors: list[Any] = [run.facts.get(_ERROR) for run in (a, b)]
-    if None in (*errors, a.recipe, b.recipe):
-        other.append("something was held out by one alone, or a manifest has no recipe")
-    if other:
-        return None, f"Which predicts better is not said: other {', '.join(other)}."
-    told = f"{errors[0]:.3g} % (first) and {errors[1]:.3g} % (other) in motion."
-    if errors[0] == errors[1]:
-        return None, f"On the same rows held out both predict alike: {told}"
-    k = int(errors[1] < errors[0])
-    return k, f"On the same rows held out the {('first', 'other')[k]} predicts better: {told}"
 
 
 def _parameters(runs: Mapping[str, SavedRun], untested: str | None) -> tuple[Table, list[str]]:

@@ -70,47 +70,35 @@ def samples(result: Identification) -> ParameterSamples:
     return sdpid.sample_parameters(result, COUNT, 0)
 
 
-def test_every_draw_is_feasible(result: Identification, samples: ParameterSamples) -> None:
+def test_draws_are_feasible_and_the_same_by_a_seed(
+    result: Identification, samples: ParameterSamples
+) -> None:
     problem = result.problem
     assert len(samples) == COUNT
     assert samples.theta.shape == (COUNT, problem.n_theta)
     assert all(problem.feasible.violation(theta) == 0.0 for theta in samples.theta)
     assert np.allclose(samples.base, samples.theta @ problem.base.matrix.T)
     assert not samples.theta.flags.writeable
-
-
-def test_seeds(result: Identification, samples: ParameterSamples) -> None:
-    again = sdpid.sample_parameters(result.estimate, COUNT, seed=0)
-    assert np.array_equal(again.theta, samples.theta)
-    other = sdpid.sample_parameters(result.estimate, COUNT, 1)
-    assert not np.array_equal(other.theta, samples.theta)
-
-
-def test_models_compute_with_the_draws(result: Identification, samples: ParameterSamples) -> None:
-    q, v, a = np.full((3, 2), 0.3)
-    models = list(samples.models())
-    assert len(models) == COUNT
-    for model, theta in zip(models, samples.theta, strict=True):
-        own = result.estimate.of_theta(result.problem, theta, method="given", status="given")
-        assert np.allclose(model.inverse_dynamics(q, v, a), own.model().inverse_dynamics(q, v, a))
-
-
-def test_what_is_shown(samples: ParameterSamples) -> None:
     assert repr(samples).startswith("ParameterSamples(robot='arm2', draws=20, seed=0, ")
     shown = samples._repr_html_()
     assert "split R-hat" in shown
     assert "zzr1" in shown
-    frame = samples.to_frame()
-    assert frame.shape == (COUNT, 26)
-    assert list(frame.columns) == list(samples.estimate.problem.base.theta_names)
+    assert samples.to_frame().shape == (COUNT, 26)
+    assert [*samples.to_frame().columns] == [*problem.base.theta_names]
+    q, v, a = np.full((3, 2), 0.3)
+    for model, theta in zip(samples.models(), samples.theta, strict=True):
+        own = result.estimate.of_theta(problem, theta, method="given", status="given")
+        assert np.allclose(model.inverse_dynamics(q, v, a), own.model().inverse_dynamics(q, v, a))
+    for of, seed in ((result.estimate, 0), (result.certificate, 0), (result.estimate, 1)):
+        again = sdpid.sample_parameters(of, COUNT, seed)
+        assert np.array_equal(again.theta, samples.theta) == (seed == 0)
 
 
 def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_path: Path) -> None:
     ranges = samples.ranges(0.5)
     assert ranges.probability == 0.5
     made = ranges.to_dict()["made"]
-    assert made["robot"] == "arm2"
-    assert made["seed"] == 0
+    assert (made["robot"], made["seed"]) == ("arm2", 0)
     assert len(made["certificate"]) == len(made["parameters_sha256"]) == 64
     files = samples.save(tmp_path, ("mjcf",))
     assert len(files) == COUNT + 4
@@ -131,13 +119,15 @@ def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_pa
 )
 def test_numbers_that_are_none(result: Identification, arguments: Any, words: str) -> None:
     refuses(DataError, words, sdpid.sample_parameters, result, *arguments)
+    words = "estimate: is str; give what solve_sdp or identify"
+    refuses(DataError, words, sdpid.sample_parameters, "arm", *arguments)
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -1, 2, float("nan"), True, "half", None])
 def test_shares_that_are_none(samples: ParameterSamples, probability: Any, tmp_path: Path) -> None:
-    refuses(DataError, "give a probability between 0 and 1", samples.ranges, probability)
-    with pytest.raises(DataError, match="give a probability between 0 and 1"):
-        samples.save(tmp_path, probability=probability)
+    words = "give a probability between 0 and 1"
+    refuses(DataError, words, samples.ranges, probability)
+    refuses(DataError, words, samples.save, tmp_path, probability=probability)
 
 
 def test_a_robot_without_friction(tmp_path: Path) -> None:
@@ -149,40 +139,33 @@ def test_a_robot_without_friction(tmp_path: Path) -> None:
     assert not np.any([curve.effort, curve.lower, curve.upper])
 
 
-def test_what_is_no_estimate() -> None:
-    with pytest.raises(DataError, match="estimate: is str; give what solve_sdp or identify"):
-        sdpid.sample_parameters("arm", 3, 0)
-
-
 # The option of effects, and where the choice is told.
 
 
-def test_the_option() -> None:
-    assert names_of_effects("auto") is None
-    assert names_of_effects("none") == ()
-    assert names_of_effects("tilt") == ("tilt",)
-    assert names_of_effects(["load", "falling"]) == ("load", "falling")
-    assert names_of_effects("tilt, load") == ("tilt", "load")
+def test_the_option_of_effects() -> None:
+    for effects, names in (
+        ("auto", None),
+        ("none", ()),
+        ("tilt", ("tilt",)),
+        (["load", "falling"], ("load", "falling")),
+        ("tilt, load", ("tilt", "load")),
+    ):
+        assert names_of_effects(effects) == names
     for effects in (["tilt", "wind"], "tilt,wind"):
         refuses(DataError, r"'wind'.*tilt, load, rotor_inertia", names_of_effects, effects)
 
 
-def test_an_arm_without_effects_gets_none() -> None:
-    problem = formulate(arm(), recorded(1))
-    assert not any(each.chosen for each in problem.origin.effects)
+@pytest.mark.parametrize("options", [{}, {"consistency": "none"}, {"prior": False}])
+def test_an_arm_without_effects_gets_none(options: dict[str, Any]) -> None:
+    problem = formulate(arm(), recorded(1), **options)
     assert problem.origin.effects
-    plain = formulate(arm(), recorded(1), effects="none")
-    assert plain.origin.effects == ()
+    assert not any(each.chosen for each in problem.origin.effects)
+    # Costs that are no likelihood choose nothing.
+    for others in ({"effects": "none"}, {"weighting": "eq9"}):
+        plain = formulate(arm(), recorded(1), **{**options, **others})
+        assert plain.origin.effects == ()
+    plain = formulate(arm(), recorded(1), **{**options, "effects": "none"})
     assert plain.base.names == problem.base.names
-
-
-def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
-    result = sdpid.identify(arm(), recorded(1), effects=("rotor_inertia",), intervals=False)
-    (told,) = result.effects
-    assert told.chosen
-    assert told.words in result.notes
-    assert result.to_dict()["problem"]["effects"][0]["name"] == "rotor_inertia"
-    assert any(name.startswith("Ia") for name in result.problem.base.names)
 
 
 def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
@@ -191,6 +174,7 @@ def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
     assert "Tilt (Gx, Gy)" in page
     assert "LoadFriction (Fl1, Fl2; width 0.005" in page
     assert "bodies (" not in page
+    assert [each["name"] for each in result.to_dict()["problem"]["effects"]] == ["tilt", "load"]
     file = sdpid.write_parameters(result.estimate, tmp_path / "parameters.json")
     told = {each["name"]: each for each in json.loads(file.read_text())["effects"]}
     assert told["tilt"]["chosen"]
@@ -198,21 +182,9 @@ def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
     assert f"{np.degrees(found['Gx']):.2f}° about x" in told["tilt"]["words"]
     # Effects that the data do not show stand in the notes, with their numbers.
     free = sdpid.identify(arm(), recorded(1), intervals=False)
-    for each in free.effects:
-        assert each.words in free.notes
-        assert "would lower the cost by" in each.words
-
-
-def test_costs_that_are_no_likelihood_choose_nothing() -> None:
-    problem = formulate(arm(), recorded(1), weighting="eq9")
-    assert problem.origin.effects == ()
-
-
-def test_without_consistency_and_without_a_prior() -> None:
-    for options in ({"consistency": "none"}, {"prior": False}):
-        problem = formulate(arm(), recorded(1), **options)
-        assert problem.origin.effects
-        assert not any(each.chosen for each in problem.origin.effects)
+    assert all("would lower the cost by" in each.words for each in free.effects)
+    for found in (result, free):
+        assert {each.words for each in found.effects} <= {*found.notes}
 
 
 # Two results folders against each other, from their files alone.
@@ -263,28 +235,20 @@ def test_a_robot_against_itself_and_against_a_heavier_one(runs: dict[str, Path])
     apart = compare_runs(runs["first"], runs["heavier"])
     assert {"mx2", "my2"} <= set(apart.outside)
     assert "Fv1" not in apart.outside
-    assert apart.better is None
-    assert "not said: other log, SHA-256" in apart.notes[0]
     assert "about 0.7 would by chance" in apart.text()
 
 
-def test_runs_of_one_log_are_judged_by_what_they_held_out(runs: dict[str, Path]) -> None:
+def test_runs_of_one_log_are_told_by_what_differs(runs: dict[str, Path]) -> None:
     found = compare_runs(runs["first"], runs["again"])
     assert found.same_log is True
-    held = [
-        json.loads((runs[name] / "result.json").read_text())["held_out"]["this estimate"]["moving"]
-        for name in ("first", "again")
-    ]
-    errors = [each["relative_residual"] for each in held]
-    assert found.better == str(runs[("first", "again")[errors[1] < errors[0]]])
+    held = json.loads((runs["first"] / "result.json").read_text())["held_out"]["this estimate"]
+    error = 100.0 * held["moving"]["relative_residual"]
+    assert ("error of this estimate, %", error) in [row[:2] for row in found.differences.rows]
     assert found.outside == ()
     assert "not independent" in found.text()
     assert ("prior", "False", "True") in found.differences.rows
     assert ("weighting", "residual", "residual") in found.facts.rows
-    same = compare_runs(runs["first"], runs["first"])
-    assert same.better is None
-    assert "predict alike" in same.notes[0]
-    assert not same.differences.rows
+    assert not compare_runs(runs["first"], runs["first"]).differences.rows
 
 
 def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:
@@ -330,26 +294,8 @@ def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:
     refuses(DataError, "a problem alone, or two results", sdpid.compare, made.problem, made)
 
 
-def one_less(content: dict[str, Any]) -> None:
-    content["held_out"]["this estimate"]["moving"]["joints"]["joint_1"]["rows"] -= 1
-
-
-def test_other_rows_held_out_are_not_compared(runs: dict[str, Path], tmp_path: Path) -> None:
-    first, again = runs["first"], runs["again"]
-
-    def said(name: str, change: Any) -> RunComparison:
-        found = compare_runs(first, changed(again, tmp_path / "x", name, change))
-        assert found.better is None
-        return found
-
-    slower = said("manifest.json", lambda c: c["recipe"]["processing"].update(cutoff_hz=5.0))
-    assert "not said: other processing cutoff_hz." in slower.notes[0]
-    assert ("processing cutoff_hz", 10.0, 5.0) in slower.differences.rows
-    assert "other held out rows" in said("result.json", one_less).notes[0]
-    otherwise = said("result.json", lambda c: c["held_out"].update(blocks=9))
-    assert "other held out blocks" in otherwise.notes[0]
-    assert "by one alone" in said("result.json", lambda c: c.update(held_out=None)).notes[0]
-    bare = shutil.copytree(first, tmp_path / "bare")
+def test_a_folder_without_a_manifest_is_compared(runs: dict[str, Path], tmp_path: Path) -> None:
+    bare = shutil.copytree(runs["first"], tmp_path / "bare")
     (bare / "manifest.json").unlink()
     unknown = compare_runs(bare, runs["other"])
     assert unknown.same_log is None
@@ -367,8 +313,7 @@ def test_what_is_called_the_same_must_be_the_same(runs: dict[str, Path], tmp_pat
         return compare_runs(runs["first"], path)
 
     found = against(other)
-    names = [row[0] for row in found.parameters.rows]
-    assert not {"my2", "mx2"} & set(names)
+    assert not {"my2", "mx2"} & {row[0] for row in found.parameters.rows}
     assert "In the first alone, or regrouped: mx2, my2." in found.notes
     assert "In the other alone, or regrouped: my2." in found.notes
     level = against(lambda c: c.update(interval_level=0.5))
@@ -401,8 +346,9 @@ def test_damaged_files_are_refused_in_words(
 
 def test_folders_that_are_none(runs: dict[str, Path], tmp_path: Path) -> None:
     refuses(DataError, "is no folder", compare_runs, tmp_path / "no", runs["first"])
-    with pytest.raises(DataError, match=r"has no result\.json and no parameters\.json"):
-        compare_runs(runs["first"], tmp_path)
+    words = r"has no result\.json and no parameters\.json"
+    refuses(DataError, words, compare_runs, runs["first"], tmp_path)
+    refuses(DataError, "3: is no folder", sdpid.compare, 3, 4)
 
     def three(content: dict[str, Any]) -> None:
         content["problem"]["joints"] = list(small_arm(3).joint_names)

@@ -30,7 +30,7 @@ from sdpid.output.report.recording import values
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate
-from sdpid.workflow.result import Identification
+from sdpid.workflow.result import NAMES, Identification
 from tests.common.test_common import Terminal
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.commands import printed
@@ -78,21 +78,7 @@ def test_a_periodic_experiment_is_certified(result: Identification) -> None:
 def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -> None:
     notes: list[str] = []
     files = result.save(tmp_path / "deep" / "out", figures=True, report=notes.append)
-    assert {path.name for path in files} == {
-        "base_parameters.csv",
-        "parameters.csv",
-        "manifest.json",
-        "result.json",
-        "certificate.json",
-        "identified.urdf",
-        "identified.xml",
-        "identified_friction.py",
-        "identified_friction.hpp",
-        "parameters.json",
-        "training.png",
-        "validation.png",
-        "report.html",
-    }
+    assert {path.name for path in files} == {*NAMES} - {"run.toml"}
     assert {path.name for path in files[0].parent.iterdir()} == {path.name for path in files}
     folder = files[0].parent
     assert sdpid.verify(folder / "certificate.json").passed
@@ -108,10 +94,9 @@ def test_the_written_urdf_predicts_as_the_estimate_does(
     sdpid.write_urdf(result.estimate, target=tmp_path / "identified.urdf")
     written = sdpid.load_robot(tmp_path / "identified.urdf", gravity=denso.gravity.tolist())
     samples = samples_of(written, log)
-    fit = validate_robot(written, samples)
-    expected = sdpid.validate(result.estimate, samples)
-    np.testing.assert_allclose(fit.effort_predicted, expected.effort_predicted, atol=1e-6)
-    assert fit.relative == pytest.approx(expected.relative, rel=1e-6)
+    found, expected = validate_robot(written, samples), sdpid.validate(result.estimate, samples)
+    np.testing.assert_allclose(found.effort_predicted, expected.effort_predicted, atol=1e-6)
+    assert found.relative == pytest.approx(expected.relative, rel=1e-6)
 
 
 def test_nothing_is_left_behind_when_saving_fails(
@@ -121,13 +106,13 @@ def test_nothing_is_left_behind_when_saving_fails(
         raise ExportError("no")
 
     monkeypatch.setattr(Certificate, "to_json", fail)
-    refuses(ExportError, "^no$", result.save, tmp_path / "new", figures=False)
-    assert not (tmp_path / "new").exists()
-    (tmp_path / "old").mkdir()
-    refuses(ExportError, "^no$", result.save, tmp_path / "old", figures=False)
-    assert list((tmp_path / "old").iterdir()) == []
-    (tmp_path / "file").write_text("")
-    refuses(ExportError, "name a folder", result.save, tmp_path / "file", figures=False)
+    new, old, file = (tmp_path / name for name in ("new", "old", "file"))
+    old.mkdir()
+    file.write_text("")
+    for path, words in ((new, "^no$"), (old, "^no$"), (file, "name a folder")):
+        refuses(ExportError, words, result.save, path, figures=False)
+    assert not new.exists()
+    assert list(old.iterdir()) == []
 
 
 def test_it_says_what_it_is_doing(
@@ -193,6 +178,9 @@ def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: 
         )
 
 
+NO_EFFECTS = "effects: is .*'auto', 'none' or some of tilt"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -202,15 +190,10 @@ def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: 
         ({"processing": {"order": "2"}}, "order: is '2'"),
         ({"processing": {"cutoff": 10.0, "order": 2}}, "has no setting cutoff;.*cutoff_hz"),
         ({"processing": "fast"}, "processing: is 'fast'"),
-        ({"effects": True}, "effects: is .*'auto', 'none' or some of tilt"),
-        ({"effects": None}, "effects: is .*'auto', 'none' or some of tilt"),
-        ({"effects": 3}, "effects: is .*'auto', 'none' or some of tilt"),
-        ({"constraints": 3}, "^constraints: is "),
+        *(({"effects": effects}, NO_EFFECTS) for effects in (True, None, 3)),
+        *(({name: 3}, f"^{name}: is ") for name in ("constraints", "validation", "without_effort")),
         ({"prior": "yes"}, "^prior: is "),
-        ({"validation": 3}, "^validation: is "),
-        ({"log": 3}, "^log: is "),
-        ({"log": None}, "^log: is "),
-        ({"without_effort": 3}, "^without_effort: is "),
+        *(({"log": log}, "^log: is ") for log in (3, None)),
     ],
 )
 def test_arguments_of_a_wrong_kind(arguments: dict[str, object], words: str) -> None:
@@ -254,13 +237,22 @@ def identified() -> Identification:
 
 def test_a_log_with_a_base_gives_a_floating_robot_with_its_mass() -> None:
     result = identified()
-    robot = result.problem.robot
+    robot, theta = result.problem.robot, result.estimate.theta
     assert robot.free_flyer
     assert result.certificate.passed
     assert result.intervals is not None
-    theta = result.estimate.theta
     mass = theta[: 10 * robot.n_links : 10].sum()
     assert mass == pytest.approx(robot.prior[:, 0].sum(), rel=2e-3)
+    # Errors of joints and of the base stand apart.
+    fit, held_out = result.validation, result.held_out
+    # Of 25 N of weight, and efforts with 1 % of noise before the filter.
+    assert fit.floating.force < 0.1
+    assert fit.floating.torque < 0.02
+    assert not fit.rows[:6].any()
+    assert fit.moving.relative < 0.02
+    described = held_out.baselines["description as it is"]
+    assert described.floating is not None
+    assert described.moving.relative < 0.05
 
 
 def test_a_log_is_processed_at_most_four_times_and_its_robot_loaded_once(
@@ -302,37 +294,23 @@ def test_a_base_that_is_held_all_the_time_is_proven() -> None:
     assert "at the base" not in result.headline.error
 
 
-def test_errors_of_joints_and_of_the_base_stand_apart() -> None:
-    fit = identified().validation
-    # Of 25 N of weight, and efforts with 1 % of noise before the filter.
-    assert fit.floating.force < 0.1
-    assert fit.floating.torque < 0.02
-    assert not fit.rows[:6].any()
-    assert fit.moving.relative < 0.02
-    held_out = identified().held_out
-    described = held_out.baselines["description as it is"]
-    assert described.floating is not None
-    assert described.moving.relative < 0.05
-
-
-def test_report_and_words_know_the_base_and_its_contacts(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_report_and_words_know_the_base_and_its_contacts(tmp_path: Path) -> None:
     result = identified()
     assert "N.m at the base" in result.headline.error
     assert not [line for line in result.verdict if "root_joint" in line]
     result.save(tmp_path, figures=False)
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "FL_FOOT closed, with the filter" in report
-    assert "contacts closed at once" in report
-    assert report.count("contacts over time") == 2
-    assert "base, force in N" in report
+    for words, count in (
+        ("FL_FOOT closed, with the filter", 1),
+        ("contacts closed at once", 1),
+        ("contacts over time", 2),
+        ("base, force in N", 1),
+    ):
+        assert report.count(words) >= count
     back = sdpid.load_robot(tmp_path / "identified.urdf", root="free_flyer")
-    np.testing.assert_allclose(
-        back.prior[:, 0], result.estimate.theta[: 10 * back.n_links : 10], rtol=1e-6
-    )
-
-
-def test_the_verdict_says_what_the_base_misses_and_what_a_gait_shows() -> None:
-    result = identified()
+    masses = result.estimate.theta[: 10 * back.n_links : 10]
+    np.testing.assert_allclose(back.prior[:, 0], masses, rtol=1e-6)
+    # What the base misses, and what a gait shows.
     (force,) = (line for line in result.verdict if "the force on the base" in line)
     assert force.startswith("Trust it for the force on the base")
     (shown,) = (line for line in result.verdict if "than was believed before them" in line)
@@ -340,15 +318,11 @@ def test_the_verdict_says_what_the_base_misses_and_what_a_gait_shows() -> None:
     assert 0 < told < result.problem.base.count
     assert "hang it by its base" in shown
     assert result.verdict[0].count("every joint") == 1
-
-
-def test_the_report_draws_which_feet_were_down() -> None:
-    result = identified()
-    shown = values(result._subject)["gait"]
-    assert [each["title"] for each in shown] == ["training", "validation"]
-    samples = result.problem.samples
-    for row, down in zip(shown[0]["rows"], samples.contacts.down.T, strict=True):
-        _, bars = row
+    # Which feet were down is drawn.
+    gaits = values(result._subject)["gait"]
+    assert [each["title"] for each in gaits] == ["training", "validation"]
+    downs = result.problem.samples.contacts.down.T
+    for (_, bars), down in zip(gaits[0]["rows"], downs, strict=True):
         # Beside the names, which take 190 of 1000.
         assert sum(width for _, width in bars) / 810.0 == pytest.approx(down.mean())
 
@@ -358,25 +332,22 @@ def test_a_robot_that_is_fixed_is_refused() -> None:
         sdpid.identify(sdpid.load_robot("solo12"), crawl().log())
 
 
-@pytest.mark.parametrize(
-    ("call", "what"),
-    [
-        (lambda result, _: sdpid.check_bias(result.estimate), "check_bias"),
-        (lambda result, _: sdpid.solve_instrumental(result.problem), "solve_instrumental"),
-        (lambda result, log: sdpid.rollout(result.estimate, log), "simulation"),
-        (lambda result, log: sdpid.solve_output_error(result.problem, log), "output error"),
-        (lambda result, log: sdpid.identify_payload(result.problem.robot, log), "payload"),
-        (lambda result, log: sdpid.identify_drive_gains(result.problem.robot, log), "gains"),
-        (
-            lambda result, _: sdpid.design_excitation(result.problem.robot, duration=5.0),
-            "excitation",
-        ),
-        (lambda result, _: sdpid.simulate(result.problem.robot), "motion"),
-    ],
-)
-def test_what_knows_fixed_robots_only_says_how_to_load_one(call: Any, what: str) -> None:
+FIXED: dict[str, Callable[[Identification], object]] = {
+    "check_bias": lambda result: sdpid.check_bias(result.estimate),
+    "solve_instrumental": lambda result: sdpid.solve_instrumental(result.problem),
+    "simulation": lambda result: sdpid.rollout(result.estimate, data()),
+    "output error": lambda result: sdpid.solve_output_error(result.problem, data()),
+    "payload": lambda result: sdpid.identify_payload(result.problem.robot, data()),
+    "gains": lambda result: sdpid.identify_drive_gains(result.problem.robot, data()),
+    "excitation": lambda result: sdpid.design_excitation(result.problem.robot, duration=5.0),
+    "motion": lambda result: sdpid.simulate(result.problem.robot),
+}
+
+
+@pytest.mark.parametrize("what", FIXED)
+def test_what_knows_fixed_robots_only_says_how_to_load_one(what: str) -> None:
     told = f"^{what}: 'solo' has a floating base.*load its URDF without root='free_flyer'"
-    refuses(ModelError, told, call, identified(), data())
+    refuses(ModelError, told, FIXED[what], identified())
 
 
 def test_a_robot_that_hangs_is_a_fixed_one(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from sdpid._common.arrays import Array, rotation_matrices
-from sdpid._common.tables import Table, plain
 from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.verifier.bound import Proof
 from sdpid.verifier.exact import product
@@ -198,24 +197,6 @@ def _width(entries: dict[Any, Any]) -> float:
     return max(numbers, default=0.0) - min(numbers, default=0.0)
 
 
-def table_differences(
-    content: bytes, wanted: Table, *, of_width: float = 0.0, without: Container[str] = ()
-) -> Iterator[str]:
-    """Yield where a CSV table is not the one that was made again, some columns aside.
-
-    Raises
-    ------
-    MalformedError, UnicodeDecodeError
-        When it is no such table.
-    """
-    made = [["" if cell is None else str(cell) for cell in map(plain, row)] for row in wanted.rows]
-    found, again = (
-        {name: {k: x for k, x in row.items() if k not in without} for name, row in table.items()}
-        for table in (read_table(content), _by_name([list(wanted.header), *made]))
-    )
-    yield from differences(found, again, of_width=of_width)
-
-
 def read_table(content: bytes) -> dict[str, dict[str, Any]]:
     """Return the cells of a CSV table by row and column, numbers as such; no name occurs twice.
 
@@ -233,16 +214,13 @@ def read_table(content: bytes) -> dict[str, dict[str, Any]]:
     for names in (rows[0], [row[0] for row in rows]):
         if len(set(names)) != len(names):
             raise MalformedError("two of its rows or columns have the same name")
-    return _by_name(rows)
-
-
-def _by_name(rows: list[list[str]]) -> dict[str, dict[str, Any]]:
-    """Return the cells of a table by row and column, numbers as such."""
     header, *others = rows
-    cells = ([float(cell) if _NUMBER.fullmatch(cell) else cell for cell in row] for row in others)
-    names = (row[0] for row in others)
     return {
-        name: dict(zip(header, row, strict=True)) for name, row in zip(names, cells, strict=True)
+        row[0]: {
+            name: float(cell) if _NUMBER.fullmatch(cell) else cell
+            for name, cell in zip(header, row, strict=True)
+        }
+        for row in others
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any, get_args
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Table, plain_dict
+from sdpid._common.tables import json_text, plain_dict
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS, hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
@@ -23,12 +23,11 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.prepare import Prepared
-from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.robots.friction_files import NAMES, SCHEMA, VERSION, WRITERS, terms_data
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.output.tables.parameter_tables import base_table, intervals_dict, theta_table
-from sdpid.output.tables.parameters_file import parameters_dict
+from sdpid.output.tables.parameters_file import write_parameters
 from sdpid.robot.description.xml import decode_xml
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
@@ -50,10 +49,10 @@ _SOLVED = 1e-2
 _SAME = 1e-12
 
 # Of parameters.json: who solved and with which words, which is of no number here.
-_OF_THE_RUN = ("made_by", "method", "status", "cost_at_most", "certificate", "effects")
+_OF_THE_RUN = {"made_by", "method", "status", "cost_at_most", "certificate", "effects"}
 
 # What solving took.
-_OF_INTERVALS = ("seconds", "solves")
+_OF_INTERVALS = {"seconds", "solves"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,100 +209,89 @@ class Files:
             f"written again from parameters and rows, with intervals ({method}), "
             f"standard errors and shares, it is the same, to {near}"
         )
-        checks: dict[str, tuple[Callable[[], Iterator[str]], str]] = {
-            PARAMETERS: (self._of_parameters, other),
-            RESULT: (self._of_result, result),
-            "parameters.csv": (self._of_theta, other),
-            "base_parameters.csv": (self._of_base, other),
-            URDF: (partial(self._of_robot, URDF, write_urdf), robot),
-            MJCF: (partial(self._of_robot, MJCF, self._write_mjcf), robot),
-        }
+        said = {**dict.fromkeys((PARAMETERS, RESULT, *compare.TABLES), other), RESULT: result}
+        said |= dict.fromkeys(compare.ROBOTS, robot)
         # Certificates of this version come with recipes that say it.
         old = self.sealed.data["version"] < certificate.VERSION
         found, unsaid = list[Link](), self.sealed.recipe.profiled is None and old
-        for name, (check, said) in checks.items():
+        for name, words in said.items():
             if name not in self.sealed.manifest["files"]:
                 continue
             if unsaid and name not in (URDF, MJCF):
-                text = "intervals: the recipe does not say which numbers of terms the data chose"
-                found.append(Link(name, "not checked", text))
+                why = "intervals: the recipe does not say which numbers of terms the data chose"
+                found.append(Link(name, "not checked", why))
             elif name == MJCF and not self.described and self._lumped:
                 # Of the folder's URDF they have none any more.
-                text = "what it holds: bodies fixed to links stand in the description (--robot)"
-                found.append(Link(name, "not checked", text))
+                why = "what it holds: bodies fixed to links stand in the description (--robot)"
+                found.append(Link(name, "not checked", why))
             else:
-                found += checked(name, check, said)
+                found += checked(name, partial(self._differences, name), words)
         return compare.by_file(found)
 
-    def _of_theta(self) -> Iterator[str]:
-        return self._of_table("parameters.csv", theta_table(self.estimate, self.intervals))
+    def _write(self, path: Path) -> Any:
+        """Write a file again; return the report of a robot's."""
+        estimate = self.estimate
+        if path.name == URDF:
+            return write_urdf(estimate, target=path)
+        if path.name == MJCF:
+            # With offsets where that of the folder was asked to have them.
+            asked = b"<actuator>" in read_bytes(self.sealed.folder / MJCF, _LARGEST)
+            return write_mjcf(estimate, target=path, offsets=asked)
+        if path.name == RESULT:
+            return path.write_text(json_text(self._of_result()), encoding="utf-8")
+        ends = self.intervals
+        if path.name == PARAMETERS:
+            return write_parameters(estimate, path, intervals=ends)
+        standard = compare.TABLES[path.name] == "standard"
+        table = theta_table(estimate, ends) if standard else base_table(estimate, self.wls, ends)
+        return table.write(path)
 
-    def _of_base(self) -> Iterator[str]:
-        table = base_table(self.estimate, self.wls, self.intervals)
-        return self._of_table("base_parameters.csv", table)
-
-    def _of_table(self, name: str, table: Table) -> Iterator[str]:
-        content = read_bytes(self.sealed.folder / name)
-        return compare.table_differences(
-            content, table, of_width=self._of_width, without=self._aside
-        )
-
-    @property
-    def _aside(self) -> tuple[str, ...]:
-        """What cannot be made again: shares without prior and description."""
-        known = self.described or self.problem.prior is not None
-        return () if known else ("shares", "data", "physics", "prior")
-
-    def _of_parameters(self) -> Iterator[str]:
-        made = parameters_dict(self.estimate, intervals=self.intervals)
-        found, wanted = (_without(each, *_OF_THE_RUN) for each in (self._parameters, made))
-        for each in (found, wanted):
-            standard = each["standard"].items()
-            each["standard"] = {key: _without(own, *self._aside) for key, own in standard}
-        return compare.differences(found, wanted, of_width=self._of_width)
-
-    def _of_result(self) -> Iterator[str]:
-        data, intervals = self._result, self.intervals
-        made = plain_dict(
-            {
-                "training": validate(self.estimate).to_dict(),
-                "training_unconstrained": validate(self.wls).to_dict(),
-                "cost_unconstrained": self.wls.cost,
-                "worst_margin": self.estimate.worst_margin,
-                "intervals": None if intervals is None else intervals_dict(intervals),
-            }
-        )
-        found = {key: data[key] for key in made}
-        if data["held_out"] is not None and data["held_out"]["by"] == "blocks":
-            blocks = hold_out(self.estimate, self.wls, None)
-            again = {} if blocks is None else plain_dict(blocks.to_dict())
-            # Links of the description may be others where it is not the run's.
-            for key in ("blocks", OURS, LEAST_SQUARES):
-                found[f"held_out {key}"] = data["held_out"][key]
-                made[f"held_out {key}"] = again.get(key)
-        for each in (found, made):
-            if each["intervals"] is not None:
-                each["intervals"] = _without(each["intervals"], *_OF_INTERVALS)
-        return compare.differences(found, made, of_width=self._of_width)
-
-    def _write_mjcf(self, estimate: Estimate, *, target: Path) -> ExportReport:
-        """Write an MJCF again, with offsets where that of the folder was asked to have them."""
-        asked = b"<actuator>" in read_bytes(self.sealed.folder / MJCF, _LARGEST)
-        return write_mjcf(estimate, target=target, offsets=asked)
-
-    def _of_robot(self, name: str, write: Callable[..., ExportReport]) -> Iterator[str]:
-        """Yield what of a robot's file, and of its entry in result.json, is other."""
+    def _differences(self, name: str) -> Iterator[str]:
+        """Yield what of a file is other than it is written again."""
         content = read_bytes(self.sealed.folder / name, _LARGEST)
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            report = write(self.estimate, target=path).to_dict()
-            found, wanted = (decode_xml(each, name) for each in (content, path.read_bytes()))
-        yield from compare.text_differences(found, wanted)
+            report = self._write(path := Path(folder) / name)
+            again = path.read_bytes()
+        if name not in compare.ROBOTS:
+            read = compare.read_table if path.suffix == ".csv" else parse
+            found, made = (_without(read(each), self._aside[name]) for each in (content, again))
+            if name == RESULT:
+                found = {key: _at(found, key) for key in made}
+            yield from compare.differences(found, made, of_width=self._of_width)
+            return
+        yield from compare.text_differences(*(decode_xml(each, name) for each in (content, again)))
         # Of a recording that is not here; and of a description, which may not be.
-        aside = ("validation",) if self.described else ("validation", "lumped")
+        aside = {"validation"} if self.described else {"validation", "lumped"}
         entries = [each for each in self._result["exports"] if each["file"] == name]
-        own, made = ([_without(e, *aside) for e in each] for each in (entries, [report]))
-        yield from compare.differences(own, made, where=f"its entry in {RESULT}")
+        own, other = ([_without(e, aside) for e in each] for each in (entries, [report.to_dict()]))
+        yield from compare.differences(own, other, where=f"its entry in {RESULT}")
+
+    @property
+    def _aside(self) -> dict[str, set[str]]:
+        """What is not made again of each file: what is of the run, and words.
+
+        Shares neither without a prior nor a description.
+        """
+        known = self.described or self.problem.prior is not None
+        shares = set() if known else {"shares", "data", "physics", "prior"}
+        tables = dict.fromkeys(compare.TABLES, shares)
+        return {**tables, PARAMETERS: shares | _OF_THE_RUN, RESULT: _OF_INTERVALS}
+
+    def _of_result(self) -> dict[str, Any]:
+        """Return what of result.json follows from parameters and rows."""
+        made = {
+            "training": validate(self.estimate),
+            "training_unconstrained": validate(self.wls),
+            "cost_unconstrained": self.wls.cost,
+            "worst_margin": self.estimate.worst_margin,
+            "intervals": None if self.intervals is None else intervals_dict(self.intervals),
+        }
+        if (own := self._result["held_out"]) is not None and own["by"] == "blocks":
+            blocks = hold_out(self.estimate, self.wls, None)
+            again = {} if blocks is None else blocks.to_dict()
+            # Links of the description may be others where it is not the run's.
+            made |= {f"held_out {k}": again.get(k) for k in ("blocks", OURS, LEAST_SQUARES)}
+        return plain_dict(made)
 
     @property
     def _lumped(self) -> bool:
@@ -311,9 +299,17 @@ class Files:
         return any(each["lumped"] for each in self._result["exports"])
 
 
-def _without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """Return values by name, some left out."""
-    return {name: value for name, value in values.items() if name not in names}
+def _without(values: Any, names: Container[str]) -> Any:
+    """Return values by name, some left out wherever they stand in them."""
+    if not isinstance(values, dict):
+        return values
+    return {name: _without(value, names) for name, value in values.items() if name not in names}
+
+
+def _at(values: Any, key: str) -> Any:
+    """Return a value, or of ``"held_out blocks"`` one that is in it."""
+    first, _, second = key.partition(" ")
+    return values[first][second] if second else values[first]
 
 
 def check_friction(sealed: Sealed, first: int) -> list[Link]:
