@@ -74,7 +74,8 @@ def paper_excitation(
     >>> motion.velocity_peak.round(1)
     array([1.5, 1.2, 1.8, 2.5, 1.9, 2.8])
     """
-    path = _excitation_file(folder)
+    bundled = isinstance(folder, str) and folder in bundled_robots()
+    path = (bundled_folder(str(folder)) if bundled else Path(folder)) / "excitation.toml"
     table = load_toml(path)
     try:
         axes: Sequence[Mapping[str, Any]] = table["axis"]
@@ -123,12 +124,6 @@ def paper_excitation(
         notes=tuple(notes),
     )
     return quiet_start(motion, series)
-
-
-def _excitation_file(folder: str | os.PathLike[str]) -> Path:
-    if isinstance(folder, str) and folder in bundled_robots():
-        return bundled_folder(folder) / "excitation.toml"
-    return Path(folder) / "excitation.toml"
 
 
 def filled(

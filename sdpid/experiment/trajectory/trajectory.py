@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,51 +34,15 @@ _LARGEST = 1e9
 _MOST_PLAYED = 6000
 # How speeds are told of joints that turn.
 _DEGREES = 180.0 / np.pi, "deg/s", ".2f"
-# Entries of a trajectory's file: of all, and of each kind of curve by what its joints begin with,
-# those of the whole by the names of fields, those of each joint, and the axis of the joints.
-_DURATIONS = ("rate_hz", "rest", "connection")
-_KINDS: dict[str, tuple[Any, dict[str, str], tuple[str, ...], int]] = {
-    "control_points": (Spline, {"period": "duration", "degree": "degree"}, ("control_points",), 1),
-    "position": (SampledCurve, {"time": "time"}, ("position", "velocity", "acceleration"), 1),
-    "center": (
-        FourierSeries,
-        {"period": "period"},
-        ("center", "harmonics", "amplitudes", "phases"),
-        0,
-    ),
-}
-
-
-def entries(curve: Curve) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the entries of the whole curve, and those of each joint.
-
-    Raises
-    ------
-    ExportError
-        When the curve is of another kind than those of this folder.
-    """
-    for kind, whole, of_joints, axis in _KINDS.values():
-        if isinstance(curve, kind):
-            given = {name: getattr(curve, name) for name in of_joints}
-            joints: list[dict[str, Any]] = [
-                {k: v.take(j, axis).tolist() for k, v in given.items() if v is not None}
-                for j in range(curve.n)
-            ]
-            return {key: plain(getattr(curve, name)) for key, name in whole.items()}, joints
-    raise ExportError(f"trajectory: a curve of type {type(curve).__name__} cannot be written.")
-
-
-def curve_of(table: Mapping[str, Any]) -> Curve:
-    """Return the curve of a file's table, whose joints are its list ``joint``."""
-    joints = table["joint"]
-    first = joints[0] if joints else {}
-    kind, whole, of_joints, axis = _KINDS[next((key for key in _KINDS if key in first), "center")]
-    given: dict[str, Any] = {name: table[key] for key, name in whole.items()}
-    for name in of_joints:
-        if name in first or kind is FourierSeries:
-            given[name] = np.stack([np.asarray(joint[name]) for joint in joints], axis=-axis)
-    curve: Curve = kind(**given)
-    return curve
+# Entries of a trajectory's file: of the whole, of each joint, and of each kind of curve, those of
+# the whole by the names of fields, then those of the joints and the axis on which joints lie.
+_DURATIONS, _LIMITS = ("rate_hz", "rest", "connection"), ("position_range", "velocity_limit")
+_SERIES = ("center", "harmonics", "amplitudes", "phases")
+_KINDS: tuple[tuple[Any, dict[str, str], tuple[str, ...], int], ...] = (
+    (Spline, {"period": "duration", "degree": "degree"}, ("control_points",), 1),
+    (SampledCurve, {"time": "time"}, ("position", "velocity", "acceleration"), 1),
+    (FourierSeries, {"period": "period"}, _SERIES, 0),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -302,17 +266,21 @@ class Trajectory(Shown):
         """
         import tomli_w
 
-        whole, joints = entries(self.series)
+        kinds = [each for each in _KINDS if isinstance(self.series, each[0])]
+        if not kinds:
+            what = type(self.series).__name__
+            raise ExportError(f"trajectory: a curve of type {what} cannot be written.")
+        _, whole, of_joints, axis = kinds[0]
+        given = {name: getattr(self.series, name) for name in of_joints}
+        rows = {k: np.moveaxis(v, axis, 0) for k, v in given.items() if v is not None}
+        rows |= {name: getattr(self, name) for name in _LIMITS}
         table: dict[str, Any] = {name: float(getattr(self, name)) for name in _DURATIONS}
-        table |= {"periods": self.periods, **whole, "notes": list(self.notes)}
+        table["periods"] = self.periods
+        table |= {key: plain(getattr(self.series, name)) for key, name in whole.items()}
+        table["notes"] = list(self.notes)
         table["joint"] = [
-            {
-                "name": self.joint_names[j],
-                **joint,
-                "position_range": self.position_range[j].tolist(),
-                "velocity_limit": float(self.velocity_limit[j]),
-            }
-            for j, joint in enumerate(joints)
+            {"name": name, **{key: row[j].tolist() for key, row in rows.items()}}
+            for j, name in enumerate(self.joint_names)
         ]
         atomic_write_text(Path(path), tomli_w.dumps(table))
 
@@ -328,16 +296,17 @@ class Trajectory(Shown):
         table = load_toml(path)
         try:
             joints = table["joint"]
+            rows: Any = {key: np.array([joint[key] for joint in joints]) for key in joints[0]}
+            kind, whole, of_joints, axis = next(each for each in _KINDS if each[2][0] in rows)
+            given = {name: np.moveaxis(rows[name], 0, axis) for name in of_joints if name in rows}
             return cls(
-                joint_names=tuple(str(joint["name"]) for joint in joints),
-                series=curve_of(table),
-                periods=table["periods"],
-                position_range=np.array([joint["position_range"] for joint in joints]),
-                velocity_limit=np.array([joint["velocity_limit"] for joint in joints]),
+                joint_names=tuple(map(str, rows["name"])),
+                series=kind(**{name: table[key] for key, name in whole.items()}, **given),
                 notes=tuple(table.get("notes", ())),
-                **{name: table[name] for name in _DURATIONS},
+                **{name: rows[name] for name in _LIMITS},
+                **{name: table[name] for name in ("periods", *_DURATIONS)},
             )
-        except (KeyError, TypeError, ValueError, OverflowError) as cause:
+        except (LookupError, TypeError, ValueError, OverflowError, StopIteration) as cause:
             raise DataError(
                 f"{path}: {cause!r}: an entry of the trajectory is missing or of another type."
             ) from None
