@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -90,11 +91,11 @@ def test_samples_are_the_same_to_the_last_bit(case: str, file_of: Any):
     assert again.stored
     assert not log.stored
     expected, samples = process(log, processing), process(again, processing)
-    for name in ("position", "velocity", "acceleration", "effort", "covariance", "time", "mask"):
+    require_same(samples, expected, 1)
+    for name in ("covariance", "mask"):
         a, b = getattr(samples, name), getattr(expected, name)
         assert (a is None) == (b is None)
-        if a is not None:
-            np.testing.assert_array_equal(a, b, err_msg=name)
+        np.testing.assert_array_equal(a, b, err_msg=name)
     assert samples.notes == expected.notes
     assert (samples.effort_periods is None) == (expected.effort_periods is None)
 
@@ -130,6 +131,9 @@ def test_stored_arrays_are_as_others(data: st.DataObject):
         assert table.mapped
         assert not table.flags.writeable
         np.testing.assert_array_equal(table, values)
+        for layout in (table, values):
+            ends = stored.extremes(layout)
+            np.testing.assert_array_equal(ends, [values.min(axis=0), values.max(axis=0)])
         doubled = stored.transformed(table, lambda rows: 2.0 * rows[:, ::-1])
         assert doubled.mapped
         np.testing.assert_array_equal(doubled, 2.0 * values[:, ::-1])
@@ -140,12 +144,10 @@ def test_stored_arrays_are_as_others(data: st.DataObject):
 
 
 def test_a_full_disk_is_a_data_error(monkeypatch: pytest.MonkeyPatch):
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(stored.tempfile, "TemporaryFile", full)
-    with pytest.raises(DataError, match=r"does not fit .*No space left on device.* set TMPDIR"):
-        stored.store(10, 2, [])
+    full = OSError(28, "No space left on device")
+    monkeypatch.setattr(stored.tempfile, "TemporaryFile", Mock(side_effect=full))
+    words = r"does not fit .*No space left on device.* set TMPDIR"
+    refuses(DataError, words, stored.store, 10, 2, [])
 
 
 COLUMNS = make().columns()
@@ -161,11 +163,8 @@ BAD = [
     (spoilt("position_2", 703, np.nan), r"row 704: position: 'position_2' has no value"),
     (spoilt("effort_1", 5, -np.inf), r"row 6: effort: 'effort_1' is -inf, not finite"),
     (spoilt("effort_2", 99, 3e13), r"row 100: effort: 'effort_2' is 3e\+13, more than"),
-    (spoilt("position_1", 7, None), "row 8: position: 'position_1' has no value"),
     ({"effort_1": ["a"] * 1200}, "'effort_1' holds object, expected numbers"),
     (spoilt("time", 100, np.nan), "row 101: time: 'time' has no value"),
-    ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 101: 0.98 s "),
-    ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 101: 0.99 s "),
 ]
 
 
@@ -203,8 +202,8 @@ def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest
     np.testing.assert_array_equal(turned.position, log.position * (np.pi / 180.0))
     np.testing.assert_array_equal(turned.effort, log.effort * [2.0, 3.0])
     np.savez(tmp_path / "log.npz", t=log.time, q=log.position, tau=log.effort)
-    with pytest.raises(DataError, match="stored=True keeps the values of Parquet files"):
-        read_recording(tmp_path / "log.npz", stored=True)
+    words = "stored=True keeps the values of Parquet files"
+    refuses(DataError, words, read_recording, tmp_path / "log.npz", stored=True)
 
 
 def test_it_can_be_written_matched_and_sent(tmp_path: Path):
@@ -247,15 +246,6 @@ def test_noise_that_the_filter_removes_is_no_wrong_period():
     few, much = (replace(log, position=0.01 * np.sin(angle) + a * draw) for a in (0.03, 0.3))
     process(few, slow)
     refuses(DataError, r"do not repeat: their positions spread by 0\.0", process, much, slow)
-
-
-@given(st.integers(1, 300), st.integers(1, 8), st.integers(0, 2**32 - 1))
-def test_extremes_are_those_of_each_column(count: int, n: int, seed: int):
-    table = np.random.default_rng(seed).standard_normal((count, n))
-    for layout in (table, np.asfortranarray(table)):
-        np.testing.assert_array_equal(
-            stored.extremes(layout), [table.min(axis=0), table.max(axis=0)]
-        )
 
 
 # Records with gaps, wrapped angles and late stamps.
@@ -336,13 +326,9 @@ def test_the_notes_say_what_was_lost() -> None:
     assert samples.notes[:2] == (notes[0], dropped)
     assert len(samples.starts) == 2
     assert any("2 pieces joined" in note for note in samples.notes)
-
-
-def test_nothing_between_gaps() -> None:
-    log = record()
-    keep = np.arange(log.n_samples) % 30 < 4
-    with pytest.raises(DataError, match=r"split the record into 67 pieces, each too short; .* 4 s"):
-        sdpid.process(rows_of(log, keep), SETTING)
+    few = rows_of(record(), np.arange(2000) % 30 < 4)
+    words = r"split the record into 67 pieces, each too short; .* 4 s"
+    refuses(DataError, words, sdpid.process, few, SETTING)
 
 
 def test_few_lost_samples_are_bridged() -> None:

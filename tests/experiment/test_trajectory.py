@@ -214,6 +214,9 @@ def test_full_size_is_table_ii(full: Trajectory) -> None:
     assert full.notes == ()
     np.testing.assert_allclose(full.position_range, np.radians(RANGES_DEG))
     np.testing.assert_allclose(full.center, np.radians(RANGES_DEG.mean(axis=1)))
+    one = full.with_periods(1)
+    assert one.n_samples == 398_000
+    np.testing.assert_array_equal(one.sample(20_000, 20_010)[0], full.sample(20_000, 20_010)[0])
 
 
 @settings(deadline=None, max_examples=10)
@@ -303,12 +306,6 @@ def test_what_is_no_excitation(tmp_path: Path) -> None:
     refuses(DataError, "axis", paper_excitation, tmp_path, 0)
 
 
-def test_with_periods_keeps_the_motion(full: Trajectory) -> None:
-    one = full.with_periods(1)
-    assert one.n_samples == 398_000
-    np.testing.assert_array_equal(one.sample(20_000, 20_010)[0], full.sample(20_000, 20_010)[0])
-
-
 @settings(deadline=None, max_examples=20)
 @given(
     seed=st.integers(0, 1000),
@@ -370,7 +367,7 @@ def test_samples_of_a_spline(tmp_path: Path, suffix: str, orders: int) -> None:
     assert rested.closed == (orders > 1)
 
 
-def test_joints_in_another_order_and_arrays(tmp_path: Path) -> None:
+def test_joints_in_another_order_arrays_and_degrees(tmp_path: Path) -> None:
     q = SPLINE.evaluate(TIME)
     other = ("rail_2", "shoulder", "elbow")
     np.savez(tmp_path / "a.npz", time=TIME, q=q, joint_names=np.array(NAMES))
@@ -384,6 +381,10 @@ def test_joints_in_another_order_and_arrays(tmp_path: Path) -> None:
     motion = read_trajectory(tmp_path / "b.npz", NAMES)
     assert motion.joint_names == NAMES
     np.testing.assert_allclose(motion.series.evaluate(TIME), q, atol=1e-12)
+    table = pd.DataFrame(np.degrees(q), columns=[f"q{j} [deg]" for j in range(3)])
+    table.assign(time_ms=1e3 * TIME).to_csv(tmp_path / "deg.csv", index=False)
+    motion = read_trajectory(tmp_path / "deg.csv", NAMES)
+    np.testing.assert_allclose(motion.series.evaluate(TIME), q, atol=1e-9)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -394,15 +395,6 @@ def test_samples_at_dates(tmp_path: Path, suffix: str) -> None:
     (table.to_parquet if suffix == ".parquet" else table.to_csv)(file, index=False)
     motion = read_trajectory(file, NAMES)
     np.testing.assert_allclose(motion.series.evaluate(TIME), SPLINE.evaluate(TIME), atol=1e-9)
-
-
-def test_degrees(tmp_path: Path) -> None:
-    q = np.degrees(SPLINE.evaluate(TIME))
-    table = pd.DataFrame(q, columns=[f"q{j} [deg]" for j in range(3)])
-    table.insert(0, "time_ms", 1e3 * TIME)
-    table.to_csv(tmp_path / "deg.csv", index=False)
-    motion = read_trajectory(tmp_path / "deg.csv", NAMES)
-    np.testing.assert_allclose(motion.series.evaluate(TIME), np.radians(q), atol=1e-9)
 
 
 def with_value(column: str, row: Any, value: Any) -> Any:
@@ -588,12 +580,6 @@ def test_parts_make_up_the_samples(seed: int, kind: int, periods: int) -> None:
     still = ~seen & ~again
     assert still.sum() == 100
     assert not states[1][still].any()
-    h = 0.01
-    for value, rate in pairwise(states):
-        bend = np.abs(np.diff(rate, axis=0)).max()
-        np.testing.assert_allclose(
-            np.diff(value, axis=0), h / 2 * (rate[1:] + rate[:-1]), atol=h * bend
-        )
 
 
 def test_splines_at_rest_need_no_connection() -> None:
