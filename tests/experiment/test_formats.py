@@ -30,28 +30,14 @@ from sdpid.experiment.recording.timestamps import guess_time_unit
 from tests.experiment.test_recording import log
 from tests.helpers.bags import JOINTS, write_bag
 from tests.helpers.damage import damaged
-from tests.helpers.logs import numbered, write_csv, write_npz
+from tests.helpers.logs import DQ, TAU, Q, T, close, numbered, write_csv, write_npz
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
 
-N = 40
-RNG = np.random.default_rng(5)
-T = 0.01 * np.arange(N)
-Q, TAU, DQ = (RNG.standard_normal((N, 2)) for _ in range(3))
+N = len(T)
 NAMES = numbered("q{}", "tau{}")
 FRAME = pd.DataFrame(np.hstack([Q, TAU]), columns=NAMES)
 ARRAYS = {"t": T, "q": Q, "tau": TAU}
-
-
-def close(log: Recording, *, velocity: bool = False, joints: Any = ()) -> None:
-    """Check that a log is the one that was written."""
-    np.testing.assert_allclose(log.time - log.time[0], T, atol=1e-9)
-    np.testing.assert_allclose(log.position, Q, rtol=1e-14)
-    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
-    assert (log.velocity is not None) == velocity
-    if velocity:
-        np.testing.assert_allclose(log.velocity, DQ, rtol=1e-14)
-    assert joints == () or log.joint_names == joints
 
 
 # Functions that write a log of each format to a folder, and return its path.
@@ -328,34 +314,6 @@ def test_own_parquet_and_overrides(tmp_path: Path):
     assert turned.period == 0.1
 
 
-def test_parquet_and_csv_by_pandas(tmp_path: Path):
-    frame = pd.DataFrame({"time": pd.to_datetime(1_700_000_000 * 10**9 + (T * 1e9).astype(int))})
-    for j in (2, 1):
-        frame[f"joint_{j}_position_deg"] = np.degrees(Q[:, j - 1])
-        frame[f"joint_{j}_velocity"] = DQ[:, j - 1]
-        frame[f"joint_{j}_torque"] = TAU[:, j - 1]
-        frame[f"joint_{j}_target_position"] = 0.0
-    frame.to_parquet(tmp_path / "log.parquet")
-    frame.assign(time=T).to_csv(tmp_path / "log.csv", index=False)
-    for suffix in ("parquet", "csv"):
-        found = read_recording(tmp_path / f"log.{suffix}")
-        close(found, velocity=True, joints=("joint_1", "joint_2"))
-
-
-def test_csv_as_a_ur_controller_writes_it(tmp_path: Path):
-    keys = ("target_q", "actual_q", "actual_qd", "actual_current")
-    names = ["timestamp", *(f"{key}_{j}" for key in keys for j in range(2))]
-    file = write_csv(tmp_path / "log.csv", names, T, 0 * Q, Q, DQ, TAU / [0.01, 0.012], mark=" ")
-    words = "actual_current_0, actual_current_1 look like currents"
-    refuses(DataError, words, read_recording, file)
-    how = {"columns": {"effort": "actual_current"}, "units": {"effort": "mA"}}
-    log = read_recording(file, **how, effort_scale=[10.0, 12.0])
-    np.testing.assert_array_equal(log.position, Q)
-    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
-    # Which currents are found where they can be scaled.
-    assert read_recording(file, effort_scale=[1.0, 1.0]).effort.shape == (N, 2)
-
-
 @pytest.mark.parametrize(
     ("suffix", "wanted"), [(".h5", "h5py"), (".mcap", "rosbags"), (".bag", "rosbags")]
 )
@@ -609,62 +567,6 @@ def test_arrays_that_are_something_else_are_left_alone(tmp_path: Path):
     single = {"t": T, "q": Q[:, 0], "tau": TAU[:, 0], "dq_logged": DQ[:, 0], "tau_model": T}
     log = read_recording(npz(**single)(tmp_path))
     assert (log.n, log.velocity) == (1, None)
-    labeled = ["t", "position_a", "position_b", "effort_a", "effort_b", "effort_model"]
-    close(read_recording(write_csv(tmp_path / "log.csv", labeled, T, Q, TAU, T)))
-
-
-ZERO = 0.0 * Q
-FRANKA = {"q": Q, "q_d": ZERO, "dq": DQ, "dq_d": ZERO, "ddq_d": ZERO, "tau_J": TAU, "tau_J_d": ZERO}
-FRANKA |= {"dtau_J": ZERO, "tau_ext_hat_filtered": ZERO, "O_T_EE": Q}
-# Names of columns, their tables, and the joints.
-HEADERS: dict[str, tuple[list[str], tuple[np.ndarray, ...], tuple[str, ...] | None]] = {
-    "franka": ([f"{key}_{j}" for key in FRANKA for j in range(2)], tuple(FRANKA.values()), None),
-    "short suffixes": (
-        numbered("joint{}_pos", "joint{}_vel", "joint{}_eff"),
-        (Q, DQ, TAU),
-        ("joint1", "joint2"),
-    ),
-}
-
-
-@pytest.mark.parametrize("kind", HEADERS)
-def test_usual_names(tmp_path: Path, kind: str):
-    names, tables, joints = HEADERS[kind]
-    log = read_recording(write_csv(tmp_path / "log.csv", ["time", *names], T, *tables))
-    close(log, velocity=True, joints=joints)
-
-
-@pytest.mark.parametrize("mark", [",", ";", "\t"])
-def test_units_in_brackets(tmp_path: Path, mark: str):
-    names = ["Time [ms]", *numbered("Joint {} [deg]", "Joint {} [deg/s]")]
-    names += ["Torque 1 (Nm)", "Torque 2 (mNm)"]
-    tables = (T * 1e3, np.degrees(Q), np.degrees(DQ), TAU * [1.0, 1e3])
-    reading = read_described(write_csv(tmp_path / "log.csv", names, *tables, mark=mark))
-    close(reading.recording, velocity=True)
-    assert reading.sources["effort"] == "Torque 1 (Nm) ... Torque 2 (mNm) in Nm/mNm"
-    # A line of units under the names says the same.
-    bare = ["Time", *numbered("Joint {}", "Speed {}", "Torque {}")]
-    bare[-1] += "\n" + mark.join(["ms", "°", "°", "deg/s", "deg/s", "Nm", "mNm"])
-    close(read_recording(write_csv(tmp_path / "log.csv", bare, *tables, mark=mark)), velocity=True)
-
-
-def test_currents_with_units(tmp_path: Path):
-    names = ["t", "q1", "q2", "current1 [A]", "current2 [mA]"]
-    file = write_csv(tmp_path / "log.csv", names, T, Q, TAU / [10.0, 0.012])
-    refuses(DataError, r"current1 \[A\].* look like currents: give gains=", read_recording, file)
-    log = read_recording(file, effort_scale=[10.0, 12.0])
-    np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)
-
-
-@pytest.mark.parametrize("mark", [";", "\t", " "])
-def test_decimal_commas(tmp_path: Path, mark: str):
-    file = write_csv(tmp_path / "log.csv", ["t", *NAMES], T, Q, TAU, mark=mark, decimal=",")
-    close(read_recording(file))
-    lines = file.read_text().splitlines()
-    lines[7] = lines[7].replace(",", ".", 1)
-    file.write_text("\n".join(lines))
-    words = r"line 8: 't' holds .* where other decimals have commas"
-    refuses(DataError, words, read_recording, file)
 
 
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00", " UTC"])
@@ -708,17 +610,6 @@ def test_names_in_a_comment_and_comments_between(tmp_path: Path):
     lines[25] = lines[25].replace(" ", " nan ", 1).rpartition(" ")[0]
     file.write_text("\n".join(lines) + "\n\n")
     refuses(DataError, "line 26: position: 'q1' has no value", read_recording, file)
-
-
-def test_columns_without_names(tmp_path: Path):
-    file = write_csv(tmp_path / "log.csv", [], T, Q, TAU, DQ)
-    refuses(DataError, "its 7 columns have no names", read_recording, file)
-    numbers = {"time": 1, "position": "2:3", "effort": ["4:4", 5], "velocity": [6, 7]}
-    close(read_recording(file, columns=numbers), velocity=True)
-    (tmp_path / "log.toml").write_text(
-        "[columns]\ntime = 1\nposition = [2, 3]\neffort = [4, 5]\nvelocity = [6, 7]\n"
-    )
-    close(read_recording(file), velocity=True)
 
 
 def test_compressed_text_and_other_encodings(tmp_path: Path):

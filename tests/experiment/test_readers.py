@@ -22,6 +22,7 @@ from sdpid.experiment.recording.gaps import continuous, unwrapped
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers import logs
 from tests.helpers.commands import given
 from tests.helpers.logs import numbered, write_csv, write_npz
 from tests.helpers.refusals import refuses
@@ -92,6 +93,10 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"toml": "x = "}, "not a TOML file"),
     ({"csv": "t,q,tau\n0,1,2\n1,oops,2\n"}, "line 3: 'q' holds 'oops', not a number"),
     ({"csv": "0,1,2\n1,1,2\n"}, "first line must name the columns"),
+    (
+        {"csv": "t,q1,current1 [A]\n0,1,2\n1,1,2\n"},
+        r"current1 \[A\] look like currents: give gains=",
+    ),
     ({"csv": "t,q,tau\n"}, "has no header and no data"),
     ({"csv": "t,q,q\n0,1,2\n"}, "3 column names, 2 of them distinct"),
     ({"csv": "t,q,tau\n0,1\n"}, "3 column names for 2 values in line 2"),
@@ -357,17 +362,75 @@ def test_npz_by_the_usual_names(tmp_path: Path):
     assert reading.sources["time"] == "sample rate, 2 Hz"
 
 
-@pytest.mark.parametrize(
-    ("pattern", "mark"),
-    [("q{}", ","), ("q_{}", ";"), ("q[{}]", "\t"), ("position.{}", ","), ("Pos_{}", ";")],
+ZERO = 0.0 * logs.Q
+# The columns of a log that is read as T, Q, TAU and DQ; how the file is written and read; whether
+# there are velocities, and the names of the joints.
+FRANKA = ("q", "q_d", "dq", "dq_d", "ddq_d", "tau_J", "tau_J_d", "tau_ext_hat_filtered", "O_T_EE")
+OF_FRANKA = (logs.T, logs.Q, ZERO, logs.DQ, ZERO, ZERO, logs.TAU, ZERO, ZERO, logs.Q)
+UR = [
+    f"{key}_{j}" for key in ("target_q", "actual_q", "actual_qd", "actual_current") for j in (0, 1)
+]
+OF_UR = (logs.T, ZERO, logs.Q, logs.DQ, logs.TAU / [10.0, 12.0])
+PANDAS = ("position_deg", "velocity", "torque", "target_position")
+OF_PANDAS = (logs.T, np.degrees(logs.Q[:, ::-1]), logs.DQ[:, ::-1], logs.TAU[:, ::-1], ZERO)
+BRACKETS = ["Time [ms]", *numbered("Joint {} [deg]", "Joint {} [deg/s]")]
+BRACKETS += ["Torque 1 (Nm)", "Torque 2 (mNm)"]
+MIXED = (logs.T * 1e3, np.degrees(logs.Q), np.degrees(logs.DQ), logs.TAU * [1.0, 1e3])
+BARE = ["Time", *numbered("Joint {}", "Speed {}", "Torque {}")]
+NUMBERS = {"time": 1, "position": "2:3", "effort": ["4:4", 5], "velocity": [6, 7]}
+TURNED, BESIDE_MODEL = (
+    (logs.T, logs.Q[:, ::-1], logs.TAU, logs.T),
+    (logs.T, logs.Q, logs.TAU, logs.T),
 )
-def test_csv_with_numbered_columns(tmp_path: Path, pattern: str, mark: str):
-    # In numeric order, and without those of commands.
-    names = ["time", *map(pattern.format, (10, 2, 1)), "tau_2", "tau_1", "tau_10", "tau_target_1"]
-    log = read_recording(write_csv(tmp_path / "log.csv", names, T, Q, TAU, DQ[:, 0], mark=mark))
-    np.testing.assert_array_equal(log.position, Q[:, ::-1])
-    np.testing.assert_array_equal(log.effort, TAU[:, [1, 0, 2]])
-    assert log.joint_names is None
+IN_AMPERES, SCALED = (logs.T, logs.Q, logs.TAU / [10.0, 0.012]), {"effort_scale": [10.0, 12.0]}
+READ, MOVING = (logs.T, logs.Q, logs.TAU), (logs.T, logs.Q, logs.TAU, logs.DQ)
+TWO, JOINTS = ("up", "down"), ("joint_1", "joint_2")
+
+
+def labeled(*templates: str) -> list[str]:
+    return [template.format(name) for template in templates for name in TWO]
+
+
+FOUND: list[tuple[list[str], tuple[Any, ...], dict[str, Any], bool, Any]] = [
+    # Numbers in numeric order, and without those of commands.
+    (["t", *("q10", "q2", "tau_2", "tau_10", "tau_target_2")], TURNED, {}, False, None),
+    (["t", *numbered("q[{}]", "tau_{}")], READ, {"mark": "\t"}, False, None),
+    (["t", *numbered("position.{}", "tau_{}")], READ, {}, False, None),
+    (["t", *numbered("Pos_{}", "tau_{}")], READ, {"mark": ";"}, False, None),
+    (["t", *(f"{key}_{j}" for key in FRANKA for j in (0, 1))], OF_FRANKA, {}, True, None),
+    (["t", *numbered("j{}_pos", "j{}_eff", "j{}_vel")], MOVING, {}, True, ("j1", "j2")),
+    (["t", *(f"joint_{j}_{k}" for k in PANDAS for j in (2, 1))], OF_PANDAS, {}, True, JOINTS),
+    (["t", *labeled("position_{}", "effort_{}"), "effort_model"], BESIDE_MODEL, {}, False, TWO),
+    # The longest name of a quantity leaves the joint's.
+    (["t", *labeled("q_measured_{}", "tau_measured_{}")], READ, {}, False, TWO),
+    (["t", *labeled("actual-position {}", "{}_torque")], READ, {}, False, TWO),
+    (["t", *labeled("arms/{}/q", "arms/{}/tau")], READ, {}, False, TWO),
+    # Units.
+    *((BRACKETS, MIXED, {"mark": mark}, True, None) for mark in (",", ";", "\t")),
+    ([*BARE[:-1], "Torque 2\nms,°,°,deg/s,deg/s,Nm,mNm"], MIXED, {}, True, None),
+    (["t", "q1", "q2", "current1 [A]", "current2 [mA]"], IN_AMPERES, SCALED, False, None),
+    (["t", *UR], OF_UR, SCALED, True, None),
+    (["t", *UR], OF_UR, {"columns": {"effort": "actual_current"}, **SCALED}, True, None),
+    # Decimal commas, and no names.
+    *(
+        (["t", *numbered("q{}", "tau{}")], READ, {"mark": mark, "decimal": ","}, False, None)
+        for mark in ";\t "
+    ),
+    ([], MOVING, {"columns": NUMBERS}, True, None),
+    ([], MOVING, {"mapping": {"columns": NUMBERS}}, True, None),
+]
+
+
+@pytest.mark.parametrize(("names", "tables", "how", "velocity", "joints"), FOUND)
+def test_columns_are_found(
+    tmp_path: Path, names: list[str], tables: Any, how: dict[str, Any], velocity: bool, joints: Any
+):
+    written = {key: how[key] for key in ("mark", "decimal") if key in how}
+    file = write_csv(tmp_path / "log.csv", names, *tables, **written)
+    reading = read_described(file, **{key: how[key] for key in how if key not in written})
+    logs.close(reading.recording, velocity=velocity, joints=joints)
+    if names is BRACKETS:
+        assert reading.sources["effort"] == "Torque 1 (Nm) ... Torque 2 (mNm) in Nm/mNm"
 
 
 def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
@@ -381,24 +444,6 @@ def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
     assert read_recording(file, joint_names=("down", "up")).effort[3].tolist() == [-6.0, 6.0]
     log = read_recording(file, columns={"position": ["position_down"], "effort": ["effort_down"]})
     assert log.position[:, 0].tolist() == [0.0, -1.0, -2.0, -3.0]
-
-
-@pytest.mark.parametrize(
-    ("position", "effort"),
-    [
-        ("q_measured_{}", "tau_measured_{}"),
-        ("actual-position {}", "{}_torque"),
-        ("arms/{}/q", "arms/{}/tau"),
-    ],
-)
-def test_the_longest_name_of_a_quantity_leaves_the_joint(
-    tmp_path: Path, position: str, effort: str
-):
-    columns = [key.format(name) for key in (position, effort) for name in NAMES]
-    log = read_recording(
-        write_csv(tmp_path / "log.csv", ["t", *columns], T, Q, TAU), joint_names=NAMES
-    )
-    np.testing.assert_array_equal(log.effort, TAU)
 
 
 ROBOTS = {

@@ -6,6 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from sdpid.experiment.recording.recording import Recording
+
+T = 0.01 * np.arange(40)
+Q, TAU, DQ = np.random.default_rng(5).standard_normal((3, 40, 2))
+
 
 def write_csv(
     file: Path, names: Iterable[str], *tables: Any, mark: str = ",", decimal: str = "."
@@ -26,3 +31,14 @@ def write_npz(file: Path, **arrays: Any) -> Path:
 def numbered(*templates: str, n: int = 2) -> list[str]:
     """Return names with the numbers from 1 to n."""
     return [template.format(j) for template in templates for j in range(1, n + 1)]
+
+
+def close(log: Recording, *, velocity: bool = False, joints: Any = ()) -> None:
+    """Check that a log holds T, Q, TAU and, if it is to have velocities, DQ."""
+    np.testing.assert_allclose(log.time - log.time[0], T, atol=1e-9)
+    np.testing.assert_allclose(log.position, Q, rtol=1e-13)
+    np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)
+    assert (log.velocity is not None) == velocity
+    if velocity:
+        np.testing.assert_allclose(log.velocity, DQ, rtol=1e-13)
+    assert joints == () or log.joint_names == joints
