@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import sdpid
@@ -16,12 +17,13 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.drives import load_drives
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
+from sdpid.experiment.readers.names import QUANTITIES, UNITS
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.readers.scaled import scaled
 from sdpid.experiment.recording.gaps import continuous, unwrapped
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.motor_side import MotorSide
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import CHANNELS, Recording
 from tests.helpers import logs
 from tests.helpers.commands import given
 from tests.helpers.logs import numbered, write_csv, write_npz
@@ -348,28 +350,12 @@ def test_files_keep_currents_as_currents(tmp_path: Path, suffix: str) -> None:
 # What is found by the usual names, whatever writes it.
 
 
-def test_npz_by_the_usual_names(tmp_path: Path):
-    log = read_recording(
-        write_npz(tmp_path / "log.npz", t=T, q=Q, tau=TAU, dq=DQ, joint_names=np.array(NAMES))
-    )
-    for quantity, wanted in TABLES.items():
-        np.testing.assert_array_equal(getattr(log, quantity), wanted)
-    assert log.joint_names == tuple(NAMES)
-    # Time from the sample rate, and vectors of a single joint.
-    reading = read_described(write_npz(tmp_path / "log.npz", q=Q[:, 0], tau=TAU[:, 0], fs=2.0))
-    np.testing.assert_array_equal(reading.recording.time, T)
-    assert reading.recording.n == 1
-    assert reading.sources["time"] == "sample rate, 2 Hz"
-
-
 ZERO = 0.0 * logs.Q
 # The columns of a log that is read as T, Q, TAU and DQ; how the file is written and read; whether
 # there are velocities, and the names of the joints.
 FRANKA = ("q", "q_d", "dq", "dq_d", "ddq_d", "tau_J", "tau_J_d", "tau_ext_hat_filtered", "O_T_EE")
 OF_FRANKA = (logs.T, logs.Q, ZERO, logs.DQ, ZERO, ZERO, logs.TAU, ZERO, ZERO, logs.Q)
-UR = [
-    f"{key}_{j}" for key in ("target_q", "actual_q", "actual_qd", "actual_current") for j in (0, 1)
-]
+UR = [f"{k}_{j}" for k in ("target_q", "actual_q", "actual_qd", "actual_current") for j in (0, 1)]
 OF_UR = (logs.T, ZERO, logs.Q, logs.DQ, logs.TAU / [10.0, 12.0])
 PANDAS = ("position_deg", "velocity", "torque", "target_position")
 OF_PANDAS = (logs.T, np.degrees(logs.Q[:, ::-1]), logs.DQ[:, ::-1], logs.TAU[:, ::-1], ZERO)
@@ -378,33 +364,19 @@ BRACKETS += ["Torque 1 (Nm)", "Torque 2 (mNm)"]
 MIXED = (logs.T * 1e3, np.degrees(logs.Q), np.degrees(logs.DQ), logs.TAU * [1.0, 1e3])
 BARE = ["Time", *numbered("Joint {}", "Speed {}", "Torque {}")]
 NUMBERS = {"time": 1, "position": "2:3", "effort": ["4:4", 5], "velocity": [6, 7]}
-TURNED, BESIDE_MODEL = (
-    (logs.T, logs.Q[:, ::-1], logs.TAU, logs.T),
-    (logs.T, logs.Q, logs.TAU, logs.T),
-)
 IN_AMPERES, SCALED = (logs.T, logs.Q, logs.TAU / [10.0, 0.012]), {"effort_scale": [10.0, 12.0]}
 READ, MOVING = (logs.T, logs.Q, logs.TAU), (logs.T, logs.Q, logs.TAU, logs.DQ)
+TURNED = (logs.T, logs.Q[:, ::-1], logs.TAU, logs.T)
 TWO, JOINTS = ("up", "down"), ("joint_1", "joint_2")
-
-
-def labeled(*templates: str) -> list[str]:
-    return [template.format(name) for template in templates for name in TWO]
-
+DECIMALS = ["t", *numbered("q{}", "tau{}")]
+LABELS = ["position_up", "position_down", "effort_up", "effort_down"]
 
 FOUND: list[tuple[list[str], tuple[Any, ...], dict[str, Any], bool, Any]] = [
     # Numbers in numeric order, and without those of commands.
     (["t", *("q10", "q2", "tau_2", "tau_10", "tau_target_2")], TURNED, {}, False, None),
-    (["t", *numbered("q[{}]", "tau_{}")], READ, {"mark": "\t"}, False, None),
-    (["t", *numbered("position.{}", "tau_{}")], READ, {}, False, None),
-    (["t", *numbered("Pos_{}", "tau_{}")], READ, {"mark": ";"}, False, None),
     (["t", *(f"{key}_{j}" for key in FRANKA for j in (0, 1))], OF_FRANKA, {}, True, None),
-    (["t", *numbered("j{}_pos", "j{}_eff", "j{}_vel")], MOVING, {}, True, ("j1", "j2")),
     (["t", *(f"joint_{j}_{k}" for k in PANDAS for j in (2, 1))], OF_PANDAS, {}, True, JOINTS),
-    (["t", *labeled("position_{}", "effort_{}"), "effort_model"], BESIDE_MODEL, {}, False, TWO),
-    # The longest name of a quantity leaves the joint's.
-    (["t", *labeled("q_measured_{}", "tau_measured_{}")], READ, {}, False, TWO),
-    (["t", *labeled("actual-position {}", "{}_torque")], READ, {}, False, TWO),
-    (["t", *labeled("arms/{}/q", "arms/{}/tau")], READ, {}, False, TWO),
+    (["t", *LABELS, "effort_model"], (*READ, logs.T), {}, False, TWO),
     # Units.
     *((BRACKETS, MIXED, {"mark": mark}, True, None) for mark in (",", ";", "\t")),
     ([*BARE[:-1], "Torque 2\nms,°,°,deg/s,deg/s,Nm,mNm"], MIXED, {}, True, None),
@@ -412,13 +384,30 @@ FOUND: list[tuple[list[str], tuple[Any, ...], dict[str, Any], bool, Any]] = [
     (["t", *UR], OF_UR, SCALED, True, None),
     (["t", *UR], OF_UR, {"columns": {"effort": "actual_current"}, **SCALED}, True, None),
     # Decimal commas, and no names.
-    *(
-        (["t", *numbered("q{}", "tau{}")], READ, {"mark": mark, "decimal": ","}, False, None)
-        for mark in ";\t "
-    ),
+    *((DECIMALS, READ, {"mark": mark, "decimal": ","}, False, None) for mark in ";\t "),
     ([], MOVING, {"columns": NUMBERS}, True, None),
     ([], MOVING, {"mapping": {"columns": NUMBERS}}, True, None),
 ]
+
+
+# How a column is called by a name of its quantity and the number or the name of a joint.
+STYLES = ["{key}{n}", "{key}_{n}", "{key}[{n}]", "{key}.{n}", "{key} {n} [{unit}]"]
+STYLES += ["{key}_{joint}", "{joint}_{key}", "/arm/{joint}/{key}"]
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("quantity", CHANNELS)
+def test_every_usual_name_is_found_in_every_style(quantity: str, style: str):
+    tables = dict(zip(CHANNELS, (logs.Q, logs.TAU, logs.DQ, logs.Q), strict=True))
+    for name in QUANTITIES[quantity].names:
+        columns = {"t": logs.T}
+        for channel, table in tables.items():
+            key, unit = name if channel == quantity else channel, next(iter(UNITS[channel]))
+            for n, joint in enumerate(TWO):
+                columns[style.format(key=key, n=n, joint=joint, unit=unit)] = table[:, n]
+        log = read_recording(pd.DataFrame(columns))
+        logs.close(log, velocity=True, joints=TWO if "joint" in style else None)
+        np.testing.assert_array_equal(log.reference, logs.Q)
 
 
 @pytest.mark.parametrize(("names", "tables", "how", "velocity", "joints"), FOUND)
@@ -479,16 +468,10 @@ def with_reference(folder: Path, names: list[str], *tables: Any) -> Path:
     return write_csv(folder / "log.csv", ["t", *names], SLOW, MOVED, TORQUE, *tables)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["q_d_{}", "q_d[{}]", "target_q_{}", "position_reference_{}", "reference_{}", "q_cmd{}"],
-)
-def test_numbered_references_are_found(tmp_path: Path, name: str):
-    names = [*PLAIN, *numbered("dq_d_{}", "tau_J_d_{}", name)]
-    log = read_recording(with_reference(tmp_path, names, 0 * MOVED, 0 * MOVED, REF))
-    np.testing.assert_array_equal(log.reference, REF)
-    np.testing.assert_array_equal(log.position, MOVED)
-    assert log.velocity is None
+def test_references_of_arrays(tmp_path: Path):
+    arrays = {"t": SLOW, "q": MOVED, "tau": TORQUE, "q_d": REF}
+    found = read_recording(write_npz(tmp_path / "log.npz", **arrays))
+    np.testing.assert_array_equal(found.reference, REF)
 
 
 LABELED = [f"{each}_{q}" for q in ("position", "effort") for each in ("lift", "elbow")]
@@ -520,9 +503,6 @@ def test_references_by_joints_and_units(
     assert (log.reference is None) == (wanted is None)
     if wanted is not None:
         np.testing.assert_allclose(log.reference, wanted, rtol=1e-15)
-    arrays = {"t": SLOW, "q": MOVED, "tau": TORQUE, "q_d": REF}
-    found = read_recording(write_npz(tmp_path / "log.npz", **arrays))
-    np.testing.assert_array_equal(found.reference, REF)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -111,13 +112,23 @@ class LogTable:
     stated: Mapping[str, Any] = field(default_factory=dict)
 
 
+@contextmanager
+def named(file: Path) -> Iterator[None]:
+    """Name the file that is refused, where the message does not begin with it."""
+    try:
+        yield
+    except DataError as cause:
+        text = str(cause)
+        raise DataError(text if text.startswith(str(file)) else f"{file}: {text}") from None
+
+
 class Columns:
     """The named arrays of a log, and what was found under which name.
 
     Parameters
     ----------
     file : Path
-        For messages.
+        The log.
     table : LogTable
         The arrays.
     given : mapping
@@ -200,7 +211,7 @@ class Columns:
             return value
         if quantity in self.given:
             raise DataError(
-                f"{self._file}: columns: '{self.given[quantity]}' for {quantity} has "
+                f"columns: '{self.given[quantity]}' for {quantity} has "
                 f"{value.size} values, expected one."
             )
         self.forget(quantity)
@@ -212,7 +223,7 @@ class Columns:
         if names is None:
             return None
         if names.dtype.kind not in "US":
-            raise DataError(f"{self._file}: joint_names: holds {names.dtype}, expected text.")
+            raise DataError(f"joint_names: holds {names.dtype}, expected text.")
         if names.dtype.kind == "S":
             names = np.char.decode(names, "utf-8", "replace")
         return tuple(printable(str(name)) for name in np.atleast_1d(names).ravel())
@@ -241,7 +252,7 @@ class Columns:
                 column = column.ravel()
             if column.ndim != 1 or (j and len(column) != len(table)):
                 raise DataError(
-                    f"{self._file}: columns: '{key}' has shape {column.shape}, expected one "
+                    f"columns: '{key}' has shape {column.shape}, expected one "
                     f"column{f' of {len(table)} rows' if j else ''}."
                 )
             table = table if j else np.empty((len(column), len(keys)))
@@ -267,15 +278,14 @@ class Columns:
     def _absent(self, quantity: str, what: str, more: str = "") -> DataError:
         """Return the error that what was asked for is not there."""
         return DataError(
-            f"{self._file}: columns: {what} for {quantity} is not there{more}; found: "
-            f"{_list(self._arrays)}."
+            f"columns: {what} for {quantity} is not there{more}; found: {_list(self._arrays)}."
         )
 
     def missing(self, quantity: str) -> DataError:
         """Return the error that a quantity was not found, and what was."""
         if self._table.unnamed:
             return DataError(
-                f"{self._file}: its {len(self._arrays)} columns have no names: the first line must "
+                f"its {len(self._arrays)} columns have no names: the first line must "
                 "name the columns, or give their numbers from 1, as in columns={'time': 1, "
                 "'position': [2, 3], 'effort': [4, 5]}."
             )
@@ -288,7 +298,7 @@ class Columns:
                 "effort if they are torques."
             )
         return DataError(
-            f"{self._file}: {quantity} is missing: none of "
+            f"{quantity} is missing: none of "
             f"{', '.join(QUANTITIES[quantity].names)} is there. Found: {_list(self._arrays)}. "
             f"Name it with columns={{'{quantity}': ...}}, or in a mapping beside the log.{hint}"
         )
@@ -334,7 +344,7 @@ class Columns:
             several = quantity in SINGLE or len(set(parents)) < len(parents)
             if several or any(self._array(place).ndim != 1 for place in places):
                 raise DataError(
-                    f"{self._file}: {quantity} is there more than once: {_list(places)}; "
+                    f"{quantity} is there more than once: {_list(places)}; "
                     f"name the one to read with columns={{'{quantity}': '{places[0]}'}}."
                 )
             yield _ordered(dict(zip(parents, places, strict=True)), names, unit)
@@ -431,9 +441,7 @@ class Columns:
         """Read an array of numbers; of joints' names and of stamps anything."""
         array = self._array(name)
         if quantity not in SINGLE and array.dtype.kind not in "fiub":
-            raise DataError(
-                f"{self._file}: {quantity}: '{name}' holds {array.dtype}, expected numbers."
-            )
+            raise DataError(f"{quantity}: '{name}' holds {array.dtype}, expected numbers.")
         return array
 
     def _part(self, name: str, begin: str, end: str) -> NDArray[Any]:
@@ -441,7 +449,7 @@ class Columns:
         array, first, last = self._arrays[name](), int(begin), int(end)
         if array.ndim != 2 or not 1 <= first <= last <= array.shape[1]:
             raise DataError(
-                f"{self._file}: columns: '{name}[{first}:{last}]' asks for columns {first} to "
+                f"columns: '{name}[{first}:{last}]' asks for columns {first} to "
                 f"{last} of an array of the shape {array.shape}; columns count from 1."
             )
         return array[:, first - 1 : last]

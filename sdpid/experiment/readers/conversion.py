@@ -130,18 +130,16 @@ def convert(
     )
     if arguments.gains is not None:
         recording = scaled(recording, arguments.gains)
-    sources = _sources(found, units, motors)
-    if of_time:
-        sources["time"] = of_time
-    if recording.gains is not None:
-        sources["gains"] = recording.gains.in_words
-    if mended is not None:
-        sources["missing values"] = mended
     if held is not None:
-        sources["base"] = f"held at {held}"
         orientation = arguments.base.get("orientation", _UPRIGHT)
         recording = recording.with_held_base(held, orientation=orientation)
-    return recording, sources
+    more = {
+        "time": of_time,
+        "gains": None if recording.gains is None else recording.gains.in_words,
+        "missing values": mended,
+        "base": None if held is None else f"held at {held}",
+    }
+    return recording, _sources(found, units, motors) | {k: said for k, said in more.items() if said}
 
 
 def _effort_scale(
@@ -195,31 +193,23 @@ def _joint_order(
 
 def _picked(tables: _Tables, order: list[int] | None) -> _Tables:
     """Return tables with some columns of those of joints."""
-    picked = dict(tables)
-    for name in CHANNELS if order is not None else ():
-        if name not in tables:
-            continue
-        if (count := tables[name].shape[1]) <= max(order or ()):
-            raise DataError(
-                f"{name} has {count} columns, too few for column {max(order or ()) + 1}."
-            )
-        picked[name] = transformed(tables[name], lambda rows: rows[:, order])
-    return picked
+    joints = {name: tables[name] for name in CHANNELS if name in tables and order is not None}
+    for name, table in joints.items():
+        if (count := table.shape[1]) <= (last := max(order or ())):
+            raise DataError(f"{name} has {count} columns, too few for column {last + 1}.")
+        joints[name] = transformed(table, lambda rows: rows[:, order])
+    return tables | joints
 
 
 def _zero_where_absent(
     efforts: NDArray[Any], labels: tuple[str, ...] | None, joints: tuple[str, ...]
 ) -> NDArray[Any]:
     """Return efforts with zeros for those of some joints that have no value in any row."""
-    if not joints or efforts.dtype.kind != "f":
-        return efforts
-    count = efforts.shape[1]
-    names = (labels or tuple(str(j + 1) for j in range(count)))[:count]
-    absent = [n in joints and bool(np.isnan(efforts[:, j]).all()) for j, n in enumerate(names)]
-    if not any(absent):
-        return efforts
-    zeros = np.array([*absent, *[False] * (count - len(names))])
-    return transformed(efforts, lambda rows: np.where(zeros, 0.0, rows))
+    columns = range(efforts.shape[1] if joints and efforts.dtype.kind == "f" else 0)
+    named = zip(columns, labels or (str(j + 1) for j in columns), strict=False)
+    absent = [j for j, name in named if name in joints and np.isnan(efforts[:, j]).all()]
+    zeros = np.isin(columns, absent)
+    return transformed(efforts, lambda rows: np.where(zeros, 0.0, rows)) if absent else efforts
 
 
 def _column_names(found: Selection, quantity: str, order: list[int] | None) -> list[str]:
@@ -269,17 +259,15 @@ def in_si(
 ) -> NDArray[Any]:
     """Convert a table to SI units; amperes stay amperes."""
     unit = units.get(quantity)
-    if unit is None or (isinstance(unit, str) and _factor(quantity, unit) == 1.0):
-        return values
-    each = [unit] if isinstance(unit, str) else list(unit)
+    each = [unit] if isinstance(unit, str) else list(unit or ())
     factors = np.array([_factor(quantity, one) for one in each])
     if not isinstance(unit, str):
         factors = _one_each(factors, order)
-        if len(factors) != values.shape[1]:
+        if each and len(factors) != values.shape[1]:
             raise DataError(
                 f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
             )
-    return transformed(values, lambda part: part * factors)
+    return values if np.all(factors == 1.0) else transformed(values, lambda part: part * factors)
 
 
 def in_seconds(time: NDArray[Any]) -> NDArray[Any]:

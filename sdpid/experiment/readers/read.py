@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from inspect import Parameter, Signature
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any, TypeAlias, overload
 from sdpid._common.files import Source, unchanged
 from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
-from sdpid.experiment.readers.columns import row_number
+from sdpid.experiment.readers.columns import named, row_number
 from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats.loaders import (
     BY_SUFFIX,
@@ -199,7 +198,7 @@ def read_described(
         ) from None
     arguments, mapped = complete_arguments(None if frame else file, mapping, how)
     place: Callable[[int], str] = row_number
-    with _named(file), unchanged(file):
+    with named(file), unchanged(file):
         kind = FRAMES if frame else _format(file)
         choices = _choices(
             kind, "a data frame" if frame else f"a file {suffix_of(file)}", arguments, stored
@@ -214,16 +213,6 @@ def read_described(
         if not frame:
             recording = with_source(recording, Source.of(file, arguments.to_dict()))
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
-
-
-@contextmanager
-def _named(file: Path) -> Iterator[None]:
-    """Name the file that is refused, where the message does not begin with it."""
-    try:
-        yield
-    except DataError as cause:
-        named = str(cause).startswith(str(file))
-        raise DataError(str(cause) if named else f"{file}: {cause}") from None
 
 
 def _plain_selection(path: str, choices: dict[str, Any], how: dict[str, Any]) -> dict[str, Any]:

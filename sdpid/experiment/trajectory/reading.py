@@ -12,7 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.columns import Columns, LogTable
+from sdpid.experiment.readers.columns import Columns, LogTable, named
 from sdpid.experiment.readers.conversion import in_seconds, in_si
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, suffix_of
 from sdpid.experiment.trajectory.curve import SampledCurve, rests_at_ends
@@ -74,11 +74,8 @@ def read_trajectory(
         )
     if not file.is_file():
         raise DataError(f"{file}: there is no such file.")
-    try:
+    with named(file):
         curve, names = _sampled(file, known[suffix].load(file), joint_names)
-    except DataError as cause:
-        named = str(cause).startswith(str(file))
-        raise DataError(str(cause) if named else f"{file}: {cause}") from None
     return Trajectory(
         joint_names=names,
         series=curve,

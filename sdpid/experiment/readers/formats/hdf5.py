@@ -67,7 +67,7 @@ def load_hdf5(path: Path) -> LogTable:
                 continue
             if len(found) > _MOST_ENTRIES or depth > _DEPTH:
                 raise DataError(
-                    f"{path}: has more than {_MOST_ENTRIES} entries or {_DEPTH} levels of groups; "
+                    f"has more than {_MOST_ENTRIES} entries or {_DEPTH} levels of groups; "
                     "this is no log."
                 )
             node = group[key]
@@ -87,23 +87,23 @@ def load_hdf5(path: Path) -> LogTable:
 def _read(path: Path, node: Any, name: str, field: str | None) -> NDArray[Any]:
     """Read one array of an HDF5 file, or one column of a table; honest ones of this file only."""
     if node.shape is None:
-        raise DataError(f"{path}: '{name}' is empty.")
+        raise DataError(f"'{name}' is empty.")
     if node.external or node.is_virtual:
-        raise DataError(f"{path}: '{name}' is kept in another file; copy it into this one.")
+        raise DataError(f"'{name}' is kept in another file; copy it into this one.")
     if node.dtype.kind not in "biufSOV":
-        raise NoNumbersError(f"{path}: '{name}' holds {node.dtype}, expected numbers.")
+        raise NoNumbersError(f"'{name}' holds {node.dtype}, expected numbers.")
     check_claim(path, name, node.shape, node.dtype.itemsize)
     if node.chunks is not None:
         check_claim(path, f"a chunk of {name}", node.chunks, node.dtype.itemsize)
         if math.prod(node.shape) > 0 and node.id.get_storage_size() == 0:
-            raise DataError(f"{path}: '{name}' was announced, but never written.")
+            raise DataError(f"'{name}' was announced, but never written.")
     if _MATLAB in node.attrs:
-        return _of_matlab(path, node, name, bytes(node.attrs[_MATLAB]).decode())
+        return _of_matlab(node, name, bytes(node.attrs[_MATLAB]).decode())
     array = np.asarray(node[()] if field is None else node[field])
     return _text(array) if node.dtype.kind in "OS" else array
 
 
-def _of_matlab(path: Path, node: Any, name: str, kind: str) -> NDArray[Any]:
+def _of_matlab(node: Any, name: str, kind: str) -> NDArray[Any]:
     """Read an array that MATLAB wrote: axes reversed, text as numbers, cells as references."""
     sparse = "MATLAB_sparse" in node.attrs or node.dtype.kind not in "biuf"
     array = np.asarray(node[()]).T
@@ -112,13 +112,11 @@ def _of_matlab(path: Path, node: Any, name: str, kind: str) -> NDArray[Any]:
     if kind == "cell":
         parts = [node.file[reference] for reference in array.ravel()]
         named = all(part.attrs.get(_MATLAB) == b"char" for part in parts)
-        cells = [str(_of_matlab(path, part, name, "char")) if named else None for part in parts]
+        cells = [str(_of_matlab(part, name, "char")) if named else None for part in parts]
         array = np.asarray(cells, dtype=object)
     elif sparse:
-        raise _no_array(path, name, kind)
-    return _plain(
-        path, name, kind, array.ravel() if 1 in array.shape and array.ndim == 2 else array
-    )
+        raise _no_array(name, kind)
+    return _plain(name, kind, array.ravel() if 1 in array.shape and array.ndim == 2 else array)
 
 
 def _text(values: NDArray[Any]) -> NDArray[Any]:
@@ -141,7 +139,7 @@ def load_mat(path: Path) -> LogTable:
     if _HDF5_SIGNATURE in (head[: len(_HDF5_SIGNATURE)], head[_USER_BLOCK:]):
         return load_hdf5(path)
     if not head:
-        raise DataError(f"{path}: not a readable MATLAB file (it is empty).")
+        raise DataError("not a readable MATLAB file (it is empty).")
     from scipy.io import loadmat, whosmat
 
     def variable(name: str) -> Any:
@@ -149,13 +147,13 @@ def load_mat(path: Path) -> LogTable:
         return loadmat(path, appendmat=False, variable_names=[name], **how)[name]
 
     def loaded(name: str, kind: str) -> NDArray[Any]:
-        return _plain(path, name, kind, variable(name))
+        return _plain(name, kind, variable(name))
 
     found: _Arrays = {}
     for name, _, kind in whosmat(path, appendmat=False):
         fields = dict(_fields(name, variable(name))) if kind == "struct" else {}
         for field, value in fields.items():
-            found[field] = partial(_plain, path, field, "cell", value)
+            found[field] = partial(_plain, field, "cell", value)
         if not fields:
             found[name] = partial(loaded, name, kind)
     return LogTable(found)
@@ -171,21 +169,21 @@ def _fields(struct: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]
             yield from _fields(name, inner, depth + 1)
 
 
-def _plain(path: Path, name: str, kind: str, value: Any) -> NDArray[Any]:
+def _plain(name: str, kind: str, value: Any) -> NDArray[Any]:
     """Return an array of numbers, text or names; rows of text were filled up with blanks."""
     array = np.asarray(value)
     if array.dtype.kind == "O" and kind == "cell":
         if not all(isinstance(text, str) for text in array.flat):
-            raise NoNumbersError(f"{path}: '{name}' is a cell array, expected numbers or names.")
+            raise NoNumbersError(f"'{name}' is a cell array, expected numbers or names.")
         return np.asarray([str(text) for text in array.flat])
     if array.dtype.kind in "OV":
-        raise _no_array(path, name, kind)
+        raise _no_array(name, kind)
     return np.char.rstrip(array) if array.dtype.kind == "U" else array
 
 
-def _no_array(path: Path, name: str, kind: str) -> NoNumbersError:
+def _no_array(name: str, kind: str) -> NoNumbersError:
     """Return the error that a variable is of a class that holds no samples."""
     return NoNumbersError(
-        f"{path}: '{name}' is of class {kind}, expected a full array of numbers; convert it in "
+        f"'{name}' is of class {kind}, expected a full array of numbers; convert it in "
         "MATLAB, a timetable by its variables, a sparse matrix by full()."
     )

@@ -43,7 +43,7 @@ def load_npz(path: Path) -> LogTable:
         with zipfile.ZipFile(path) as archive:
             entries = {entry.filename: entry.file_size for entry in archive.infolist()}
     except (*_DAMAGE, ValueError) as cause:
-        raise DataError(f"{path}: not a readable NumPy archive ({cause}).") from None
+        raise DataError(f"not a readable NumPy archive ({cause}).") from None
     found = {entry.removesuffix(".npy"): n for entry, n in entries.items() if entry[-4:] == ".npy"}
     return LogTable({name: partial(_member, path, name, size) for name, size in found.items()})
 
@@ -57,10 +57,10 @@ def _member(path: Path, name: str, size: int) -> NDArray[Any]:
     except (*_DAMAGE, ValueError) as cause:
         if "allow_pickle" in str(cause):
             raise NoNumbersError(
-                f"{path}: '{name}' holds Python objects, which are never loaded because they can "
+                f"'{name}' holds Python objects, which are never loaded because they can "
                 "run code; save it as an array of numbers."
             ) from None
-        raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
+        raise DataError(f"'{name}' is damaged ({cause}).") from None
 
 
 def load_frame(frame: Any) -> LogTable:
@@ -87,7 +87,7 @@ def load_feather(path: Path) -> LogTable:
     try:
         return load_frame(feather.read_table(path).to_pandas())
     except (*_DAMAGE, ValueError) as cause:
-        raise DataError(f"{path}: not a readable Feather file ({cause}).") from None
+        raise DataError(f"not a readable Feather file ({cause}).") from None
 
 
 def _frame_column(name: str, column: Any) -> NDArray[Any]:
@@ -99,7 +99,7 @@ def _frame_column(name: str, column: Any) -> NDArray[Any]:
     try:
         return values.astype(np.float64)
     except (TypeError, ValueError):
-        raise NoNumbersError(f"data frame: '{name}' holds objects, expected numbers.") from None
+        raise NoNumbersError(f"'{name}' holds objects, expected numbers.") from None
 
 
 @dataclass(frozen=True)

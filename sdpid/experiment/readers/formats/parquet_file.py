@@ -80,7 +80,7 @@ class _ParquetFile:
             schema = self._file.schema_arrow
         self.kinds = {field.name: str(field.type) for field in schema}
         if len(self.kinds) != len(schema):
-            raise DataError(f"{path}: has several columns of one name.")
+            raise DataError("has several columns of one name.")
         self.rows: int = self._file.metadata.num_rows
         self.metadata: Mapping[bytes, bytes] = schema.metadata or {}
 
@@ -100,7 +100,7 @@ class _ParquetFile:
     def any(self, name: str) -> NDArray[Any]:
         """Return a column of lists, times or anything else."""
         check_claim(self._path, name, (self._held(name),), 8)
-        where = f"{self._path}: column '{name}'"
+        where = f"column '{name}'"
         with self._damage_told():
             values = self._file.read(columns=[name]).column(0).combine_chunks()
             if values.null_count:
@@ -128,7 +128,7 @@ class _ParquetFile:
                 yield begin, values
                 begin += batch.num_rows
         if begin != self.rows:
-            raise DataError(f"{self._path}: holds {begin} rows where {self.rows} are announced.")
+            raise DataError(f"holds {begin} rows where {self.rows} are announced.")
 
     def _held(self, name: str) -> int:
         """Return how many values a column claims: run lengths may stand for any number."""
@@ -146,7 +146,7 @@ class _ParquetFile:
             yield
         except (self._pa.lib.ArrowException, OSError, ValueError, MemoryError) as cause:
             line = (str(cause).splitlines() or [type(cause).__name__])[0]
-            raise DataError(f"{self._path}: not a readable Parquet file ({line}).") from None
+            raise DataError(f"not a readable Parquet file ({line}).") from None
 
 
 def _values(column: Any) -> NDArray[Any]:
@@ -172,13 +172,11 @@ def _recorded(
         stated = json.loads(raw)
     except (ValueError, RecursionError):
         stated = None
-    damage = f"{path}: the metadata under 'sdpid' is damaged"
+    damage = "the metadata under 'sdpid' is damaged"
     if not isinstance(stated, dict):
         raise DataError(f"{damage}.")
     if stated.get("format") != FORMAT:
-        raise DataError(
-            f"{path}: is of format {stated.get('format')}, this version reads {FORMAT}."
-        )
+        raise DataError(f"is of format {stated.get('format')}, this version reads {FORMAT}.")
     count, names = stated.get("n"), stated.get("joint_names")
     if names is None and isinstance(count, int) and 0 < count <= _MOST_JOINTS:
         names = [str(j + 1) for j in range(count)]
@@ -192,7 +190,7 @@ def _recorded(
         if quantity in ("velocity", "reference") and absent == columns:
             continue
         if absent:
-            raise DataError(f"{path}: lacks the columns {', '.join(absent)}.")
+            raise DataError(f"lacks the columns {', '.join(absent)}.")
         arrays[called] = partial(several, columns)
     for name in ("joint_names", "period", "start", "periods"):
         if stated.get(name) is not None:

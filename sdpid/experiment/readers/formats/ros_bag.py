@@ -89,17 +89,17 @@ def load_rosbag(
     highlevel = require("rosbags.highlevel", extra="ros")
     typesys = require("rosbags.typesys", extra="ros")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    joints = _Joints(path, joint_names)
+    joints = _Joints(joint_names)
     with highlevel.AnyReader([path], default_typestore=store) as reader:
         taken: dict[str, tuple[str, _Stream]] = {}
         for kind, (name, quantities) in _OF_BASE.items():
             wanted = (topics or {}).get(name)
-            of_base = _topic(path, reader, kind, wanted, f"{name}={{'topic': ...}}")
+            of_base = _topic(reader, kind, wanted, f"{name}={{'topic': ...}}")
             if of_base is None:
                 break
             parts = [f"{where}.{part}" for where, parts in quantities.values() for part in parts]
             taken[of_base] = kind, _Stream(attrgetter(*parts))
-        of_joints = _topic(path, reader, _STATES, topic, "topic=", _USUAL_TOPIC)
+        of_joints = _topic(reader, _STATES, topic, "topic=", _USUAL_TOPIC)
         states = _Stream(joints.row)
         taken[of_joints or ""] = _STATES, states
         connections = [c for c in reader.connections if taken.get(c.topic, "")[:1] == (c.msgtype,)]
@@ -115,7 +115,7 @@ def load_rosbag(
 
 
 def _topic(
-    path: Path, reader: Any, message: str, wanted: str | None, argument: str, usual: str = ""
+    reader: Any, message: str, wanted: str | None, argument: str, usual: str = ""
 ) -> str | None:
     """Return the topic with messages of a kind: the one wanted, the usual or the only one.
 
@@ -130,13 +130,12 @@ def _topic(
         wanted = usual
     if wanted is None and len(topics) > 1:
         raise DataError(
-            f"{path}: several topics carry {message}: {', '.join(topics)}; name one with "
-            f"{argument}."
+            f"several topics carry {message}: {', '.join(topics)}; name one with {argument}."
         )
     if wanted is not None and wanted not in topics:
         others = topics or sorted(f"{topic} ({kind})" for topic, kind in kinds)
         raise DataError(
-            f"{path}: no topic {wanted} with {message}; there is {', '.join(others) or 'nothing'}."
+            f"no topic {wanted} with {message}; there is {', '.join(others) or 'nothing'}."
         )
     return wanted or next(iter(topics), None)
 
@@ -171,8 +170,8 @@ class _Stream:
 class _Joints:
     """What joint states are of, message by message; those of other joints are passed over."""
 
-    def __init__(self, path: Path, names: Sequence[str] | None) -> None:
-        self._path, self._chosen = path, names is not None
+    def __init__(self, names: Sequence[str] | None) -> None:
+        self._chosen = names is not None
         self._names = None if names is None else tuple(names)
         self._count = 0
         self._order: dict[tuple[str, ...], list[int] | None] = {}
@@ -192,9 +191,8 @@ class _Joints:
             filled = self._filled.setdefault(quantity, len(row) > 0)
             if len(row) != (len(names) if filled else 0):
                 raise DataError(
-                    f"{self._path}: message {self._count} has {len(row)} entries of {quantity} "
-                    f"for {len(names)} joints; the messages before it have "
-                    f"{'one a joint' if filled else 'none'}."
+                    f"message {self._count} has {len(row)} entries of {quantity} for {len(names)} "
+                    f"joints; the messages before it have {'one a joint' if filled else 'none'}."
                 )
             values += [float(row[j]) for j in order] if filled else []
         return values
@@ -202,12 +200,12 @@ class _Joints:
     def _matched(self, names: tuple[str, ...]) -> list[int] | None:
         """Return where the wanted joints are in a message; None when it is of others."""
         if not names or len(set(names)) != len(names):
-            raise DataError(f"{self._path}: message {self._count} names the joints {names}.")
+            raise DataError(f"message {self._count} names the joints {names}.")
         self._names = self._names or names
         missing = [name for name in self._names if name not in names]
         if missing and missing != list(self._names):
             raise DataError(
-                f"{self._path}: message {self._count} lacks {', '.join(missing)}; it has "
+                f"message {self._count} lacks {', '.join(missing)}; it has "
                 f"{', '.join(names)}. Choose joints that every message has with joint_names=."
             )
         return None if missing else [names.index(name) for name in self._names]
@@ -218,12 +216,12 @@ class _Joints:
         names = ", ".join(self._names or ())
         if not states.recorded:
             raise DataError(
-                f"{self._path}: no message holds the joints {names}; there are "
+                f"no message holds the joints {names}; there are "
                 f"{'; '.join(others) or 'no messages'}."
             )
         if others and not self._chosen:
             raise DataError(
-                f"{self._path}: the messages are of several sets of joints: {names}; "
+                f"the messages are of several sets of joints: {names}; "
                 f"{'; '.join(others)}. Choose with joint_names=."
             )
         filled = [quantity for quantity, there in self._filled.items() if there]

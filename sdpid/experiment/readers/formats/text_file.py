@@ -85,11 +85,10 @@ class _Text:
 
     def __init__(self, path: Path) -> None:
         self.path, self.encoding = path, _encoding(path)
-        with _opened(path, self.encoding) as stream:
-            lines = list(islice(enumerate(_bounded(path, stream), 1), _LOOKED_AT))
+        lines = list(islice(enumerate(_lines(path, self.encoding), 1), _LOOKED_AT))
         kept = [(k, line) for k, line in lines if _is_row(line)]
         if any(ord(c) < ord(" ") and c not in "\t\r\n\f" for _, line in kept[:2] for c in line):
-            raise DataError(f"{path}: the first line is no line of column names.")
+            raise DataError("the first line is no line of column names.")
         head = kept[0][1] if kept else ""
         self.delimiter = _delimiter(head)
         self.names, self.unnamed = _fields(head, self.delimiter), False
@@ -98,7 +97,7 @@ class _Text:
         values = [self._number(name) is not None for name in self.names]
         if any(values) and not all(values):
             raise DataError(
-                f"{path}: the first line must name the columns, but some of its fields are numbers "
+                f"the first line must name the columns, but some of its fields are numbers "
                 f"({printable(head.strip()[:60])})."
             )
         if any(values):
@@ -120,17 +119,16 @@ class _Text:
             self.names = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
         named = [name for name in self.names if name]
         if not rows or not named:
-            raise DataError(f"{path}: has no header and no data.")
+            raise DataError("has no header and no data.")
         if len(set(named)) != len(named):
             raise DataError(
-                f"{path}: {len(named)} column names, {len(set(named))} of them distinct; every "
+                f"{len(named)} column names, {len(set(named))} of them distinct; every "
                 "column needs a name of its own."
             )
         self._first = kept[0][0]
         if len(rows[0]) != len(self.names):
             raise DataError(
-                f"{path}: {len(self.names)} column names for {len(rows[0])} values in line "
-                f"{self._first}."
+                f"{len(self.names)} column names for {len(rows[0])} values in line {self._first}."
             )
         marks = (_DECIMAL_COMMA.fullmatch(text) for row in rows for text in row)
         self.comma = self.comma and any(marks)
@@ -170,7 +168,7 @@ class _Text:
                     float_precision="round_trip",
                 )
         except _DAMAGE as cause:
-            raise DataError(f"{self.path}: cannot be read ({cause}).") from None
+            raise DataError(f"cannot be read ({cause}).") from None
 
     def _parsed(self, k: int, texts: Any) -> Any:
         """Return texts as numbers, or as dates and times in UTC."""
@@ -192,7 +190,7 @@ class _Text:
             return parsed
         sample, name = int(texts.index[bad][0]), printable(self.names[k])
         word = texts[sample]
-        said = f"{self.path}: {self.place(sample)}: '{name}' holds '{printable(word[:40])}'"
+        said = f"{self.place(sample)}: '{name}' holds '{printable(word[:40])}'"
         if bad[:_LOOKED_AT].all():
             raise NoNumbersError(f"{said}, not {kind}.")
         if self.comma and "." in word:
@@ -213,44 +211,41 @@ class _Text:
         """Yield the lines with values and their numbers, checked to have as many as columns."""
         count, delimiter = len(self.names), self.delimiter
         most = memory_limit() // (8 * count)
-        with _opened(self.path, self.encoding) as stream:
-            for number, line in enumerate(_bounded(self.path, stream), 1):
-                if number < self._first or not _is_row(line):
-                    continue
-                if number - self._first > most:
-                    raise DataError(
-                        f"{self.path}: has more than {most:,} rows, which do not fit the memory "
-                        "limit for one log; cut it into parts, or thin it."
-                    )
-                if delimiter is None or '"' in line:
-                    held = len(_fields(line, delimiter))
-                else:
-                    held = line.count(delimiter) + 1
-                if held != count:
-                    hint = "; repair or delete that line"
-                    if delimiter == "," and held > count:
-                        hint = "; where commas are decimal marks, separate columns by semicolons"
-                    raise DataError(
-                        f"{self.path}: line {number} has {held} values for {count} columns{hint}."
-                    )
-                yield number, line
+        for number, line in enumerate(_lines(self.path, self.encoding), 1):
+            if number < self._first or not _is_row(line):
+                continue
+            if number - self._first > most:
+                raise DataError(
+                    f"has more than {most:,} rows, which do not fit the memory "
+                    "limit for one log; cut it into parts, or thin it."
+                )
+            if delimiter is None or '"' in line:
+                held = len(_fields(line, delimiter))
+            else:
+                held = line.count(delimiter) + 1
+            if held != count:
+                hint = "; repair or delete that line"
+                if delimiter == "," and held > count:
+                    hint = "; where commas are decimal marks, separate columns by semicolons"
+                raise DataError(f"line {number} has {held} values for {count} columns{hint}.")
+            yield number, line
 
 
 @contextmanager
-def _opened(path: Path, encoding: str) -> Iterator[io.TextIOWrapper]:
-    """Open a text file, compressed or not."""
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a text file, compressed or not, as bytes."""
     unpack: Any = gzip.open if path.suffix.lower() == ".gz" else open
     try:
-        with unpack(path, "rb") as raw:
-            yield io.TextIOWrapper(raw, encoding=encoding, errors="replace", newline="")
+        with unpack(path, "rb") as stream:
+            yield stream
     except _DAMAGE as cause:
-        raise DataError(f"{path}: not a readable text file ({cause}).") from None
+        raise DataError(f"not a readable text file ({cause}).") from None
 
 
 def _encoding(path: Path) -> str:
     """Return UTF-8 or UTF-16 where the bytes are such, else what Windows writes."""
-    with _opened(path, "latin-1") as stream:
-        start = stream.read(_SNIFFED).encode("latin-1")
+    with _opened(path) as stream:
+        start = stream.read(_SNIFFED)
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     try:
@@ -261,15 +256,17 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _bounded(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
+def _lines(path: Path, encoding: str) -> Iterator[str]:
     """Yield lines that are not endless."""
-    while line := stream.readline(_LONGEST_LINE):
-        if len(line) == _LONGEST_LINE:
-            raise DataError(
-                f"{path}: has a line of more than {_LONGEST_LINE:,} characters, which is no line "
-                "of column names or of values."
-            )
-        yield line
+    with _opened(path) as raw:
+        stream = io.TextIOWrapper(raw, encoding=encoding, errors="replace", newline="")
+        for line in iter(partial(stream.readline, _LONGEST_LINE), ""):
+            if len(line) == _LONGEST_LINE:
+                raise DataError(
+                    f"has a line of more than {_LONGEST_LINE:,} characters, which is no line of "
+                    "column names or of values."
+                )
+            yield line
 
 
 def _is_row(line: str) -> bool:
@@ -314,7 +311,7 @@ def load_matrices(folder: Path) -> LogTable:
             continue
         name = printable(path.stem)
         if name in files:
-            raise DataError(f"{folder}: {files[name].name} and {path.name} have the same name.")
+            raise DataError(f"{files[name].name} and {path.name} have the same name.")
         files[name] = path
     return LogTable({name: partial(_matrix, path) for name, path in files.items()})
 
@@ -325,8 +322,7 @@ def _matrix(path: Path) -> NDArray[Any]:
         text = _Text(path)
         matrix = np.column_stack([text.column(k) for k in range(len(text.names))])
     except (DataError, TypeError) as cause:
-        why = str(cause).removeprefix(f"{path}: ") or type(cause).__name__
-        raise DataError(f"{path}: is no matrix of numbers ({printable(why)}).") from None
+        raise DataError(f"{path}: is no matrix of numbers ({printable(str(cause))}).") from None
     rows, columns = matrix.shape
     if rows == columns:
         raise DataError(
