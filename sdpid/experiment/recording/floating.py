@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cache
 from itertools import product
 from typing import Any, ClassVar, Literal, TypeVar, get_args
 
@@ -114,6 +115,7 @@ class Sampled(Shown):
         }
 
     @classmethod
+    @cache
     def _fields(cls) -> dict[str, tuple[str, _Axes, str]]:
         """Return what `samples` says of each channel."""
         found = {each.name: each.metadata.get("samples") for each in fields(cls)}  # type: ignore[arg-type]

@@ -325,13 +325,10 @@ class Recording(Sampled):
         if self.base is not None:
             raise DataError("with_held_base: the recording has the motion of a base already.")
         count = self.n_samples
-        base = BaseMotion(
-            orientation=np.tile(orientation, (count, 1)), position=np.zeros((count, 3))
-        )
-        down = np.ones((count, 1), dtype=bool)
-        return replace(
-            self, base=base, contacts=Contacts(frames=(link,), kind=("plane",), down=down)
-        )
+        turned, still = np.tile(orientation, (count, 1)), np.zeros((count, 3))
+        down = np.ones((count, 1), dtype=np.bool_)
+        held = Contacts(frames=(link,), kind=("plane",), down=down)
+        return replace(self, base=BaseMotion(orientation=turned, position=still), contacts=held)
 
     def to_parquet(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a Parquet file, without loss, whole or not at all.

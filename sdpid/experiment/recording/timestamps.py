@@ -26,29 +26,27 @@ _EPOCH_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 @dataclass(frozen=True)
 class Stamps:
-    """First and last time stamp, shortest and longest step, and lost samples of a record.
+    """First and last time stamp, and nominal, shortest and longest step of a record.
 
     Attributes
     ----------
     first, last : float
         The first and the last one, in s.
-    count : int
-        How many there are.
+    step : float
+        The duration over the number of steps, samples counted that are missing between regular
+        ones, in s.
     least, most : float
         The shortest and the longest step, in s.
     row : int
         The row that ends the (first) longest step.
-    lost : int
-        Samples that are missing between regular ones.
     """
 
     first: float
     last: float
-    count: int
+    step: float
     least: float
     most: float
     row: int
-    lost: int
 
     @staticmethod
     def of(time: Any) -> Stamps:
@@ -82,12 +80,8 @@ class Stamps:
             )
         least, most = float(steps.min()), float(steps.max())
         lost = 0 if most < _LONG * least else _lost_samples(np.asarray(time))
-        return Stamps(first, last, len(time), least, most, row, lost)
-
-    @property
-    def step(self) -> float:
-        """The duration over the number of steps, lost samples counted."""
-        return (self.last - self.first) / (self.count - 1 + self.lost)
+        step = (last - first) / (steps.size + lost)
+        return Stamps(first, last, step, least, most, row)
 
 
 def guess_time_unit(time: Any) -> str:
