@@ -262,11 +262,11 @@ class BaseMotion(Sampled):
 
     Parameters
     ----------
+    position : (N, 3) array_like, optional
+        Origin of the base link's frame in the world, m.
     orientation : (N, 4) array_like
         Unit quaternions x, y, z, w that turn vectors of the base link's frame into the world's.
         The world's z axis points up. They are normalized, and their signs made continuous.
-    position : (N, 3) array_like, optional
-        Origin of the base link's frame in the world, m.
     linear_velocity : (N, 3) array_like, optional
         Velocity of that origin, m/s. Identification never needs it.
     angular_velocity : (N, 3) array_like, optional
