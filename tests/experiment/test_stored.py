@@ -342,14 +342,6 @@ def test_few_lost_samples_are_bridged() -> None:
     assert "resampled" in bridged.notes[0]
 
 
-def test_periods_with_a_gap_are_refused() -> None:
-    log = without(record(), (600, 650))
-    whole = replace(log, period=5.0, start=5.0, periods=3)
-    assert split_at_gaps(whole) == (whole,)
-    with pytest.raises(DataError, match=r"gap of 0.51 s before row 601 .* without its period"):
-        sdpid.process(whole, replace(SETTING, covariance=None))
-
-
 def late(log: sdpid.Recording, row: int, count: int, spacing: float = 1e-4) -> np.ndarray:
     """Return stamps of a logger that stalls, then writes what it held back in a burst."""
     time = np.array(log.time)
@@ -447,8 +439,7 @@ def test_wrapped_angles_are_processed_as_the_others() -> None:
     )
     jumps = np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi)
     assert jumps > 3
-    continued = f"angles that wrap continued by whole turns; jumps of joint 2 {jumps}"
-    assert samples.notes[0] == continued
+    assert samples.notes[0].endswith(f"by whole turns; jumps of joint 2 {jumps}")
     for name in FIELDS[1:]:
         np.testing.assert_allclose(getattr(samples, name), getattr(expected, name), atol=1e-9)
     # It begins where it was recorded, which may be a turn away.
