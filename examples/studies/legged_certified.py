@@ -22,8 +22,7 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.plant.legged.truth import DryFriction
-from sdpid.robot.legs.find import find_legs
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs, find_legs
 
 # Each robot and the motions that are identified from together.
 ROBOTS = {

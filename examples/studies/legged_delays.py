@@ -31,7 +31,7 @@ from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.prepare import with_delays
 from sdpid.experiment.processing.settings import Processing
-from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs import find_legs
 
 CHANNELS = ("effort", "imu", "base", "contacts")
 MOTIONS = (*THREE, "walk")

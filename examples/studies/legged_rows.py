@@ -30,8 +30,7 @@ from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import TrueMotion
 from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.legs.find import find_legs
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs, find_legs
 from sdpid.robot.model.base_parameters import structural_base
 
 ROBOTS = ("solo12", "go1", "a1")

@@ -148,7 +148,7 @@ def _legged(given: Given) -> None:
 
 def _of_a_held_base(name: str, out: Path) -> list[str]:
     """Return what to know where a robot on legs was simulated like an arm."""
-    from sdpid.robot.legs.find import find_legs
+    from sdpid.robot.legs import find_legs
     from sdpid.robot.model.load import load_robot
 
     try:

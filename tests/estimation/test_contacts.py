@@ -25,7 +25,7 @@ from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.prepare import without_efforts
 from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
 from sdpid.output.report.verdict import _forces
-from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs import find_legs
 from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages

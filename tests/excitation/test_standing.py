@@ -23,7 +23,7 @@ from sdpid.excitation.standing.task import _joints
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
-from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs import find_legs
 from tests.helpers.plans import standing_plan
 from tests.helpers.refusals import refuses
 

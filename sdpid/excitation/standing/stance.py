@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
 

@@ -26,7 +26,7 @@ from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs import find_legs
 from sdpid.robot.model.model import RobotModel
 
 # Share of the description's limits that is used, and what is kept of torques for friction, which

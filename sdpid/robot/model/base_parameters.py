@@ -217,17 +217,19 @@ def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameter
     IdentifiabilityError
         When no rank can be decided: the relation found at one set of states fails at another.
     """
+    names = (*robot.parameter_names, *(p.name for p in friction.parameters))
+    units = (*robot.parameter_units, *(p.unit for p in friction.parameters))
     W = _generic_rows(robot, friction, _SEED)
     order = _scan_order(robot, friction)
     norms = np.linalg.norm(W, axis=0)
-    size = _size_of_kind(robot, friction, norms)
+    # A column much longer than rounding may still be nothing but the misalignment of axes that are
+    # meant to be parallel: its length counts against that of the columns of its unit.
+    size = np.array([max(norms[np.array(units) == unit]) for unit in units])
     visible = (norms > DEPENDENT * size) & (norms > _NOTHING * norms.max())
     scale = np.where(visible, norms, 1.0)
     R = np.asarray(np.linalg.qr((W / scale)[:, order], mode="r"))
     kept, coefficients, residues = _scan(R, visible[order])
     residues[~visible[order]] = (norms / np.where(size > 0.0, size, 1.0))[order][~visible[order]]
-    singular = np.linalg.svd(R, compute_uv=False)
-    dropped = residues[~kept]
     K = np.zeros((int(kept.sum()), W.shape[1]))
     K[:, order[kept]] = np.eye(len(K))
     K[:, order[~kept]] = coefficients
@@ -235,37 +237,37 @@ def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameter
     leading = order[kept]
     matrix = K * scale[None, :] / scale[leading][:, None]
     matrix[np.arange(len(matrix)), leading] = 1.0
-    _verify(robot, friction, matrix, leading)
+    fresh = _generic_rows(robot, friction, _SEED + 1)
+    error = np.abs(fresh[:, leading] @ matrix - fresh).max(axis=0)
+    limit = 10.0 * DEPENDENT * max(float(np.abs(fresh).max()), 1.0)
+    worst = int(np.argmax(error))
+    if error[worst] > limit:
+        raise IdentifiabilityError(
+            f"base parameters of '{robot.name}': the regrouping of {names[worst]} fails by "
+            f"{error[worst]:.1e} (limit {limit:.1e}) at fresh states; its axes are neither "
+            "parallel nor independent to working accuracy. Check the description's angles."
+        )
     listing = _listing(robot, friction, leading)
-    matrix, leading = _clean(matrix[listing]), leading[listing]
-    names, units = _names(robot, friction, matrix, leading)
-    kept_index = np.array(leading, dtype=np.intp)
-    kept_index.setflags(write=False)
+    matrix, leading = matrix[listing], leading[listing]
+    leading.setflags(write=False)
+    # Expressions read well without entries that are integers but for rounding.
+    rounded = np.round(matrix)
+    matrix = np.where(np.abs(matrix - rounded) < ZERO, rounded, matrix)
     return BaseParameters(
-        names=names,
-        units=units,
+        names=tuple(
+            _name(names[column], int(np.count_nonzero(row)))
+            for row, column in zip(matrix, leading, strict=True)
+        ),
+        units=tuple(units[column] for column in leading),
         matrix=frozen(matrix),
-        kept=kept_index,
-        theta_names=(*robot.parameter_names, *(p.name for p in friction.parameters)),
-        theta_units=(*robot.parameter_units, *(p.unit for p in friction.parameters)),
-        singular_values=frozen(singular),
+        kept=leading,
+        theta_names=names,
+        theta_units=units,
+        singular_values=frozen(np.linalg.svd(R, compute_uv=False)),
         tolerance=DEPENDENT,
         smallest_kept=float(residues[kept].min()),
-        largest_dropped=float(dropped.max()) if dropped.size else 0.0,
+        largest_dropped=float(residues[~kept].max(initial=0.0)),
     )
-
-
-def _size_of_kind(robot: RobotModel, friction: FrictionModel, norms: Array) -> Array:
-    """Return the largest norm among the columns of each one's unit.
-
-    A column this much longer than rounding may still be nothing but the misalignment of axes
-    that are meant to be parallel: its length counts against that of columns like it.
-    """
-    units = np.array([*robot.parameter_units, *(p.unit for p in friction.parameters)])
-    size = np.empty_like(norms)
-    for unit in set(units.tolist()):
-        size[units == unit] = norms[units == unit].max()
-    return size
 
 
 def _scan(R: Array, visible: Mask) -> tuple[Mask, Array, Array]:
@@ -297,59 +299,19 @@ def _scan(R: Array, visible: Mask) -> tuple[Mask, Array, Array]:
     return kept, np.asarray(coefficients), residues
 
 
-def _clean(matrix: Array) -> Array:
-    """Replace entries that are integers but for rounding, so that expressions read well."""
-    rounded = np.round(matrix)
-    return np.asarray(np.where(np.abs(matrix - rounded) < ZERO, rounded, matrix))
-
-
-def _verify(robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices) -> None:
-    """Check the regrouping at states that were not used to find it."""
-    W = _generic_rows(robot, friction, _SEED + 1)
-    error = np.abs(W[:, leading] @ matrix - W).max(axis=0)
-    limit = 10.0 * DEPENDENT * max(float(np.abs(W).max()), 1.0)
-    worst = int(np.argmax(error))
-    if error[worst] > limit:
-        names = (*robot.parameter_names, *(p.name for p in friction.parameters))
-        raise IdentifiabilityError(
-            f"base parameters of '{robot.name}': the regrouping of {names[worst]} fails by "
-            f"{error[worst]:.1e} (limit {limit:.1e}) at fresh states; its axes are neither "
-            "parallel nor independent to working accuracy. Check the description's angles."
-        )
-
-
-def _owner(robot: RobotModel, friction: FrictionModel, column: int) -> tuple[int, int]:
-    """Return (link, 0) of an inertial column and (link of its joint, 1) of a friction column."""
-    if column < 10 * robot.n_links:
-        return column // 10, 0
-    name = friction.joint_names[friction.parameters[column - 10 * robot.n_links].joint]
-    model = robot.pin_model
-    if model.existJointName(name):
-        return int(model.getJointId(name)) - 1, 1
-    return 0, 1
-
-
 def _listing(robot: RobotModel, friction: FrictionModel, leading: Indices) -> list[int]:
-    rank = {int(c): i for i, c in enumerate(_scan_order(robot, friction))}
-    keys = [(*_owner(robot, friction, int(c)), rank[int(c)]) for c in leading]
-    return sorted(range(len(leading)), key=keys.__getitem__)
+    """Return the order of base parameters: by links, those of friction behind a link's own."""
+    joints = {str(name): i - 1 for i, name in enumerate(robot.pin_model.names)}
+    owners = [(column // 10, 0) for column in range(10 * robot.n_links)]
+    owners += [(joints.get(friction.joint_names[p.joint], 0), 1) for p in friction.parameters]
+    rank = np.argsort(_scan_order(robot, friction))
+    return sorted(range(len(leading)), key=lambda k: (owners[leading[k]], rank[leading[k]]))
 
 
-def _names(
-    robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    names, units = [], []
-    for row, column in zip(matrix, leading, strict=True):
-        regrouped = "r" if np.count_nonzero(row) > 1 else ""
-        if column < 10 * robot.n_links:
-            names.append(f"{PARAMETER_NAMES[column % 10]}{regrouped}{column // 10 + 1}")
-            units.append(robot.parameter_units[column])
-        else:
-            parameter = friction.parameters[column - 10 * robot.n_links]
-            symbol = parameter.name.rstrip("0123456789_")
-            names.append(f"{symbol}{regrouped}{parameter.name[len(symbol) :]}")
-            units.append(parameter.unit)
-    return tuple(names), tuple(units)
+def _name(name: str, count: int) -> str:
+    """Return the name of a base parameter of so many ones of theta, which leads: ``xxr2``."""
+    symbol = name.rstrip("0123456789_")
+    return f"{symbol}{'r' if count > 1 else ''}{name[len(symbol) :].removeprefix('_')}"
 
 
 def kinematics_digest(robot: RobotModel) -> str:

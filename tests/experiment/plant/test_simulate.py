@@ -22,7 +22,7 @@ from sdpid.experiment.plant.simulate import simulate, true_parameters
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import margin
-from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs import find_legs
 from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

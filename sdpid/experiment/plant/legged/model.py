@@ -22,7 +22,7 @@ from sdpid.experiment.plant.drives import check_bodies
 from sdpid.experiment.plant.legged.motions import LEAD, LeggedPlan
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion
 from sdpid.robot.inertia import physical_parameters
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.regressor_kernel import PRISMATIC

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs
 
 # Gaits: seconds a cycle, share of it that a foot is down, height of a step and speed (m/s) for a
 # leg of 1 m, how far the base leans over the feet that are down, and its sway as a share of that of

@@ -13,7 +13,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.truth import TrueMotion
 from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs
 
 # What may come late.
 CHANNELS = ("joints", "effort", "base", "imu", "contacts")

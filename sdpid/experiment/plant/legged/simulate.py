@@ -17,8 +17,7 @@ from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
-from sdpid.robot.legs.find import find_legs
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs, find_legs
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 

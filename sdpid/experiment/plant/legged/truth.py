@@ -11,8 +11,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.drives import check_bodies
 from sdpid.robot.friction.terms import Coulomb, Stribeck
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
-from sdpid.robot.legs.find import find_legs
-from sdpid.robot.legs.legs import Legs
+from sdpid.robot.legs import Legs, find_legs
 from sdpid.robot.model.model import RobotModel
 
 # Friction and rotor inertia of a joint, where nobody gives them. Coulomb friction is this share of
