@@ -622,10 +622,10 @@ def test_a_robot_that_is_no_urdf_is_told_apart_from_one_without_shapes() -> None
 @pytest.mark.parametrize(
     ("shape", "radius"),
     [
-        (Shape.of("box", [0.2, 0.3, 0.4]), 0.0),
-        (Shape.of("sphere", [0.2]), 0.2),
-        (Shape.of("capsule", [0.1, 0.5]), 0.1),
-        (Shape.of("cylinder", [0.1, 0.5]), 0.0),
+        (Shape("box", [0.2, 0.3, 0.4]), 0.0),
+        (Shape("sphere", [0.2]), 0.2),
+        (Shape("capsule", [0.1, 0.5]), 0.1),
+        (Shape("cylinder", [0.1, 0.5]), 0.0),
     ],
 )
 def test_the_core_is_the_shape_less_its_radius(shape: Shape, radius: float) -> None:

@@ -97,7 +97,7 @@ def obstacle_solid(obstacle: Obstacle) -> Solid:
     """Return the solid of an obstacle."""
     shape: Shape | Plane | Mesh
     if isinstance(obstacle, Box):
-        shape = Shape.of("box", np.array(obstacle.size), placement=obstacle.placement)
+        shape = Shape("box", np.array(obstacle.size), placement=obstacle.placement)
     elif isinstance(obstacle, Mesh) and obstacle.convex:
         shape = _hull(obstacle.load()[1], obstacle.placement)
     else:
@@ -216,14 +216,14 @@ def _capsule(end: Array, radius: float) -> Shape:
     """Return the capsule from the origin to an end."""
     length = float(np.linalg.norm(end))
     if length < radius * _THIN:
-        return Shape.of("sphere", [radius])
+        return Shape("sphere", np.array([radius]))
     # Two axes orthogonal to the third, which points to the end.
     across = np.linalg.svd(end[None])[2][1:]
     across[1] *= np.sign(np.linalg.det(np.vstack([across, end])))
     placement = np.eye(4)
     placement[:3, :3] = np.vstack([across, end / length]).T
     placement[:3, 3] = 0.5 * end
-    return Shape.of("capsule", [radius, length], placement=placement)
+    return Shape("capsule", np.array([radius, length]), placement=placement)
 
 
 def _hull(vertices: Array, placement: Array) -> Shape:
@@ -231,15 +231,13 @@ def _hull(vertices: Array, placement: Array) -> Shape:
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return Shape.of(
-            "mesh", vertices=vertices[ConvexHull(vertices).vertices], placement=placement
-        )
+        return Shape("mesh", vertices=vertices[ConvexHull(vertices).vertices], placement=placement)
     except QhullError:
         lower, upper = vertices.min(axis=0), vertices.max(axis=0)
         size = np.maximum(upper - lower, _THIN * np.max(upper - lower, initial=0.0))
         middle = np.eye(4)
         middle[:3, 3] = 0.5 * (lower + upper)
-        return Shape.of("box", size, placement=placement @ middle)
+        return Shape("box", size, placement=placement @ middle)
 
 
 def _convex(vertices: Array) -> Any:

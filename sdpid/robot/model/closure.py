@@ -63,16 +63,16 @@ def close_loops(robot: RobotModel, position: Array, unknown: Sequence[str]) -> A
     free = np.array([names.index(name) for name in unknown], dtype=np.intp)
     known = np.setdiff1d(np.arange(len(names)), free)
     listed = ", ".join(unknown)
-    start = _assembled(robot) if robot.loops else None
-    if start is None or _rank(robot, start, free) < len(free):
+    at = _assembled(robot)[0] if robot.loops else np.zeros(0)
+    if not robot.loops or _rank(robot, at[None], free) < len(free):
         raise DataError(
             f"loops: those of '{robot.name}' do not determine the positions of {listed} from those "
             "of the other joints; record them, or state the loops that close them."
         )
-    at = start[0]
     # To the first sample in small steps, then from knot to knot.
-    way = np.linspace(0.0, 1.0, _count(at[known], position[0, known]) + 1)[1:, None]
-    approach = at[known] + way * (position[0, known] - at[known])
+    first = position[0, known] - at[known]
+    count = max(1, int(np.ceil(np.abs(first).max(initial=0.0) / _STEP)))
+    approach = at[known] + np.linspace(0.0, 1.0, count + 1)[1:, None] * first
     knots = _knots(position[:, known])
     driven = np.vstack([approach, position[knots][:, known]])
     found = np.empty((len(driven), len(names)))
@@ -128,11 +128,6 @@ def _open(robot: RobotModel, joints: str, sample: int, off: float) -> DataError:
     )
 
 
-def _count(start: Array, end: Array) -> int:
-    """Return how many steps there are between two positions."""
-    return max(1, int(np.ceil(np.abs(end - start).max(initial=0.0) / _STEP)))
-
-
 def _knots(position: Array) -> Indices:
     """Return samples between which no joint moves farther than a step, the first and the last."""
     moved = np.abs(np.diff(position, axis=0)).max(axis=1, initial=0.0)
@@ -148,7 +143,7 @@ def _newton(robot: RobotModel, position: Array, free: Indices) -> tuple[Array, A
     left = np.arange(len(position))
     for _ in range(_ITERATIONS):
         gap, J = _gaps(robot, position[left], free)
-        off[left] = _size(gap)
+        off[left] = np.sqrt(np.sum(gap**2, axis=1))
         turned = np.swapaxes(J, 1, 2)
         square = turned @ J
         trace = np.einsum("kii->k", square)
@@ -163,10 +158,6 @@ def _newton(robot: RobotModel, position: Array, free: Indices) -> tuple[Array, A
         if not len(left):
             break
     return position, off
-
-
-def _size(gap: Array) -> Array:
-    return np.asarray(np.sqrt(np.sum(gap**2, axis=1)))
 
 
 def _rank(robot: RobotModel, position: Array, free: Indices) -> int:

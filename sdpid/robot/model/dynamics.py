@@ -108,15 +108,9 @@ class RobotDynamics:
         """Return the links' masses and centers, and the parameters of the terms, for a notebook."""
         robot, parameters = self.robot, self.terms.parameters
         bodies = self.theta[: 10 * robot.n_links].reshape(-1, 10)
-        centers = [
-            (h / m).tolist() if m > 0.0 else [None] * 3
-            for m, h in zip(bodies[:, 0], bodies[:, 1:4], strict=True)
-        ]
         links = [
-            (name, mass, *center)
-            for name, mass, center in zip(
-                robot.link_names, bodies[:, 0].tolist(), centers, strict=True
-            )
+            (name, body[0], *(body[1:4] / body[0] if body[0] > 0.0 else [None] * 3))
+            for name, body in zip(robot.link_names, bodies, strict=True)
         ]
         terms = {
             "parameter": [each.name for each in parameters],

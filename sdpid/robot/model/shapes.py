@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -21,11 +21,17 @@ from sdpid.robot.description.xml import read_origin, read_triple
 # Sides of the prism around a cylinder: its corners stand out by 2 % of the radius.
 _SIDES = 16
 
+_LENGTHS = {
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+}
+
 # Circumscribed shapes are grown by this share, so that rounding does not let the true shape out.
 _ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A shape of a link.
 
@@ -45,29 +51,14 @@ class Shape:
     """
 
     kind: str
-    sizes: Array
-    vertices: Array
-    placement: Array
+    sizes: Array = field(default_factory=lambda: np.empty(0))
+    vertices: Array = field(default_factory=lambda: np.empty((0, 3)))
+    placement: Array = field(default_factory=lambda: np.eye(4))
     mesh: Any = None
 
-    @classmethod
-    def of(
-        cls,
-        kind: str,
-        sizes: Sequence[float] | Array = (),
-        *,
-        vertices: Array | None = None,
-        placement: Array | None = None,
-        mesh: Any = None,
-    ) -> Shape:
-        """Make a shape, by default in the middle of the frame."""
-        return cls(
-            kind=kind,
-            sizes=frozen(sizes),
-            vertices=frozen(np.empty((0, 3)) if vertices is None else vertices),
-            placement=frozen(np.eye(4) if placement is None else placement),
-            mesh=mesh,
-        )
+    def __post_init__(self) -> None:
+        for name in ("sizes", "vertices", "placement"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def points(self) -> Array:
         """Return points in the frame of the link whose convex hull contains the shape, (N, 3)."""
@@ -117,22 +108,19 @@ def link_shapes(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     return shapes
 
 
-def _numbers(element: Any, key: str, what: str, default: str | None = None) -> list[float]:
-    text = element.get(key, default)
-    try:
-        values = [float(word) for word in text.split()]
-    except (AttributeError, ValueError):
-        values = []
-    if not values or not np.isfinite(values).all():
-        raise ModelError(f"{what}: <{element.tag}> has {key}={text!r}; give numbers.")
-    return values
-
-
-def _sizes(element: Any, keys: Sequence[str], what: str) -> list[float]:
-    sizes = [_numbers(element, key, what)[0] for key in keys]
-    if min(sizes) < 0.0:
-        raise ModelError(f"{what}: <{element.tag}> has a size of {min(sizes)} m, the least is 0.")
-    return sizes
+def _sizes(element: Any, keys: Sequence[str], what: str) -> Array:
+    """Return the lengths in some attributes."""
+    texts = [element.get(key) for key in keys]
+    for key, text in zip(keys, texts, strict=True):
+        try:
+            size = float(text)
+        except (TypeError, ValueError):
+            size = np.nan
+        if not np.isfinite(size):
+            raise ModelError(f"{what}: <{element.tag}> has {key}={text!r}; give numbers.")
+        if size < 0.0:
+            raise ModelError(f"{what}: <{element.tag}> has a size of {size} m, the least is 0.")
+    return np.array([float(text) for text in texts])
 
 
 def _triple(element: Any, key: str, what: str, default: str = "") -> Array:
@@ -147,17 +135,15 @@ def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) 
     if len(shapes) != 1:
         raise ModelError(f"{what}: {len(shapes)} shapes in <geometry>, a URDF has one.")
     shape = shapes[0]
+    place: dict[str, Any] = {"placement": placement}
     if shape.tag == "box":
-        return Shape.of("box", _triple(shape, "size", what), placement=placement)
-    if shape.tag == "sphere":
-        return Shape.of("sphere", _sizes(shape, ("radius",), what), placement=placement)
-    if shape.tag in ("cylinder", "capsule"):
-        sizes = _sizes(shape, ("radius", "length"), what)
-        return Shape.of(shape.tag, sizes, placement=placement)
+        return Shape("box", _triple(shape, "size", what), **place)
+    if shape.tag in _LENGTHS:
+        return Shape(shape.tag, _sizes(shape, _LENGTHS[shape.tag], what), **place)
     if shape.tag == "mesh":
         path = _find_mesh(shape.get("filename", ""), what, folders)
         mesh, vertices = read_mesh(path, _triple(shape, "scale", what, "1 1 1"), what)
-        return Shape.of("mesh", vertices=vertices, placement=placement, mesh=mesh)
+        return Shape("mesh", vertices=vertices, mesh=mesh, **place)
     raise ModelError(
         f"{what}: a <{shape.tag}> is not understood; supported are box, cylinder, sphere, "
         "capsule and mesh."
