@@ -110,14 +110,6 @@ def test_link_inertias_survive_the_urdf(table: DhTable, data: st.DataObject) -> 
     np.testing.assert_allclose(robot.prior, given_links, rtol=0, atol=1e-13)
 
 
-def test_denso_frames(denso: sdpid.RobotModel) -> None:
-    table = DhTable.from_toml(DENSO / "kinematics.toml")
-    rng = np.random.default_rng(0)
-    for q in rng.uniform(-np.pi, np.pi, (50, 6)):
-        frames = pinocchio_frames(denso, table, q)
-        np.testing.assert_allclose(frames, product(table, q), rtol=0, atol=KINEMATICS)
-
-
 def test_denso_urdf_is_what_its_script_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     text = (DENSO / "denso_vp6242.urdf").read_text(encoding="utf-8")
     assert DhTable.from_toml(DENSO / "kinematics.toml").to_urdf() == text
@@ -397,21 +389,6 @@ def test_a_free_joint_floats_the_base() -> None:
     assert robot.free_flyer
     assert (robot.n, robot.n_links) == (10, 5)
     assert robot.link_names[0] == "base"
-
-
-def test_what_is_read_survives_being_written(tmp_path: Path) -> None:
-    """A robot from MJCF can be written as MJCF from its kinematics and read again."""
-    from sdpid.output.robots.mjcf import write_mjcf
-    from tests.output.test_robots import bodies, estimate_of, problem_of
-
-    problem = problem_of(sdpid.load_robot(FOLLOWER))
-    links = bodies(np.random.default_rng(0), 4)
-    write_mjcf(estimate_of(problem, links), target=tmp_path / "out.xml")
-    again = sdpid.load_robot(tmp_path / "out.xml")
-    states = generic_states(again, 10, 2)
-    expected = problem.robot.inverse_dynamics(links, *states)
-    found = again.inverse_dynamics(again.prior, *states)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9 * np.abs(expected).max())
 
 
 REFUSED = [
