@@ -262,9 +262,9 @@ def _asymmetries(element: Any, values: Mapping[str, Fraction]) -> Iterator[str]:
 def _placement(element: Any, what: str, problems: list[str]) -> Array:
     """Return the frame of an element's ``<origin>``; not finite where it cannot be read."""
     try:
-        return read_origin(element)
-    except ValueError as cause:
-        problems.append(f"the origin of {what}: {cause}")
+        return read_origin(element, f"the origin of {what}")
+    except ModelError as cause:
+        problems.append(str(cause).removesuffix("."))
         return np.full((4, 4), np.nan)
 
 

@@ -114,40 +114,34 @@ def find_robot(name: str) -> Path:
     if name in bundled_robots():
         return bundled_folder(name) / f"{name}.urdf"
     robots = example_robots()
-    if name in robots:
-        return robots[name]
-    matches = [key for key in robots if key.split("/")[1] == name]
+    matches = [key for key in robots if name in (key, key.split("/")[1])]
     if len(matches) > 1:
         raise ModelError(f"robot name {name!r} is ambiguous: use one of {', '.join(matches)}.")
-    if not matches and name in downloadable_robots():
+    if matches:
+        return robots[matches[0]]
+    if name in downloadable_robots():
         return _download(name)
-    if not matches:
-        if is_irregular(name):
-            raise ModelError(
-                f"cannot read {name}: it is no regular file; give a URDF or MJCF file, or the "
-                "name of a robot."
-            )
-        shown = name if len(name) <= 80 else name[:77] + "..."
-        more = ""
-        if name.endswith("_description") and not downloadable_robots():
-            more = f"; for names of robot_descriptions: {installation('descriptions')}"
+    if is_irregular(name):
         raise ModelError(
-            f"no robot {shown!r}: not a file, and not a known name; {_near(name)}{more}."
+            f"cannot read {name}: it is no regular file; give a URDF or MJCF file, or the "
+            "name of a robot."
         )
-    return robots[matches[0]]
+    shown = name if len(name) <= 80 else name[:77] + "..."
+    more = ""
+    if name.endswith("_description") and not downloadable_robots():
+        more = f"; for names of robot_descriptions: {installation('descriptions')}"
+    raise ModelError(f"no robot {shown!r}: not a file, and not a known name; {_near(name)}{more}.")
 
 
 def _near(name: str) -> str:
     """Return the known names that are most like one that is not known."""
-    stems = {key.split("/")[-1]: key for key in robot_names()}
-    letters = {stem: _letters(stem) for stem in stems}
+    letters = {key.split("/")[-1]: _letters(key.split("/")[-1]) for key in robot_names()}
     word = _letters(name[:_LONGEST_NAME])
     near = [stem for stem, other in letters.items() if word and (word in other or other in word)]
     alike = difflib.get_close_matches(word, letters.values(), n=_SHOWN, cutoff=_ALIKE)
-    near += [stem for other in alike for stem in stems if letters[stem] == other]
-    found = list(dict.fromkeys(near))[:_SHOWN]
-    if found:
-        return "near it are " + ", ".join(found)
+    near += [stem for other in alike for stem in letters if letters[stem] == other]
+    if near:
+        return "near it are " + ", ".join([*dict.fromkeys(near)][:_SHOWN])
     some = ", ".join([*bundled_robots(), *list(example_robots())[-_SHOWN:]])
     return f"{len(robot_names())} robots are known, such as {some}; sdpid robots lists them all"
 

@@ -89,7 +89,7 @@ def urdf_closures(root: Any, what: str) -> tuple[Closure, ...]:
         kind = element.get("type", "?")
         if kind not in KINDS:
             raise ModelError(f"{where} is of kind '{kind}'; supported are {', '.join(KINDS)}.")
-        axis = _numbers(element.find("axis"), "xyz", where, _AXIS)
+        axis = read_triple(element.find("axis"), "xyz", where, _AXIS)
         if not np.linalg.norm(axis) > 0.0:
             raise ModelError(f"{where}: the axis is zero; give a direction.")
         one, two = (_end(element, tag, axis, where) for tag in ("link1", "link2"))
@@ -181,14 +181,6 @@ def _end(element: Any, tag: str, axis: Array, where: str) -> tuple[str, Array]:
     if not link:
         raise ModelError(f"{where} has no <{tag} link=...>; it joins two links.")
     place = np.eye(4)
-    place[:3, 3] = _numbers(end, "xyz", where)
-    place[:3, :3] = rpy_matrix(_numbers(end, "rpy", where)) @ pointing(axis)
+    place[:3, 3] = read_triple(end, "xyz", where)
+    place[:3, :3] = rpy_matrix(read_triple(end, "rpy", where)) @ pointing(axis)
     return link, place
-
-
-def _numbers(element: Any, key: str, where: str, default: str = "0 0 0") -> Array:
-    """Return three numbers of an attribute."""
-    try:
-        return read_triple(element, key, default)
-    except ValueError as cause:
-        raise ModelError(f"{where}: {cause}.") from None

@@ -268,13 +268,13 @@ def matrix_rpy(rotation: ArrayLike) -> tuple[float, float, float]:
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-def read_triple(element: Any, key: str, default: str = "0 0 0") -> Array:
+def read_triple(element: Any, key: str, what: str, default: str = "0 0 0") -> Array:
     """Return the three numbers of an element's attribute.
 
     Raises
     ------
-    ValueError
-        When they are not three finite numbers of at most `LARGEST`.
+    ModelError
+        When they are not three finite numbers of at most `LARGEST`; `what` names the element.
     """
     text = default if element is None else element.get(key, default)
     try:
@@ -282,22 +282,24 @@ def read_triple(element: Any, key: str, default: str = "0 0 0") -> Array:
     except ValueError:
         values = np.array([])
     if values.shape != (3,) or not (np.abs(values) <= LARGEST).all():
-        raise ValueError(f"{key} is '{text}', expected 3 finite numbers of at most {LARGEST:g}")
+        raise ModelError(
+            f"{what}: {key} is '{text}', expected 3 finite numbers of at most {LARGEST:g}."
+        )
     return values
 
 
-def read_origin(owner: Any) -> Array:
+def read_origin(owner: Any, what: str) -> Array:
     """Return the placement (4, 4) of an element's ``<origin>``, the identity without one.
 
     Raises
     ------
-    ValueError
-        When xyz or rpy are not three numbers.
+    ModelError
+        When xyz or rpy are not three numbers; `what` names the origin.
     """
     origin = owner.find("origin")
     placement = np.eye(4)
-    placement[:3, 3] = read_triple(origin, "xyz")
-    placement[:3, :3] = rpy_matrix(read_triple(origin, "rpy"))
+    placement[:3, 3] = read_triple(origin, "xyz", what)
+    placement[:3, :3] = rpy_matrix(read_triple(origin, "rpy", what))
     return placement
 
 

@@ -564,11 +564,8 @@ def _value(value: Any) -> Any:
     """Return what JSON holds as a setting is held: numbers as floats, lists as tuples."""
     if isinstance(value, list):
         return tuple(_value(each) for each in value)
-    if isinstance(value, bool) or not isinstance(value, (int, float, str, type(None))):
-        raise TypeError(f"a setting is {value!r:.80}")
-    if isinstance(value, (int, float)):
-        number = float(value)
-        if not math.isfinite(number):
-            raise ValueError(f"a setting is {number}")
-        return number
-    return value
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"a setting is {value!r:.80}")
+    return float(value)

@@ -26,7 +26,6 @@ from sdpid.robot.model.regressor_kernel import (
     FLOATING,
     NOTHING,
     PRISMATIC,
-    Tree,
     compiled_loop,
     four,
     joints_at,
@@ -90,11 +89,16 @@ def contact_jacobians(
             f"offset: has shape {points.shape}, expected (3,) or {(len(numbers), 3)}: x, y, z in m."
         )
     points = np.broadcast_to(points, (len(numbers), 3))
-    found = [robot.pin_model.frames[number] for number in numbers]
-    at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
+    shape = (len(q), len(numbers), 6, robot.n)
+    many = 8 * math.prod(shape) >= _SMALL if compiled is None else compiled
+    fill = _jacobian_loop() if many else None
+    if fill is None:
+        return _by_pinocchio(robot, q, numbers, points)
+    out, found = np.zeros(shape), [robot.pin_model.frames[number] for number in numbers]
+    links = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
     places = np.array([frame.placement.translation for frame in found])
-    quick = _compiled(robot.tree, at, places, np.ascontiguousarray(points), q, compiled)
-    return quick if quick is not None else _by_pinocchio(robot, q, numbers, points)
+    fill(robot.tree, links, places, *map(np.ascontiguousarray, (points, q)), out)
+    return out
 
 
 def relative_jacobians(
@@ -282,34 +286,6 @@ def _by_pinocchio(robot: RobotModel, q: Array, numbers: Sequence[int], points: A
     out = each_state(jacobians, robot.pin_model, shape, q)
     out[:, :, :3] -= skew(points) @ out[:, :, 3:]
     return np.asarray(out @ robot.expansion)
-
-
-def _compiled(
-    tree: Tree, links: Indices, places: Array, offsets: Array, q: Array, worth: bool | None
-) -> Array | None:
-    """Return Jacobians (K, c, 6, n) of points, None without Numba or where there are few.
-
-    Parameters
-    ----------
-    tree : Tree
-        The robot.
-    links : ndarray of int, shape (c,)
-        The link of each point, -1 for the world.
-    places, offsets : ndarray, shape (c, 3)
-        Where it is in the link's frame, and what is added in the world's axes.
-    q : ndarray, shape (K, nq)
-        Pinocchio's configurations.
-    worth : bool or None
-        Whether to use the compiled loop; by default the size decides.
-    """
-    shape = (len(q), len(links), 6, int(tree.column.max()) + 1)
-    many = 8 * math.prod(shape) >= _SMALL if worth is None else worth
-    fill = _jacobian_loop() if many else None
-    if fill is None:
-        return None
-    out = np.zeros(shape)
-    fill(tree, links, places, offsets, np.ascontiguousarray(q, dtype=float), out)
-    return out
 
 
 @functools.cache

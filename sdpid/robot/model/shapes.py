@@ -100,10 +100,7 @@ def link_shapes(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     shapes = []
     for shape in element.findall(kind):
         what = f"'{robot}', link '{element.get('name')}', {kind} geometry"
-        try:
-            placement = read_origin(shape)
-        except ValueError as cause:
-            raise ModelError(f"{what}: <origin>: {cause}.") from None
+        placement = read_origin(shape, f"{what}: <origin>")
         shapes.append(_shape(shape.find("geometry"), placement, what, folders))
     return shapes
 
@@ -123,13 +120,6 @@ def _sizes(element: Any, keys: Sequence[str], what: str) -> Array:
     return np.array([float(text) for text in texts])
 
 
-def _triple(element: Any, key: str, what: str, default: str = "") -> Array:
-    try:
-        return read_triple(element, key, default)
-    except ValueError as cause:
-        raise ModelError(f"{what}: <{element.tag}>: {cause}.") from None
-
-
 def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) -> Shape:
     shapes = [] if geometry is None else [e for e in geometry if isinstance(e.tag, str)]
     if len(shapes) != 1:
@@ -137,12 +127,13 @@ def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) 
     shape = shapes[0]
     place: dict[str, Any] = {"placement": placement}
     if shape.tag == "box":
-        return Shape("box", _triple(shape, "size", what), **place)
+        return Shape("box", read_triple(shape, "size", f"{what}: <box>", ""), **place)
     if shape.tag in _LENGTHS:
         return Shape(shape.tag, _sizes(shape, _LENGTHS[shape.tag], what), **place)
     if shape.tag == "mesh":
         path = _find_mesh(shape.get("filename", ""), what, folders)
-        mesh, vertices = read_mesh(path, _triple(shape, "scale", what, "1 1 1"), what)
+        scale = read_triple(shape, "scale", f"{what}: <mesh>", "1 1 1")
+        mesh, vertices = read_mesh(path, scale, what)
         return Shape("mesh", vertices=vertices, mesh=mesh, **place)
     raise ModelError(
         f"{what}: a <{shape.tag}> is not understood; supported are box, cylinder, sphere, "
