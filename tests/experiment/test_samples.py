@@ -420,14 +420,14 @@ def test_parts_and_joins_keep_contacts() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"down": np.zeros((12, 3), dtype=bool)}, r"down has shape \(12, 3\)"),
-        ({"down": np.zeros((12, 2))}, "type float64"),
+        ({"down": np.zeros((12, 3), dtype=bool)}, r"contacts.down: has shape \(12, 3\)"),
+        ({"down": np.full((12, 2), 0.5)}, "down: holds 0.5, expected True or False"),
         ({"kind": "ball"}, "kind is 'ball'"),
         ({"offset": np.zeros(2)}, r"offset: has shape \(2,\)"),
         ({"forces": np.zeros((12, 2, 6))}, "forces and force_covariance together"),
         (
             {"forces": np.zeros((11, 2, 6)), "force_covariance": np.eye(6)},
-            r"forces have shape \(11, 2, 6\)",
+            r"forces: has shape \(11, 2, 6\)",
         ),
         (
             {"forces": np.zeros((12, 2, 6)), "force_covariance": -np.eye(6)},
@@ -447,7 +447,7 @@ def test_refuses_other_contacts_in_one_join() -> None:
         (measured, "forces of 'left' are measured in one recording and not"),
     ):
         refuses(DataError, said, Samples.join, [samples(), other])
-    words = "contacts: are of 12 samples, expected 5"
+    words = "contacts: has 12 samples, expected 5"
     refuses(DataError, words, replace, samples(5), contacts=contacts())
 
 

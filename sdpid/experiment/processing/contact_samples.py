@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen_view, real_array
-from sdpid._common.tables import Shown, Table
+from sdpid._common.tables import Table
 from sdpid.errors import DataError
+from sdpid.experiment.recording.floating import WRENCH, Sampled, offsets, samples
 from sdpid.experiment.recording.floating import ContactKind as Kind
-from sdpid.experiment.recording.floating import offsets
 
 # What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
 # axes. The moment that a line leaves free is about an axis that turns: all three are taken.
@@ -24,7 +24,7 @@ ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ContactSamples(Shown):
+class ContactSamples(Sampled):
     """Contacts of K samples: which are closed, and what is known of their forces.
 
     What a contact transmits and no sensor measures is eliminated from the equations of motion while
@@ -77,11 +77,13 @@ class ContactSamples(Shown):
     against: tuple[str | None, ...] = ()
     kind: tuple[Kind, ...] = ("point",)
     offset: Array = field(default_factory=lambda: np.zeros(3))
-    down: Mask
-    forces: Array | None = None
+    down: Mask = samples("down", "frames", what="one column for each frame", needed=True)
+    forces: Array | None = samples("forces", "frames", WRENCH, what="forces, then moments")
     force_covariance: Array | None = None
     widened_s: float | None = None
-    landed: Mask | None = None
+    landed: Mask | None = samples("landed", what="one for each sample")
+    _called: ClassVar[str] = "contacts."
+    picked = Sampled.rows
 
     def __post_init__(self) -> None:
         frames = _several(self.frames)
@@ -108,9 +110,7 @@ class ContactSamples(Shown):
         object.__setattr__(self, "against", others)
         object.__setattr__(self, "kind", kinds)
         object.__setattr__(self, "offset", offsets(self.offset, c, "contacts: offset"))
-        object.__setattr__(
-            self, "down", flags(self.down, "contacts: down", (*np.shape(self.down)[:1], c))
-        )
+        self._keep_samples()
         if (self.forces is None) != (self.force_covariance is None):
             raise DataError(
                 "contacts: give forces and force_covariance together (zeros trust the forces as "
@@ -119,14 +119,10 @@ class ContactSamples(Shown):
         if self.forces is not None:
             self._keep_forces(self.forces, self.force_covariance)
 
-    def _keep_forces(self, given: Any, covariance_of_it: Any) -> None:
-        """Check measured forces and their covariance, and clear what is not transmitted."""
-        forces = real_array(given, "contacts: forces", ndim=3)
-        shape = (*self.down.shape, 6)
-        if forces.shape != shape:
-            raise DataError(f"contacts: forces have shape {forces.shape}, expected {shape}.")
-        name, ndim = "contacts: force_covariance", np.ndim(covariance_of_it)
-        covariance = real_array(covariance_of_it, name, ndim=ndim, infinite=True)
+    def _keep_forces(self, forces: Array, given: Any) -> None:
+        """Check the covariance of measured forces, and clear what is not transmitted."""
+        name, ndim = "contacts: force_covariance", np.ndim(given)
+        covariance = real_array(given, name, ndim=ndim, infinite=True)
         if covariance.shape not in ((6, 6), (self.n, 6, 6)):
             raise DataError(
                 f"{name} has shape {covariance.shape}, expected (6, 6) or {(self.n, 6, 6)}."
@@ -161,19 +157,9 @@ class ContactSamples(Shown):
         return tuple(own if other is None else f"{own} at {other}" for own, other in pairs)
 
     @property
-    def n_samples(self) -> int:
-        """Number of samples, K."""
-        return len(self.down)
-
-    @property
     def measured(self) -> bool:
         """Whether forces are measured."""
         return self.forces is not None
-
-    def picked(self, which: Any) -> ContactSamples:
-        """Return some samples: a slice, or numbers."""
-        forces, landed = (t if t is None else t[which] for t in (self.forces, self.landed))
-        return replace(self, down=self.down[which], forces=forces, landed=landed)
 
     @staticmethod
     def join(
@@ -232,12 +218,11 @@ class ContactSamples(Shown):
             landed=landed,
         )
 
-    def __repr__(self) -> str:
+    def _words(self) -> list[str]:
         shares = [f"{100.0 * share:.0f} %" for share in self.down.mean(axis=0)]
         closed = [f"{name:.40} {share}" for name, share in zip(self.names, shares, strict=True)]
         said = closed[-1] if len(closed) == 1 else f"{', '.join(closed[:-1])} and {closed[-1]}"
-        forces = "measured" if self.measured else "eliminated"
-        return f"ContactSamples({self.n_samples} samples, {said} closed, forces {forces})"
+        return [f"{said} closed", f"forces {'measured' if self.measured else 'eliminated'}"]
 
     def _shown(self) -> dict[str, object]:
         return {
@@ -254,16 +239,6 @@ class ContactSamples(Shown):
 def _several(given: Any) -> tuple[Any, ...]:
     """Return one text, or several, as a tuple."""
     return (given,) if isinstance(given, str) else tuple(given)
-
-
-def flags(given: Any, called: str, shape: tuple[int, ...]) -> Mask:
-    """Return flags of a shape, read-only."""
-    found = np.ascontiguousarray(given)
-    if found.dtype != np.bool_ or found.shape != shape:
-        raise DataError(
-            f"{called} has shape {found.shape} and type {found.dtype}, expected {shape} and bool."
-        )
-    return np.asarray(frozen_view(found))
 
 
 def _require_alike(

@@ -11,16 +11,19 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen_view, is_number, real_array
-from sdpid._common.tables import Shown, Table
+from sdpid._common.tables import Table
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.processing.contact_samples import ASYMMETRY, TRANSMITS, ContactSamples, flags
+from sdpid.experiment.processing.contact_samples import ASYMMETRY, TRANSMITS, ContactSamples
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
+from sdpid.experiment.recording.floating import Sampled, samples
 from sdpid.experiment.recording.recording import checked_names
 
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
 # at the default decimation, so that filtering a run costs less than twice its own number.
 _RUN = 256
+
+_EACH = "one column for each joint"
 
 # Results that are kept: those of the terms of a model, with room for those tried beside them.
 _KEPT = 12
@@ -108,7 +111,7 @@ def filtered(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Samples(Shown):
+class Samples(Sampled):
     """States and efforts, sample by sample, ready for a regression.
 
     Parameters
@@ -172,13 +175,13 @@ class Samples(Shown):
     Samples(1000 samples, 6 joints, 6000 rows used)
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-    effort: Array
+    effort: Array = samples("effort", "names", what=_EACH, needed=True)
+    position: Array = samples("position", "_coordinates", what=_EACH, needed=True)
+    velocity: Array = samples("velocity", "names", what=_EACH, needed=True)
+    acceleration: Array = samples("acceleration", "names", what=_EACH, needed=True)
+    time: Array | None = samples("time", what="one time for each sample")
     covariance: Array | None = None
     mask: Mask | None = None
-    time: Array | None = None
     joint_names: tuple[str, ...] | None = None
     periods: int | None = None
     block: int = 1
@@ -190,38 +193,37 @@ class Samples(Shown):
     contacts: ContactSamples | None = None
 
     def __post_init__(self) -> None:
-        effort = self._keep("effort", 2)
+        effort = real_array(self.effort, "effort", ndim=2)
         K, n = effort.shape
         if K == 0 or n == 0:
             raise DataError(f"effort: has shape {effort.shape}, there is nothing to fit.")
-        position = self._keep("position", 2)
-        if position.shape[0] != K or position.shape[1] < n:
-            raise DataError(
-                f"position: has shape {position.shape}, expected {(K, n)} as effort has (or more "
-                "columns with a free flyer)."
-            )
-        self._keep("velocity", 2, (K, n))
-        self._keep("acceleration", 2, (K, n))
-        if self.time is not None:
-            self._keep("time", 1, (K,))
-        if self.effort_periods is not None:
-            self._keep("effort_periods", 3, (self.periods, K, n))
+        object.__setattr__(self, "effort", effort)
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        self._keep_samples(contacts=ContactSamples)
+        if self.position.shape[1] < n:
+            raise DataError(
+                f"position: has shape {self.position.shape}, expected {(K, n)} as effort has (or "
+                "more columns with a free flyer)."
+            )
+        if self.effort_periods is not None:
+            self._keep("effort_periods", 3, (self.periods, K, n))
         if self.gains is not None and self.gains.n != n:
             raise DataError(f"gains: are of {self.gains.n} joints, expected {n} to match effort.")
-        if self.contacts is not None and self.contacts.n_samples != K:
-            raise DataError(
-                f"contacts: are of {self.contacts.n_samples} samples, expected {K} to match effort."
-            )
         if self.covariance is not None:
             ndim = 2 if np.ndim(self.covariance) == 2 else 3
             self._check_covariance(self._keep("covariance", ndim, (n, n), (K, n, n)))
         if self.mask is not None:
-            object.__setattr__(self, "mask", flags(self.mask, "mask:", (K, n)))
-            if not self.mask.any():
+            mask = np.ascontiguousarray(self.mask)
+            if mask.dtype != np.bool_ or mask.shape != (K, n):
                 raise DataError(
-                    f"mask: leaves none of {self.mask.size} rows, there is nothing to fit; True "
+                    f"mask: has shape {mask.shape} and type {mask.dtype}, expected {(K, n)} and "
+                    "bool."
+                )
+            object.__setattr__(self, "mask", frozen_view(mask))
+            if not mask.any():
+                raise DataError(
+                    f"mask: leaves none of {mask.size} rows, there is nothing to fit; True "
                     "marks a row that is used."
                 )
         object.__setattr__(self, "block", _counted("block", self.block))
@@ -304,8 +306,8 @@ class Samples(Shown):
             covariances = [np.concatenate(list(map(np.broadcast_to, covariances, shapes)))]
         tables: dict[str, Any] = {
             name: np.concatenate([getattr(piece, name) for piece in pieces])
-            for name in ("position", "velocity", "acceleration", "effort", "time")
-            if all(getattr(piece, name) is not None for piece in pieces)
+            for name in first.channels
+            if all(name in piece.channels for piece in pieces)
         }
         if any(piece.mask is not None for piece in pieces):
             tables["mask"] = np.concatenate([piece.used for piece in pieces])
@@ -412,16 +414,14 @@ class Samples(Shown):
 
     def _picked(self, i: int, which: slice) -> Samples:
         """Return some samples of piece i, without `periods` and the single periods' efforts."""
-        picked: dict[str, Any] = {
-            name: table[which]
-            for name in ("position", "velocity", "acceleration", "effort", "time", "covariance")
-            if (table := getattr(self, name)) is not None and len(table) == self.n_samples
-        }
+        picked: dict[str, Any] = {name: table[which] for name, table in self.channels.items()}
+        if self.covariance is not None and self.covariance.ndim == 3:
+            picked["covariance"] = self.covariance[which]
         if self.wide is not None:
             before = self.starts[i]
             picked["wide"] = (self.wide[i].part(which.start - before, which.stop - before),)
         if self.contacts is not None:
-            picked["contacts"] = self.contacts.picked(which)
+            picked["contacts"] = self.contacts.rows(which)
         alone: dict[str, Any] = dict.fromkeys(("mask", "periods", "effort_periods"))
         samples = replace(self, **alone, **picked, notes=(), starts=(0,))
         if self.mask is not None:
@@ -429,15 +429,15 @@ class Samples(Shown):
             object.__setattr__(samples, "mask", frozen_view(self.mask[which]))
         return samples
 
-    def __repr__(self) -> str:
-        parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
+    def _words(self) -> list[str]:
+        words = [f"{self.n} joints", f"{self.n_rows} rows used"]
         if self.periods is not None:
-            parts.append(f"mean of {self.periods} periods")
+            words.append(f"mean of {self.periods} periods")
         if len(self.starts) > 1:
-            parts.append(f"{len(self.starts)} pieces")
+            words.append(f"{len(self.starts)} pieces")
         if self.contacts is not None:
-            parts.append(f"{self.contacts.n} contacts")
-        return f"Samples({', '.join(parts)})"
+            words.append(f"{self.contacts.n} contacts")
+        return words
 
     def _shown(self) -> dict[str, object]:
         facts: dict[str, object] = {
@@ -464,9 +464,8 @@ class Samples(Shown):
         return int(self.effort.shape[1])
 
     @property
-    def n_samples(self) -> int:
-        """Number of samples, K."""
-        return int(self.effort.shape[0])
+    def _coordinates(self) -> range:
+        return range(np.shape(self.position)[-1])
 
     @property
     def used(self) -> Mask:

@@ -29,7 +29,7 @@ T = TypeVar("T", bound="Sampled")
 # Names along each axis, or the attribute that has them.
 _Axes = tuple[str | tuple[str, ...], ...]
 
-XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
+XYZ, WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 XYZW = (*XYZ, "w")
 # Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
 LARGEST = 1e12
@@ -139,8 +139,8 @@ class Sampled(Shown):
         first = count = None
         for name, given in self.channels.items():
             called, (_, axes, what) = f"{self._called}{name}", self._fields()[name]
-            array = _flags(given, called) if name == "down" else _numbers(given, called, len(axes))
-            object.__setattr__(self, name, array)
+            check = _flags if name in ("down", "landed") else _numbers
+            object.__setattr__(self, name, array := check(given, called, len(axes)))
             tail = tuple(max(len(names), 1) for names in _on(axes, self))
             if array.shape != (count or len(array), *tail) or not len(array):
                 like = f", as many rows as {first}" if first else ""
@@ -194,11 +194,11 @@ def _numbers(given: Any, called: str, axes: int) -> Any:
     return frozen_view(array)
 
 
-def _flags(given: Any, called: str) -> Any:
+def _flags(given: Any, called: str, axes: int) -> Any:
     """Return flags that are True or False, or 1 and 0, read-only."""
     array = np.asarray(given)
     if array.dtype != np.bool_:
-        numbers = real_array(given, called, ndim=2)
+        numbers = real_array(given, called, ndim=1 + axes)
         array = numbers == 1.0
         if (others := numbers[~array & (numbers != 0.0)]).size:
             raise DataError(
@@ -384,7 +384,7 @@ class Contacts(Sampled):
         "contact_force", "frames", XYZ, what="x, y, z in N for each frame"
     )
     wrenches: Array | None = samples(
-        "contact_wrench", "frames", _WRENCH, what="forces, then moments, for each frame"
+        "contact_wrench", "frames", WRENCH, what="forces, then moments, for each frame"
     )
     offset: Array = field(default_factory=lambda: np.zeros(3))
     _called: ClassVar[str] = "contacts."
