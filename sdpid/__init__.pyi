@@ -49,8 +49,7 @@ from .robot.description.dh_table import DhTable
 from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
 from .workflow.comparison import compare
-from .workflow.cross_validation import cross_validate
-from .workflow.formulate import adapt
+from .workflow.formulate import adapt, cross_validate
 from .workflow.identify import identify
 from .workflow.runs import load
 from .workflow.sample import sample_parameters

@@ -40,8 +40,7 @@ from sdpid.output.report.kinds import listed
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import Formulation
+from sdpid.workflow.formulate import Formulation, cross_validate
 from sdpid.workflow.result import Identification
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of

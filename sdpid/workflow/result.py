@@ -40,7 +40,7 @@ from sdpid.verifier.manifest import SCHEMA, VERSION, sealed
 
 if TYPE_CHECKING:
     from sdpid.assurance.rollouts.result import Rollout
-    from sdpid.workflow.cross_validation import CrossValidation
+    from sdpid.workflow.formulate import CrossValidation
 
 # What `Identification.to_dict` tells as it is.
 _TOLD = (

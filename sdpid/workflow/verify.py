@@ -15,7 +15,6 @@ from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
 from sdpid.verifier.reading import REFUSED, listed, parse, read_bytes, shown
-from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.workflow.replay import compare
 from sdpid.workflow.replay.compare import RESULT, ROBOTS, check_numbers, told
@@ -163,14 +162,13 @@ def verify(
     """
     try:
         result, sha256, claims = check_path(path)
-        question = _question(Path(path)) if robot is not None and data is None else None
     except OSError as cause:
         raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
     log, folder = None, Path(path)
-    if robot is not None and question is not None:
-        result = _of_robot(result, question, robot)
+    if robot is not None and data is None:
+        result = _of_robot(result, folder, robot)
     if data is not None:
         # Files alone are checked without waiting for the libraries that rows need.
         from sdpid.workflow.replay.replay import replay
@@ -210,26 +208,21 @@ def verify(
     )
 
 
-def _question(path: Path) -> Question:
-    """Return the question of a proof about a table; CertificateError where it is none."""
-    if not path.is_dir() and (data := parse(read_bytes(path))).get("schema") in tables.SCHEMAS:
-        return tables.answer_of(data).question
-    raise CertificateError(
-        f"{path}: is no proof about a table, and no log is given; give data (--data) beside robot."
-    )
-
-
-def _of_robot(
-    result: Result, question: Question, robot: RobotModel | str | os.PathLike[str]
-) -> Result:
-    """Return a result with the coefficients compared with those of the robot."""
+def _of_robot(result: Result, path: Path, robot: RobotModel | str | os.PathLike[str]) -> Result:
+    """Return the result of a table with its coefficients compared with those of the robot."""
     from sdpid.assurance.tables.coefficients import check_coefficients
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
 
+    if path.is_dir() or (data := parse(read_bytes(path))).get("schema") not in tables.SCHEMAS:
+        raise CertificateError(
+            f"{path}: is no proof about a table, and no log is given; give data (--data) beside "
+            "robot."
+        )
+    question = tables.answer_of(data).question
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    found = check_coefficients(question, model)
     left = tuple(each for each in result.unchecked if each != tables.unchecked(question)[0])
+    found = check_coefficients(question, model)
     return Result(result.statements, result.problems, left) + found
 
 

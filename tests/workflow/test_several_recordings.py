@@ -19,8 +19,7 @@ from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.report import report_html
 from sdpid.plots.lines import TimeLine
 from sdpid.plots.reconstruction import plot_fit
-from sdpid.workflow.cross_validation import CrossValidation
-from sdpid.workflow.formulate import formulate
+from sdpid.workflow.formulate import CrossValidation, formulate
 from sdpid.workflow.result import Identification
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded

@@ -220,7 +220,11 @@ class Files:
             if unsaid and name not in (URDF, MJCF):
                 why = "intervals: the recipe does not say which numbers of terms the data chose"
                 found.append(Link(name, "not checked", why))
-            elif name == MJCF and not self.described and self._lumped:
+            elif (
+                name == MJCF
+                and not self.described
+                and any(each["lumped"] for each in self._result["exports"])
+            ):
                 # Of the folder's URDF they have none any more.
                 why = "what it holds: bodies fixed to links stand in the description (--robot)"
                 found.append(Link(name, "not checked", why))
@@ -293,11 +297,6 @@ class Files:
             made |= {f"held_out {k}": again.get(k) for k in ("blocks", OURS, LEAST_SQUARES)}
         return plain_dict(made)
 
-    @property
-    def _lumped(self) -> bool:
-        """Whether the folder says that links took over the bodies fixed to them."""
-        return any(each["lumped"] for each in self._result["exports"])
-
 
 def _without(values: Any, names: Container[str]) -> Any:
     """Return values by name, some left out wherever they stand in them."""
@@ -356,7 +355,7 @@ def _friction(sealed: Sealed, first: int, name: str) -> Iterator[str]:
         yield f"it is not what follows from recipe and certificate, {where}"
     for what, own, computed in _computed(numbers, model, np.array(values)):
         size = max(1.0, float(np.abs(own).max(initial=0.0)))
-        if not close(computed / size, own / size, _SAME):
+        if not np.allclose(computed / size, own / size, rtol=_SAME, atol=_SAME):
             yield f"its {what} is not that of the recipe's terms"
 
 
@@ -383,11 +382,3 @@ def _computed(
     yield "friction", every.columns(v, none) @ values, code["friction"](v)
     yield "effort of drives", every.columns(none, a) @ values - rest, code["drive_inertia"](a)
     yield "friction of the load", held, code["load_friction"](v, load)
-
-
-def close(found: Array, wanted: Array, within: float) -> bool:
-    """Return whether arrays are the same to a share of their size, at least one."""
-    if found.shape != wanted.shape:
-        return False
-    off = np.abs(found - wanted) <= within * np.maximum(np.abs(wanted), 1.0)
-    return bool(np.all(off | (found == wanted)))
