@@ -17,7 +17,7 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.plant.drives import default_parameters
+from sdpid.experiment.plant.simulate import default_parameters
 from sdpid.workflow.formulate import formulate
 
 ROBOT = "ur5_robot"

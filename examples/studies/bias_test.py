@@ -36,7 +36,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import fit_errors
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.drives import default_parameters
+from sdpid.experiment.plant.simulate import default_parameters
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.robot.friction.model import FrictionModel

@@ -68,9 +68,8 @@ def _arm(given: Given) -> None:
     import numpy as np
 
     from sdpid.experiment.plant.default_motion import default_motion
-    from sdpid.experiment.plant.drives import load_drives, plant_folder
+    from sdpid.experiment.plant.simulate import load_drives, plant_folder, true_parameters
     from sdpid.experiment.plant.simulate import simulate as run
-    from sdpid.experiment.plant.simulate import true_parameters
     from sdpid.experiment.trajectory.curve import SampledCurve
     from sdpid.experiment.trajectory.paper import paper_excitation
     from sdpid.experiment.trajectory.reading import between_rests, read_trajectory

@@ -14,7 +14,7 @@ import pytest
 import sdpid
 from sdpid.cli.logs import LOG, READING
 from sdpid.errors import DataError
-from sdpid.experiment.plant.drives import load_drives
+from sdpid.experiment.plant.simulate import load_drives
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.names import QUANTITIES, UNITS

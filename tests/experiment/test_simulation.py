@@ -17,7 +17,7 @@ from sdpid import friction as terms
 from sdpid._common.arrays import Array
 from sdpid.controllers import PD, PID, ComputedTorque, Controller, P, fit_controller
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.drives import load_drives
+from sdpid.experiment.plant.simulate import load_drives
 from sdpid.experiment.simulation import arm as arm_module
 from sdpid.experiment.simulation import closed_loop
 from sdpid.experiment.simulation.arm import SimulatedArm

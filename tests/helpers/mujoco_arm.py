@@ -10,8 +10,8 @@ from mujoco import rollout
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.experiment.plant.drives import Drives
 from sdpid.experiment.plant.legged.model import add_bodies, set_options
+from sdpid.experiment.plant.simulate import Drives
 
 # MuJoCo's dry friction is a soft constraint. With an impedance next to 1 and the shortest time
 # constant that the step allows it saturates from speeds of less than 1e-3 rad/s on.

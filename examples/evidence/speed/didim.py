@@ -16,8 +16,7 @@ from harness import Bench, Row
 from sdpid.estimation.closed_loop.solve import solve_output_error
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.experiment.plant.drives import load_drives
-from sdpid.experiment.plant.simulate import simulate
+from sdpid.experiment.plant.simulate import load_drives, simulate
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.simulation.controllers import P
 from sdpid.experiment.trajectory.paper import paper_excitation

@@ -15,9 +15,8 @@ from harness import Bench, Row
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
-from sdpid.experiment.plant.drives import Drives, load_drives
 from sdpid.experiment.plant.legged.model import add_bodies, set_options
-from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.experiment.plant.simulate import Drives, load_drives, true_parameters
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import P

@@ -10,10 +10,8 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError
-from sdpid.experiment.simulation.kernels import layout
-from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
-from sdpid.experiment.simulation.kernels.links import KINDS
+from sdpid.experiment.simulation.kernels.links import KINDS, LOADING, TILTED, Robot, memory_for
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm, Tilt
 from sdpid.robot.friction.term import simulated_curves
@@ -68,10 +66,10 @@ class SimulatedArm:
         gravity = np.stack([robot.gravity, np.zeros(3), robot.gravity])
         for term, own in terms.placed:
             if isinstance(term, PosedTerm):
-                at = layout.TILTED if isinstance(term, Tilt) else layout.LOADING
+                at = TILTED if isinstance(term, Tilt) else LOADING
                 packs[at] = np.array(robot.prior if term.bodies is None else term.bodies)
             if isinstance(term, Tilt):
-                gravity[layout.TILTED] = coefficients[own] @ term.change(robot.gravity)
+                gravity[TILTED] = coefficients[own] @ term.change(robot.gravity)
         friction = _friction(terms, coefficients)
         arrays = Robot(
             tree=_packed([tree.kind, tree.parent, tree.column[own_v]]),
@@ -81,8 +79,8 @@ class SimulatedArm:
             bodies=_packed(packs),
             gravity=_packed(gravity),
             matrices=_packed([model.drive_inertia, friction.pop("viscous")]),
-            tilted=bool(packs[layout.TILTED].any()),
-            loaded=bool(packs[layout.LOADING].any()),
+            tilted=bool(packs[TILTED].any()),
+            loaded=bool(packs[LOADING].any()),
             **{name: _packed(values) for name, values in friction.items()},
         )
         return cls(model=model, arrays=arrays)

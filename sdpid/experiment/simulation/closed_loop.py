@@ -15,8 +15,8 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import Controller, JointLaw
-from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
+from sdpid.experiment.simulation.kernels.links import memory_for
 from sdpid.experiment.simulation.kernels.loops import NEAR
 from sdpid.experiment.trajectory.curve import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory

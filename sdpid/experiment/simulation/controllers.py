@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
-from sdpid._common.tables import Table, facts_html
+from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -110,7 +110,7 @@ class LoopGains(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class JointLaw(Controller):
+class JointLaw(Shown, Controller):
     """What the controllers of `sdpid.controllers` are: linear in the tracking error, and limited.
 
     Without a model the law gives efforts; with one it corrects the acceleration of the model.
@@ -242,16 +242,13 @@ class JointLaw(Controller):
                 parts.append(f"{name} {span}")
         return f"{type(self).__name__}({', '.join(parts)})"
 
-    def _repr_html_(self) -> str:
-        settings = self._settings
-        columns: dict[str, list[Any]] = {"joint": [j + 1 for j in range(self.n)]}
-        columns |= {k: v.tolist() for k, v in settings.items() if isinstance(v, np.ndarray)}
-        facts = {
-            k: v if isinstance(v, bool) else repr(v)
-            for k, v in settings.items()
-            if not isinstance(v, np.ndarray) and v is not None
-        }
-        return facts_html(type(self).__name__, facts, Table.of_columns(columns))
+    def _shown(self) -> dict[str, object]:
+        own = self._settings.items()
+        return {k: v for k, v in own if not isinstance(v, np.ndarray) and v is not None}
+
+    def _tables(self) -> Iterator[Table]:
+        own = {k: v.tolist() for k, v in self._settings.items() if isinstance(v, np.ndarray)}
+        yield Table.of_columns({"joint": list(range(1, self.n + 1)), **own})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,16 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.plant.drives import Drives, default_parameters, load_drives
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
-from sdpid.experiment.plant.simulate import simulate, true_parameters
+from sdpid.experiment.plant.simulate import (
+    Drives,
+    default_parameters,
+    load_drives,
+    simulate,
+    true_parameters,
+)
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import margin
@@ -130,7 +136,7 @@ def test_unmodeled_effects_show_in_the_current_only() -> None:
         np.testing.assert_allclose(slow, expected)
 
 
-def test_what_an_arm_cannot_do_is_refused() -> None:
+def test_what_an_arm_cannot_do_is_refused(tmp_path: Path) -> None:
     tree = load_robot(TREE)
     fast = replace(DRIVES, velocity_gain=np.full(6, 3000.0), unmodeled=None)
     loose = replace(DRIVES, proportional_gain=np.full(6, 1e6))
@@ -150,7 +156,8 @@ def test_what_an_arm_cannot_do_is_refused() -> None:
         refuses(error, words, simulate, ROBOT, SHORT, **({"theta": THETA} | given))
     refuses(DataError, "lift", simulate, tree, SHORT, theta=THETA)
     refuses(DataError, "lengths differ", replace, drives_of(3), gear_ratio=np.ones(2))
-    refuses(DataError, "not understood", Drives.from_mapping, {"torque_constant": [1.0]})
+    (tmp_path / "drives.toml").write_text("torque_constant = [1.0]")
+    refuses(DataError, "not understood", load_drives, tmp_path)
     refuses(DataError, r"at least 6\.25 s", default_motion, tree, period=5.0)
     floating = load_robot(TREE, root="free_flyer")
     refuses(ModelError, "floating base", default_motion, floating)

@@ -18,9 +18,9 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid._common.extras import require
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.drives import check_bodies
 from sdpid.experiment.plant.legged.motions import LEAD, LeggedPlan
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion
+from sdpid.experiment.plant.simulate import check_bodies
 from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians

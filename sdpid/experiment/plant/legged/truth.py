@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view, generator
 from sdpid.errors import DataError
-from sdpid.experiment.plant.drives import check_bodies
+from sdpid.experiment.plant.simulate import check_bodies
 from sdpid.robot.friction.terms import Coulomb, Stribeck
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.legs import Legs, find_legs

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.simulation.kernels import layout as slot
+from sdpid.experiment.simulation.kernels import links as slot
 from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
 from sdpid.experiment.simulation.kernels.solve import (
     LOAD_ROUNDS,

@@ -14,7 +14,7 @@ import math
 from typing import Any
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.simulation.kernels import layout as slot
+from sdpid.experiment.simulation.kernels import links as slot
 from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
 
 # No joint of a working robot moves this fast (rad/s or m/s): what does has diverged.
