@@ -174,26 +174,18 @@ def test_a_sliding_mass_stops_where_it_must_and_sticks(term: Any) -> None:
 
 
 def test_sign_friction_is_the_limit_of_narrow_smooth_signs() -> None:
-    push = (8.0 * np.sin(9.0 * np.arange(200) * 5e-3))[None, :, None]
-    exact, narrow, dead = (
-        SimulatedArm.of(slider((kind, "viscous"), [3.0, 1.0])).run(
-            np.zeros((2, 1, 1, 1)), push, 5e-3
-        )[0]
-        for kind in (terms.Coulomb(), terms.Coulomb(width=1e-4), terms.Coulomb(dead_zone=1e-6))
-    )
+    push, start = (8.0 * np.sin(9.0 * np.arange(200) * 5e-3))[None, :, None], np.zeros((2, 1, 1, 1))
+    kinds = (terms.Coulomb(), terms.Coulomb(width=1e-4), terms.Coulomb(dead_zone=1e-6))
+    arms = (SimulatedArm.of(slider((kind, "viscous"), [3.0, 1.0])) for kind in kinds)
+    exact, narrow, dead = (arm.run(start, push, 5e-3)[0] for arm in arms)
     assert np.ptp(exact) > 0.05
     np.testing.assert_allclose(narrow, exact, atol=5e-4)
     np.testing.assert_allclose(dead, exact, atol=1e-4)
 
 
 def test_a_motor_of_two_joints_sticks_as_one() -> None:
-    robot, links = (
-        planar_arm().with_gravity([0.0, 0.0, 0.0]),
-        random_links(np.random.default_rng(0), 2),
-    )
-    arm = SimulatedArm.of(
-        model_of(robot, (terms.Coupling(*robot.joint_names),), [0.0, 0.0, 5.0], links)
-    )
+    model = planar((terms.Coupling(*planar_arm().joint_names),), [0.0, 0.0, 5.0])
+    arm = SimulatedArm.of(replace(model, robot=model.robot.with_gravity([0.0, 0.0, 0.0])))
     _, v = arm.run(np.zeros((2, 1, 1, 2)), np.tile([0.5, -0.5], (1, 100, 1)), 5e-3)
     assert abs(v[0, -1, 0]) > 0.1
     np.testing.assert_allclose(v[0].sum(axis=1), 0.0, atol=1e-8)
@@ -209,9 +201,8 @@ def test_one_free_joint_moves_as_if_the_others_were_simulated() -> None:
 
 def test_a_motion_that_diverges_says_when() -> None:
     start = np.array([np.ones((2, 1, 2)), [[[0.0, 0.0]], [[np.pi, 2e3]]]])
-    q, v = SimulatedArm.of(planar(("viscous",), [1.0, 1.0], -1.0)).run(
-        start, np.ones((2, 400, 2)), 5e-3
-    )
+    arm = SimulatedArm.of(planar(("viscous",), [1.0, 1.0], -1.0))
+    q, v = arm.run(start, np.ones((2, 400, 2)), 5e-3)
     count = np.isfinite(q).all(axis=2).sum(axis=1)
     assert count[1] == 0
     assert 0 < count[0] < 401

@@ -1,6 +1,6 @@
 """The simulated experiment obeys the equations that identification assumes."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,28 +10,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sdpid
-import sdpid.experiment.plant.simulate as plant_module
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.estimation.problem import build_problem
+from sdpid.experiment.plant import simulate as plant
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
-from sdpid.experiment.plant.simulate import (
-    Drives,
-    default_parameters,
-    load_drives,
-    simulate,
-    true_parameters,
-)
-from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import margin
 from sdpid.robot.legs import find_legs
 from sdpid.robot.model.jacobians import contact_jacobians
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
 from tests.helpers.mujoco_arm import mujoco_motion
 from tests.helpers.refusals import refuses
@@ -39,9 +28,9 @@ from tests.helpers.robots import TREE
 from tests.helpers.small_robots import URDFS
 
 NAME = "denso_vp6242"
-ROBOT = RobotModel.from_mdh(bundled_folder(NAME) / "kinematics.toml")
-THETA, DRIVES = true_parameters(NAME), load_drives(NAME)
-SHORT = paper_excitation(NAME, 5, period=16.0, periods=3)
+ROBOT = sdpid.RobotModel.from_mdh(bundled_folder(NAME) / "kinematics.toml")
+THETA, DRIVES = plant.true_parameters(NAME), plant.load_drives(NAME)
+SHORT = sdpid.paper_excitation(NAME, 5, period=16.0, periods=3)
 # Below this speed (rad/s) dry friction may stick.
 MOVING = 0.02
 
@@ -57,29 +46,22 @@ STIFF = """<robot name="stiff"><link name="base"/>
 </robot>"""
 
 
-def drives_of(n: int) -> Drives:
-    sizes = (0.1, 100.0, 1.0, 10.0, 4096.0, 0.01)
-    names = ("torque_constant", "gear_ratio", "proportional_gain", "velocity_gain")
-    names += ("encoder_counts", "current_noise")
-    return Drives(**{name: np.full(n, size) for name, size in zip(names, sizes, strict=True)})
-
-
 @cache
 def recorded(**options: Any) -> sdpid.Recording:
     """Return the short motion as the Denso records it, without noise unless it is asked for."""
-    return simulate(ROBOT, SHORT, theta=THETA, **({"noise": False} | options))
+    return sdpid.simulate(ROBOT, SHORT, theta=THETA, **({"noise": False} | options))
 
 
 @pytest.mark.parametrize("name", [NAME, "tree"])
 def test_the_motion_is_that_of_mujoco(name: str) -> None:
     """Another library's bodies, friction and integrator of fourth order move alike."""
-    robot, theta, drives = load_robot(TREE if name == "tree" else name), THETA, DRIVES
+    robot, theta = sdpid.load_robot(TREE if name == "tree" else name), THETA
     if name == "tree":
         links = random_links(np.random.default_rng(4), robot.n).ravel()
         theta = np.concatenate([links, np.full(robot.n, 0.5), np.full(robot.n, 2.0)])
-        drives = drives_of(robot.n)
     trajectory = default_motion(robot, 0, period=7.0, periods=1)
-    log = simulate(robot, trajectory, theta=theta, drives=drives, noise=False)
+    drives = plant.default_drives(robot, theta, trajectory) if name == "tree" else DRIVES
+    log = sdpid.simulate(robot, trajectory, theta=theta, drives=drives, noise=False)
     # The record's period follows one that settles.
     q, v, torque = mujoco_motion(robot, trajectory.with_periods(2), theta, drives)
     lead, period = trajectory.lead_samples, trajectory.samples_per_period
@@ -109,14 +91,14 @@ def test_record_layout_and_sensors() -> None:
 def test_settled_periods_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Repeating a settled period gives what computing every one gives, and so do runs in halves."""
     repeated = recorded()
-    monkeypatch.setattr(plant_module, "SETTLED", -1.0)
-    computed = simulate(ROBOT, SHORT, theta=THETA, noise=False)
+    monkeypatch.setattr(plant, "SETTLED", -1.0)
+    computed = sdpid.simulate(ROBOT, SHORT, theta=THETA, noise=False)
     np.testing.assert_allclose(repeated.position, computed.position, atol=1e-8)
     np.testing.assert_allclose(repeated.effort, computed.effort, atol=1e-6)
     rows = computed.position[9_000:57_000].reshape(3, 16_000, 6)
     assert np.abs(rows[2] - rows[1]).max() < 1e-8
-    monkeypatch.setattr(plant_module, "_AT_ONCE", 10_000)
-    halves = simulate(ROBOT, SHORT, theta=THETA, noise=False)
+    monkeypatch.setattr(plant, "_AT_ONCE", 10_000)
+    halves = sdpid.simulate(ROBOT, SHORT, theta=THETA, noise=False)
     np.testing.assert_allclose(halves.position, computed.position, atol=1e-8)
 
 
@@ -137,7 +119,8 @@ def test_unmodeled_effects_show_in_the_current_only() -> None:
 
 
 def test_what_an_arm_cannot_do_is_refused(tmp_path: Path) -> None:
-    tree = load_robot(TREE)
+    tree = sdpid.load_robot(TREE)
+    few = plant.Drives(**{each.name: np.ones(3) for each in fields(plant.Drives)[:6]})
     fast = replace(DRIVES, velocity_gain=np.full(6, 3000.0), unmodeled=None)
     loose = replace(DRIVES, proportional_gain=np.full(6, 1e6))
     unreal, massless, negative = (THETA.copy() for _ in range(3))
@@ -151,24 +134,24 @@ def test_what_an_arm_cannot_do_is_refused(tmp_path: Path) -> None:
         (ModelError, "link_6", {"theta": unreal}),
         (ModelError, "link_6", {"theta": massless}),
         (ModelError, "friction", {"theta": negative}),
-        (DataError, "3 drives, robot 'denso_vp6242' has 6 joints", {"drives": drives_of(3)}),
+        (DataError, "3 drives, robot 'denso_vp6242' has 6 joints", {"drives": few}),
     ):
-        refuses(error, words, simulate, ROBOT, SHORT, **({"theta": THETA} | given))
-    refuses(DataError, "lift", simulate, tree, SHORT, theta=THETA)
-    refuses(DataError, "lengths differ", replace, drives_of(3), gear_ratio=np.ones(2))
+        refuses(error, words, sdpid.simulate, ROBOT, SHORT, **({"theta": THETA} | given))
+    refuses(DataError, "lift", sdpid.simulate, tree, SHORT, theta=THETA)
+    refuses(DataError, "lengths differ", replace, few, gear_ratio=np.ones(2))
     (tmp_path / "drives.toml").write_text("torque_constant = [1.0]")
-    refuses(DataError, "not understood", load_drives, tmp_path)
+    refuses(DataError, "not understood", plant.load_drives, tmp_path)
     refuses(DataError, r"at least 6\.25 s", default_motion, tree, period=5.0)
-    floating = load_robot(TREE, root="free_flyer")
+    floating = sdpid.load_robot(TREE, root="free_flyer")
     refuses(ModelError, "floating base", default_motion, floating)
 
 
 @pytest.mark.parametrize("name", [STIFF, "z1"])
 def test_a_robot_of_large_damping_follows_its_motion_exactly(name: str) -> None:
     """Friction does not hold a joint that is told to move."""
-    robot = load_robot(name)
+    robot = sdpid.load_robot(name)
     trajectory = default_motion(robot, 1, period=6.25, periods=1)
-    log = simulate(robot, trajectory, noise=False, progress=False)
+    log = sdpid.simulate(robot, trajectory, noise=False, progress=False)
     lead = trajectory.lead_samples
     np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
     assert "without a controller" in log.notes[0]
@@ -179,16 +162,18 @@ def test_a_robot_of_large_damping_follows_its_motion_exactly(name: str) -> None:
 )
 def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     """Defaults for everything: the Panda has mimic fingers, the pendulum no limits."""
-    robot = load_robot(name)
+    robot = sdpid.load_robot(name)
     trajectory = default_motion(robot, 1, period=10.0, periods=2)
-    log = simulate(robot, trajectory, noise=False, progress=False)
+    log = sdpid.simulate(robot, trajectory, noise=False, progress=False)
     assert log.n_samples == trajectory.n_samples
     settings = sdpid.Processing(covariance=None, cutoff_hz=20.0, order=4)
-    problem = build_problem(robot, sdpid.process(log, settings), friction=("coulomb", "viscous"))
+    problem = sdpid.build_problem(
+        robot, sdpid.process(log, settings), friction=("coulomb", "viscous")
+    )
     fit = sdpid.solve_wls(problem)
     # The filter takes some of the fastest motion; 1e-4 of the effort is left.
     assert sdpid.validate(fit).relative < 3e-4
-    truth = problem.base.matrix @ default_parameters(robot)
+    truth = problem.base.matrix @ plant.default_parameters(robot)
     scale = np.linalg.norm(problem.A @ truth)
     assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
 
@@ -203,14 +188,16 @@ def test_any_robot_follows_its_motion_exactly_where_asked() -> None:
 
 
 def test_defaults_of_a_simulation() -> None:
-    robot = load_robot("ur_description/ur5_robot")
+    robot = sdpid.load_robot("ur_description/ur5_robot")
     motion = default_motion(robot, 7, period=8.0, periods=1)
     low, high = robot.position_limits.T
     assert (motion.position_period.min(axis=0) >= low).all()
     assert (motion.position_period.max(axis=0) <= high).all()
     assert (motion.velocity_peak <= motion.velocity_limit).all()
     assert (motion.velocity_limit <= robot.velocity_limits).all()
-    one, again, other = (simulate(robot, motion, seed=s, progress=False).effort for s in (1, 1, 2))
+    one, again, other = (
+        sdpid.simulate(robot, motion, seed=s, progress=False).effort for s in (1, 1, 2)
+    )
     np.testing.assert_array_equal(one, again)
     noise = (one - other).std(axis=0) / np.sqrt(2.0)
     rms = np.sqrt(np.mean(one**2, axis=0))
@@ -227,13 +214,13 @@ EQUATION = 1e-6
 
 @cache
 def go1() -> sdpid.RobotModel:
-    return load_robot("go1", root="free_flyer")
+    return sdpid.load_robot("go1", root="free_flyer")
 
 
 @cache
 def exact(motion: str) -> LeggedRun:
     # Three steps of the trot, and the first half of the walk's first.
-    return simulate_legged(go1(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
+    return sdpid.simulate_legged(go1(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
 
 
 def residual(run: LeggedRun, robot: sdpid.RobotModel) -> Array:
@@ -284,7 +271,7 @@ def test_feet_bear_weight_where_they_touch() -> None:
 
 def test_channels_come_late_and_gains_are_off() -> None:
     sensors = replace(Sensors.exact(), delays={"effort": 0.002}, effort_gain=1.05)
-    run = simulate_legged(go1(), "hang", duration=0.2, seed=1, sensors=sensors)
+    run = sdpid.simulate_legged(go1(), "hang", duration=0.2, seed=1, sensors=sensors)
     np.testing.assert_allclose(run.recording.effort[2:], 1.05 * run.motion.effort[:-2, 6:])
     np.testing.assert_allclose(run.recording.position, run.motion.position[:, 7:])
     assert run.recording.time[0] == pytest.approx(0.0, abs=1e-9)
@@ -292,8 +279,8 @@ def test_channels_come_late_and_gains_are_off() -> None:
 
 def test_a_humanoid_walks_on_soles() -> None:
     """A foot is lifted, wrenches of soles obey the equation of motion, and all joints move."""
-    talos = load_robot("talos_reduced", root="free_flyer")
-    run = simulate_legged(talos, "walk", duration=1.0, seed=1, sensors=Sensors.exact())
+    talos = sdpid.load_robot("talos_reduced", root="free_flyer")
+    run = sdpid.simulate_legged(talos, "walk", duration=1.0, seed=1, sensors=Sensors.exact())
     log, down = run.recording, run.motion.down
     # Of torques of 100 N·m and forces of 900 N.
     assert np.abs(residual(run, talos)).max() < 100.0 * EQUATION
@@ -301,14 +288,14 @@ def test_a_humanoid_walks_on_soles() -> None:
     assert log.contacts.wrenches is not None
     assert 0 < np.count_nonzero(~down) < len(down)
     assert np.ptp(log.position, axis=0).min() > 1e-3
-    refuses(DataError, r"'trot'.*2 soles", simulate_legged, talos, "trot")
+    refuses(DataError, r"'trot'.*2 soles", sdpid.simulate_legged, talos, "trot")
 
 
 @pytest.mark.parametrize(
     "law", [DryFriction(), DryFriction(width=0.06, peak=0.4, peak_speed=0.2)], ids=repr
 )
 def test_dry_friction_follows_a_law_that_friction_terms_know(law: DryFriction) -> None:
-    run = simulate_legged(go1(), "hang", duration=0.2, seed=1, friction=law)
+    run = sdpid.simulate_legged(go1(), "hang", duration=0.2, seed=1, friction=law)
     assert run.friction is law
     coulomb, viscous = run.theta[130:].reshape(3, 12)[:2]
     speed = run.motion.velocity[:, 6:]
@@ -320,10 +307,10 @@ def test_dry_friction_follows_a_law_that_friction_terms_know(law: DryFriction) -
 
 
 def test_a_light_quadruped_trots_without_chatter() -> None:
-    run = simulate_legged("solo12", "trot", duration=2.0, seed=1)
+    run = sdpid.simulate_legged("solo12", "trot", duration=2.0, seed=1)
     # Two steps a second of every foot, and few bounces.
     assert np.abs(np.diff(run.motion.down.astype(int), axis=0)).sum() < 2.0 * (2 * 2 * 4 * 2.0)
-    solo = load_robot("solo12", root="free_flyer")
+    solo = sdpid.load_robot("solo12", root="free_flyer")
     assert find_legs(solo).radius == pytest.approx(0.016, abs=1e-4)
 
 
@@ -342,7 +329,7 @@ def test_what_cannot_be_simulated_is_refused() -> None:
     heavy[:10] *= 30.0
     falls = {"theta": heavy, "duration": 3.0}
     for error, words, robot, motion, options in (
-        (ModelError, r"fixed base.*free_flyer", load_robot("go1"), "stand", {}),
+        (ModelError, r"fixed base.*free_flyer", sdpid.load_robot("go1"), "stand", {}),
         (DataError, r"'dance'.*stand, trot", go1(), "dance", {}),
         (DataError, "expected 166", go1(), "stand", {"theta": np.ones(130)}),
         (DataError, "rate_hz: 10, limits", go1(), "stand", {"rate_hz": 10.0}),
@@ -352,7 +339,7 @@ def test_what_cannot_be_simulated_is_refused() -> None:
         (ModelError, r"romeo.*no body has the parameters", "romeo_small", "stand", {}),
         (DataError, "falls", go1(), "trot", falls),
     ):
-        refuses(error, words, simulate_legged, robot, motion, **options)
+        refuses(error, words, sdpid.simulate_legged, robot, motion, **options)
     for words, options in (
         ("no channel 'torque'", {"delays": {"torque": 0.1}}),
         ("not negative", {"delays": {"imu": -0.1}}),
