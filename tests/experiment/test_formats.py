@@ -25,8 +25,7 @@ from scipy.spatial.transform import Rotation
 from sdpid.errors import DataError, ExportError, MissingExtraError, SdpidError
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX
 from sdpid.experiment.readers.read import read_described, read_recording
-from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.timestamps import guess_time_unit
+from sdpid.experiment.recording.recording import Recording, guess_time_unit
 from tests.experiment.test_recording import log
 from tests.helpers.bags import JOINTS, write_bag
 from tests.helpers.damage import damaged

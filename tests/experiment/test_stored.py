@@ -26,8 +26,7 @@ from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording import stored
 from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
 from sdpid.experiment.recording.joints import match_joints
-from sdpid.experiment.recording.recording import Recording, rows_of
-from sdpid.experiment.recording.timestamps import Stamps
+from sdpid.experiment.recording.recording import Recording, Stamps, rows_of
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 

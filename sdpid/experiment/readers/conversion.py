@@ -18,9 +18,8 @@ from sdpid.experiment.readers.names import UNITS, is_current
 from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection
 from sdpid.experiment.recording.motor_side import MotorSide
-from sdpid.experiment.recording.recording import CHANNELS, Recording
+from sdpid.experiment.recording.recording import CHANNELS, Recording, guess_time_unit
 from sdpid.experiment.recording.stored import transformed
-from sdpid.experiment.recording.timestamps import guess_time_unit
 
 # Larger stamps, in s, count from 1970. Finer units are then made relative before they are
 # converted, since seconds since 1970 in a double resolve 0.2 microseconds.
