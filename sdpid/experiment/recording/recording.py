@@ -385,18 +385,20 @@ class Recording(Sampled):
         ExportError
             When a file cannot be written, or another mapping lies beside it.
         """
-        import tomli_w
-
-        log, text = Path(path), tomli_w.dumps(_in_decimals(self.settings()))
+        log, lines = Path(path), []
+        for table, content in self.settings().items():
+            pairs = {key: _in_decimals(value) for key, value in content.items()}
+            lines.append(f"[{table}]")
+            lines += [f"{key} = {json.dumps(x, ensure_ascii=False)}" for key, x in pairs.items()]
         mapping = mapping_beside(log)
         there = mapping.read_text("utf-8", errors="replace") if mapping.is_file() else ""
-        if text and there and not there.startswith(_MADE):
+        if lines and there and not there.startswith(_MADE):
             raise ExportError(
                 f"{mapping}: is a mapping of another log, and would tell how {log.name} is read; "
                 f"move it away, or write to another name than {log.name}."
             )
-        if text or there.startswith(_MADE):
-            atomic_write_text(mapping, f"{_MADE}\n{text}")
+        if lines or there.startswith(_MADE):
+            atomic_write_text(mapping, "".join(f"{line}\n" for line in (_MADE, *lines)))
         Table.of_columns({k: column.tolist() for k, column in self.columns().items()}).write(path)
 
 
@@ -408,8 +410,6 @@ def mapping_beside(log: Path) -> Path:
 
 def _in_decimals(value: Any) -> Any:
     """Return nested values whose numbers are decimals where they all but are."""
-    if isinstance(value, dict):
-        return {key: _in_decimals(each) for key, each in value.items()}
     if isinstance(value, list):
         return [_in_decimals(each) for each in value]
     if isinstance(value, float) and abs(value - (near := round(value, _DECIMALS))) < _ROUNDED:
