@@ -280,10 +280,7 @@ def in_seconds(time: NDArray[Any]) -> NDArray[Any]:
 
 
 def _time(
-    time: NDArray[Any] | None,
-    found: Selection,
-    arguments: Arguments,
-    count: int,
+    time: NDArray[Any] | None, found: Selection, arguments: Arguments, count: int
 ) -> tuple[NDArray[Any], str]:
     """Return the time stamps in s, and where they come from if that is not plain."""
     if time is None:

@@ -65,7 +65,7 @@ class Arguments:
     @property
     def scaled(self) -> bool:
         """Whether there are factors that turn currents into torques, or currents are wanted."""
-        constants = None if self.motors is None else self.motors.torque_constants
+        constants = getattr(self.motors, "torque_constants", None)
         return self.amperes or self.effort_scale is not None or constants is not None
 
     @property
@@ -116,17 +116,15 @@ def complete_arguments(
             f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
             f"stored, {', '.join(known)}."
         )
-    chosen, file = checked(how), None
-    if isinstance(mapping, (bool, type(None))):
-        beside = None if log is None else mapping_beside(log)
-        if beside is not None and mapping is not False and beside.is_file() and beside != log:
-            file = beside
-        if mapping is True and file is None and log is not None:
-            raise DataError(f"{log}: there is no mapping beside it.")
-    elif not isinstance(mapping, Mapping):
-        file = Path(mapping)
-    source = file or (mapping if isinstance(mapping, Mapping) else None)
-    stated = {} if source is None else read_mapping(source)
+    chosen = checked(how)
+    beside = None if log is None else mapping_beside(log)
+    there = beside is not None and beside != log and beside.is_file()
+    if mapping is True and log is not None and not there:
+        raise DataError(f"{log}: there is no mapping beside it.")
+    source = mapping or {}
+    if mapping is None or mapping is True:
+        source = beside if there else {}
+    stated, file = read_mapping(source), None if isinstance(source, Mapping) else Path(source)
     # Either turns currents into torques: what is given wins over what the mapping says.
     if "gains" in chosen and not only_signs(stated.get("effort_scale")):
         stated.pop("effort_scale", None)

@@ -27,10 +27,7 @@ _Tables = dict[str, NDArray[Any]]
 
 
 def mend_missing(
-    tables: _Tables,
-    names: Mapping[str, Sequence[str]],
-    place: Callable[[int], str],
-    how: str,
+    tables: _Tables, names: Mapping[str, Sequence[str]], place: Callable[[int], str], how: str
 ) -> tuple[_Tables, str | None]:
     """Check that every value is a finite number, or mend what is missing by the rule given.
 

@@ -14,13 +14,7 @@ from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import named, row_number
 from sdpid.experiment.readers.conversion import convert
-from sdpid.experiment.readers.formats.loaders import (
-    BY_SUFFIX,
-    FRAMES,
-    MATRICES,
-    Format,
-    suffix_of,
-)
+from sdpid.experiment.readers.formats.loaders import BY_SUFFIX, FRAMES, MATRICES, Format, suffix_of
 from sdpid.experiment.readers.formats.text_file import is_folder_of_matrices
 from sdpid.experiment.readers.mapping import Arguments, checked, complete_arguments
 from sdpid.experiment.readers.selection import Selection, select

@@ -116,10 +116,7 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
 
 
 def _add(
-    log: Columns,
-    found: Selection,
-    quantity: str,
-    joints: Sequence[str] | None = None,
+    log: Columns, found: Selection, quantity: str, joints: Sequence[str] | None = None
 ) -> bool:
     """Add a quantity, if it is there."""
     array, labels = log.read(quantity, joints)

@@ -58,7 +58,7 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> LogTable:
     arrays |= {name: partial(_first, several, name) for name in plain}
     if KEY not in file.metadata:
         return LogTable(arrays, columns=several, plain=plain)
-    recorded, stated = _recorded(path, file.metadata[KEY], plain, several)
+    recorded, stated = _recorded(file.metadata[KEY], plain, several)
     arrays |= recorded
     return LogTable(arrays, columns=several, plain=plain, units={"time": "s"}, stated=stated)
 
@@ -159,7 +159,7 @@ def _values(column: Any) -> NDArray[Any]:
 
 
 def _recorded(
-    path: Path, raw: bytes, plain: Collection[str], several: Callable[[Sequence[str]], Array]
+    raw: bytes, plain: Collection[str], several: Callable[[Sequence[str]], Array]
 ) -> tuple[_Arrays, dict[str, Any]]:
     """Return the arrays that `Recording.to_parquet` wrote, and what it kept of IMU and contacts.
 
@@ -187,11 +187,10 @@ def _recorded(
         called = "current" if quantity == "effort" and stated.get("currents") else quantity
         columns = [f"{called}_{name}" for name in names]
         absent = [name for name in columns if name not in plain]
-        if quantity in ("velocity", "reference") and absent == columns:
-            continue
-        if absent:
+        if not absent:
+            arrays[called] = partial(several, columns)
+        elif quantity in ("position", "effort") or absent != columns:
             raise DataError(f"lacks the columns {', '.join(absent)}.")
-        arrays[called] = partial(several, columns)
     for name in ("joint_names", "period", "start", "periods"):
         if stated.get(name) is not None:
             arrays[name] = partial(np.asarray, stated[name])

@@ -36,10 +36,7 @@ _OF_BASE = {
     ),
     "sensor_msgs/msg/Imu": (
         "imu",
-        {
-            "gyroscope": ("angular_velocity", "xyz"),
-            "accelerometer": ("linear_acceleration", "xyz"),
-        },
+        {"gyroscope": ("angular_velocity", "xyz"), "accelerometer": ("linear_acceleration", "xyz")},
     ),
 }
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
