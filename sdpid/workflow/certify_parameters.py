@@ -15,12 +15,12 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import plain_dict
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import Certificate, certify
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.validation import validate, validate_robot
 from sdpid.assurance.tables.audit import BaseAudit, audit_base_parameters
 from sdpid.assurance.tables.csv_table import half_unit, read_base_table
 from sdpid.errors import DataError, InfeasibleError, ModelError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, solve_conic
-from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -319,7 +319,7 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
         # What a prior on the links costs cannot be told of base parameters.
         problem = replace(problem, prior=None)
     estimate, refitted = _completed(problem, given, standard)
-    optimum, robot, theta = _optimum(problem), problem.robot, estimate.theta
+    optimum, robot = _optimum(problem), problem.robot
     wls = solve_wls(replace(problem, prior=None))
     residuals = {
         name: validate(each).told.relative
@@ -333,7 +333,7 @@ def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
         refitted=refitted,
         optimum=optimum,
         certificate=certify(estimate, bound=optimum),
-        violations=() if theta is None else violations(problem.feasible, theta),
+        violations=violations(estimate),
         residuals=residuals,
         audit=None if standard else _audit(problem, given),
     )
@@ -403,32 +403,27 @@ def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> A
     return np.asarray(np.clip(solution.x, lower[:own], upper[:own]))
 
 
-def violations(feasible: FeasibleSet, theta: Array) -> tuple[str, ...]:
-    """Return the constraints that theta breaks beyond rounding, number against limit, in words."""
-    margins, slacks = feasible.margins(theta), feasible.slacks(theta)
+def violations(estimate: Estimate) -> tuple[str, ...]:
+    """Return the constraints that an estimate breaks beyond rounding, number against limit."""
     found = []
-    for each in feasible.named:
-        k, limit = each.index, 0.0 if each.limit is None else each.limit
+    for each in constraint_states(estimate):
+        limit, slack = each.limit or 0.0, -np.inf if each.slack is None else each.slack
         unit = "" if each.unit is None else f" {each.unit}"
-        if each.kind == "consistency":
-            if not np.isfinite(margins[k]):
-                found.append(
-                    (np.inf, f"{each.name}: the mass {theta[10 * k]:.6g} kg has no margin")
-                )
-                continue
-            short, what = limit - margins[k], f"margin {margins[k]:.6g}{unit}, at least {limit:g}"
+        if slack >= -FEASIBLE:
+            continue
+        if each.slack is None:
+            what = f"the mass {np.array(estimate.theta)[10 * each.index]:.6g} kg has no margin"
+        elif each.kind == "consistency":
+            what = f"margin {limit + slack:.6g}{unit}, at least {limit:g}"
         elif each.kind == "cone":
-            slack = slacks[k - feasible.n_own]
-            short, what = -slack, f"slack {slack:.6g}{unit}, at least 0"
+            what = f"slack {slack:.6g}{unit}, at least 0"
+        elif each.side is None:
+            value = estimate.problem.feasible.rows[each.index] @ np.array(estimate.theta)
+            what = f"is {value:.6g}{unit}, not {limit:g}"
         else:
-            value = feasible.rows[k] @ theta if each.kind == "row" else theta[k]
-            short = each.sign * (limit - value)
-            short = abs(short) if each.side is None else short
-            what = f"is {value:.6g}{unit}"
-            what += f", not {limit:g}" if each.side is None else ""
-        if short > FEASIBLE:
-            found.append((float(short), f"{each.name}: {what}"))
-    return tuple(text for _, text in sorted(found, key=lambda pair: -pair[0]))
+            what = f"is {limit + each.sign * slack:.6g}{unit}"
+        found.append((slack, f"{each.name}: {what}"))
+    return tuple(text for _, text in sorted(found, key=lambda pair: pair[0]))
 
 
 def _audit(problem: Problem, given: GivenParameters) -> BaseAudit | None:

@@ -94,6 +94,12 @@ def test_broken_constraints_are_named_with_number_and_limit(tmp_path: Path) -> N
     ):
         assert each in words
     assert found.summary().splitlines()[1].startswith("not feasible: ")
+    # Further conditions, and a link whose mass has no margin.
+    others = (Fixed({"m_1": theta[0] + 1.0}),)
+    more = problem.constrained(constraints=problem.constraints.replace(others=others))
+    words = " ".join(judged(named(theta, m_2=0.0), more).violations)
+    assert f"is {theta[0]:.6g}, not {theta[0] + 1.0:g}" in words
+    assert f"consistency of {second}: the mass 0 kg has no margin" in words
     # The bound is proven all the same, and the file says what is not.
     checked = sdpid.verify(written(found.certificate.to_dict(), tmp_path))
     assert not checked.passed

@@ -5,6 +5,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 
 import sdpid
@@ -18,7 +19,6 @@ from tests.helpers.world import arm_log, arm_urdf
 
 @cache
 def log(seed: int) -> sdpid.Recording:
-    pandas = pytest.importorskip("pandas")
     return sdpid.read_recording(pandas.read_csv(io.StringIO(arm_log(seed))))
 
 

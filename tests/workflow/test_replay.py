@@ -140,13 +140,10 @@ def test_everything_is_made_again(run: Path, results: Path) -> None:
     assert proof.distance <= 1e-12
     certificate = json.loads((run / "results" / "certificate.json").read_text())
     assert proof.gap == pytest.approx(certificate["claims"]["gap"], abs=1e-11)
-    for name, words in (
-        ("samples", "number for number those of the run"),
-        ("robot", "has the SHA-256 of the manifest"),
-        ("problem", "the defaults for this robot"),
-        ("problem", "towards the description's bodies"),
-    ):
-        assert words in text_of(proof, name)
+    assert "number for number those of the run" in text_of(proof, "samples")
+    assert "has the SHA-256 of the manifest" in text_of(proof, "robot")
+    assert "the defaults for this robot" in text_of(proof, "problem")
+    assert "towards the description's bodies" in text_of(proof, "problem")
     # Without it what is written from a file of the folder is compared with that file.
     proof = replay(run / "results", run / "run.csv")
     assert wrong(proof) == []
@@ -922,10 +919,11 @@ def test_a_cost_of_other_parameters_is_as_far_as_it_is(
 
 @pytest.mark.parametrize("factor", [1e200, np.inf, np.nan, 1e100, 0.0, -1.0])
 def test_numbers_that_are_no_rows_are_far_from_all(factor: float) -> None:
-    A, rhs, floor = cost_of(1, -1.0)
+    made = cost_of(1, -1.0)
     with np.errstate(all="ignore"):
-        for cost in ((factor * A, rhs, floor), (A, factor * rhs, floor), (A, rhs, factor * floor)):
-            assert not distance(cost, (A, rhs, floor)) <= 1e-6
+        for k in range(3):
+            cost: Any = (*made[:k], factor * made[k], *made[k + 1 :])
+            assert not distance(cost, made) <= 1e-6
 
 
 # ---- A recipe makes the same rows of the same log again.
@@ -976,9 +974,9 @@ def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
         tmp_path / "arm.urdf", tmp_path / "run.csv", effects="tilt,load", intervals=False
     )
     (tmp_path / "run.toml").unlink()
-    folder = saved(result, tmp_path / "results")
-    proof = replay(folder, tmp_path / "run.csv", robot=tmp_path / "arm.urdf")
-    assert {*states(proof).values()} == {"made again"}, wrong(proof)
+    results = saved(result, tmp_path / "results")
+    proof = replay(results, tmp_path / "run.csv", robot=tmp_path / "arm.urdf")
+    assert {*states(proof).values()} == {SAME}, wrong(proof)
     assert "number for number those of the run" in text_of(proof, "samples")
     assert RobotRecipe.of(result.problem.robot) == result.recipe.robot
     kinds = [(each["role"], each["name"]) for each in result.inputs]

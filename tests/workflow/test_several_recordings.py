@@ -375,8 +375,8 @@ def test_a_joint_left_out_may_lack_every_effort() -> None:
     first, last = arm().joint_names
     frame = frame_of(recorded(1))
     frame[f"effort_{last}"] = np.nan
-    with pytest.raises(DataError, match=r"no value in any row; leave .* with without_effort="):
-        sdpid.read_recording(frame)
+    words = "no value in any row; leave .* with without_effort="
+    refuses(DataError, words, sdpid.read_recording, frame)
     refuses(DataError, "no value in any row", formulate, arm(), frame, without_effort=[first])
     problem = formulate(arm(), frame, without_effort=[last])
     expected = formulate(arm(), recorded(1), without_effort=[last])
@@ -386,12 +386,8 @@ def test_a_joint_left_out_may_lack_every_effort() -> None:
     assert not read.effort[:, -1].any()
 
 
-def test_process_takes_recordings_only() -> None:
-    given: Any = "base.csv"
-    refuses(DataError, r"log: is 'base.csv'.*read_recording", sdpid.process, given)
-
-
-def test_seeds_are_checked() -> None:
+def test_what_no_function_takes_is_refused() -> None:
+    refuses(DataError, r"log: is 'base.csv'.*read_recording", sdpid.process, "base.csv")
     robot = sdpid.load_robot("denso_vp6242")
     refuses(DataError, "seed: is -1", sdpid.simulate, robot, seed=-1)
     refuses(DataError, "seed: is -1", sdpid.paper_excitation, "denso_vp6242", -1)
