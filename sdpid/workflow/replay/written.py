@@ -372,12 +372,10 @@ def _computed(
     plain = {"robot": "", "software": "", "certificate": None, "joints": list(map(str, range(n)))}
     code: dict[str, Any] = {}
     exec(WRITERS[".py"]({**data, **plain}), code)
-    every, none, held, at = replace(model, first=0), np.zeros_like(v), np.zeros_like(v), 0
-    for term in model.terms:
-        count = len(term.parameters(model.joint_names))
+    every, none, held = replace(model, first=0), np.zeros_like(v), np.zeros_like(v)
+    for term, own in model.placed:
         if isinstance(term, LoadFriction):
-            held += values[at : at + count] * np.abs(load) * term.sign(v, a)
-        at += count
+            held += values[own] * np.abs(load) * term.sign(v, a)
     rest = every.columns(none, none) @ values
     yield "friction", every.columns(v, none) @ values, code["friction"](v)
     yield "effort of drives", every.columns(none, a) @ values - rest, code["drive_inertia"](a)
