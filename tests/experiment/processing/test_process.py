@@ -275,16 +275,11 @@ def test_the_default_is_what_identify_chooses():
         np.testing.assert_array_equal(own.used, chosen.used)
 
 
-def standing(log: Recording) -> Recording:
+def changed(log: Recording, joint: Any, rows: Any, value: Any = None, **fields: Any) -> Recording:
+    """Return a record in which a joint stands at some rows, or has jumped there by a value."""
     position = np.array(log.position)
-    position[:, 1] = 0.3
-    return replace(log, position=position, joint_names=("waist", "wrist"))
-
-
-def jumping(log: Recording) -> Recording:
-    position = np.array(log.position)
-    position[77, 1] += 20.0
-    return replace(log, position=position)
+    position[rows, joint] = 0.3 if value is None else position[rows, joint] + value
+    return replace(log, position=position, **fields)
 
 
 def without(log: Recording, rows: Any) -> Recording:
@@ -292,80 +287,48 @@ def without(log: Recording, rows: Any) -> Recording:
 
 
 SHORT = Recording(time=np.arange(50) / RATE, position=np.zeros((50, 1)), effort=np.zeros((50, 1)))
+FAR = replace(periodic(3), position=np.degrees(periodic(3).position) * 2.0)
+STANDING = changed(periodic(2), 1, slice(None), joint_names=("waist", "wrist"))
 LOST = [500, 1500, 1501, 4000]
-REFUSED: dict[str, tuple[Any, Any, str]] = {
-    "no recording": (3, None, "log: is 3; give a Recording"),
-    "degrees": (
-        replace(periodic(3), position=np.degrees(periodic(3).position) * 2.0),
-        None,
-        "looks like degrees",
-    ),
-    "outlier": (jumping(periodic(3)), None, "joint 2 jumps by .* at sample 78 of .*: an outlier"),
-    "at rest": (
-        standing(periodic(2)),
-        Processing(covariance=None),
-        r"no row of joint wrist: .* 0.1 s away .* below 0.02 rad/s.*reversal_time=None",
-    ),
-    "too few periods": (
-        periodic(2, noise=0.5),
-        Processing(),
-        r"2 periods for 2 joints: .* at least 3 periods",
-    ),
-    "one period": (
-        periodic(1),
-        Processing(covariance="pooled"),
-        "has 1, a covariance needs at least 2",
-    ),
-    "other periods": (
-        replace(periodic(3), period=1.5, periods=4),
-        Processing(covariance=None),
-        "periods of joint 1 do not repeat",
-    ),
-    "no velocity": (
-        periodic(2),
-        {"velocity": "measured"},
-        "velocity: the recording has none",
-    ),
-    "cut-off": (
-        periodic(2),
-        replace(ALL_ROWS, cutoff_hz=500.0),
-        "500 Hz is not below half the sample rate of 1000 Hz",
-    ),
-    "short": (SHORT, ALL_ROWS, r"lasts 0.049 s, and 0.076 s are cut off at either end"),
-    "gap": (
-        without(periodic(3), [*LOST, *range(1495, 1510)]),
-        ALL_ROWS,
-        r"gap of 0.016 s before row 1495 \(from 8.494 s to 8.51 s\)",
-    ),
-    "lost": (
-        without(periodic(3), 500),
-        replace(ALL_ROWS, timing="nominal"),
-        "samples were lost; use timing='resample'",
-    ),
-    **{
-        f"settings {wrong!r}": (periodic(3), wrong, r"processing: (has no setting|is)")
-        for wrong in ({"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2})
-    },
-}
+WRONG_SETTINGS = ({"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2})
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_processed_is_refused(case: str) -> None:
-    log, processing, words = REFUSED[case]
+@pytest.mark.parametrize(
+    ("words", "log", "processing"),
+    [
+        ("log: is 3; give a Recording", 3, None),
+        ("looks like degrees", FAR, None),
+        ("2 jumps by .* at sample 78 of .*: an outlier", changed(periodic(3), 1, 77, 20.0), None),
+        (r"no row of joint wrist: .* 0.1 s away .* 0.02 rad/s.*reversal_time=None", STANDING, {}),
+        (r"2 periods for 2 joints: .* at least 3 periods", periodic(2, noise=0.5), Processing()),
+        ("has 1, a covariance needs at least 2", periodic(1), {"covariance": "pooled"}),
+        ("of joint 1 do not repeat", replace(periodic(3), period=1.5, periods=4), None),
+        ("velocity: the recording has none", periodic(2), {"velocity": "measured"}),
+        ("500 Hz is not below half the sample rate of 1000", periodic(2), {"cutoff_hz": 500.0}),
+        (r"lasts 0.049 s, and 0.076 s are cut off at either end", SHORT, ALL_ROWS),
+        (
+            r"gap of 0.016 s before row 1495 \(from 8.494 s to 8.51 s\)",
+            without(periodic(3), [*LOST, *range(1495, 1510)]),
+            ALL_ROWS,
+        ),
+        ("were lost; use timing='resample'", without(periodic(3), 500), {"timing": "nominal"}),
+        *((r"processing: (has no setting|is)", periodic(3), wrong) for wrong in WRONG_SETTINGS),
+    ],
+)
+def test_what_cannot_be_processed_is_refused(words: str, log: Any, processing: Any) -> None:
     refuses(DataError, words, process, log, processing)
-    if case.startswith("settings"):
+    if processing in WRONG_SETTINGS:
         refuses(DataError, words, chosen_processing, [log], processing)
 
 
 def test_what_looks_like_that_and_is_sound() -> None:
-    far = REFUSED["degrees"][0]
     # The limits of the robot say that its joints do turn that far.
-    assert process(far, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
+    assert process(FAR, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
     # A step in the counter by whole turns is no outlier.
-    turns = np.array(periodic(3).position)
-    turns[77:, 1] += 6.0 * np.pi
-    assert process(replace(far, position=turns, period=None, start=None, periods=None)).n == 2
-    assert process(standing(periodic(2)), ALL_ROWS).mask is None
+    alone = dict.fromkeys(("period", "start", "periods"))
+    turned = changed(periodic(3), 1, slice(77, None), 6.0 * np.pi, **alone)
+    assert process(turned).n == 2
+    assert process(STANDING, ALL_ROWS).mask is None
     assert process(SHORT, replace(ALL_ROWS, trim_s=0.0)).n_samples == 5
     for cutoff, kept in ((10.0, 200), (25.0, 500), (5.0, 100), (200.0, 2000)):
         setting = replace(ALL_ROWS, decimation=None, cutoff_hz=cutoff)
@@ -381,24 +344,24 @@ def test_what_looks_like_that_and_is_sound() -> None:
     np.testing.assert_allclose(late.acceleration, whole, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        *({"cutoff_hz": value} for value in ("10", 1e-308, 0.0, np.nan)),
-        *({"order": value} for value in (10**20, 2.5, None, 0)),
-        *({"decimation": value} for value in ("2", 2.5)),
-        *({"reversal_time": value} for value in (1e300, -1.0)),
-        *({"reversal_speed": value} for value in (np.nan, -1.0)),
-        *({"trim_s": value} for value in (True, np.inf)),
-        *({"shrinkage": value} for value in (1.1, 1.5)),
-        {"covariance": "all"},
-        *({name: "x"} for name in ("velocity", "timing", "filter", "derivative")),
-    ],
-)
-def test_settings_out_of_range_are_refused(changes: dict):
-    (name,) = changes
-    refuses(DataError, rf"{name}: is .*, expected", Processing, **changes)
-    refuses(DataError, rf"{name}: is .*, expected", chosen_processing, [periodic(3)], changes)
+OUT_OF_RANGE: dict[str, tuple[Any, ...]] = {
+    "cutoff_hz": ("10", 1e-308, 0.0, np.nan),
+    "order": (10**20, 2.5, None, 0),
+    "decimation": ("2", 2.5),
+    "reversal_time": (1e300, -1.0),
+    "reversal_speed": (np.nan, -1.0),
+    "trim_s": (True, np.inf),
+    "shrinkage": (1.1, 1.5),
+    **dict.fromkeys(("covariance", "velocity", "timing", "filter", "derivative"), ("x",)),
+}
+
+
+@pytest.mark.parametrize("name", OUT_OF_RANGE)
+def test_settings_out_of_range_are_refused(name: str):
+    for value in OUT_OF_RANGE[name]:
+        words = rf"{name}: is .*, expected"
+        refuses(DataError, words, Processing, **{name: value})
+        refuses(DataError, words, chosen_processing, [periodic(3)], {name: value})
 
 
 def test_settings_print_what_differs_from_the_defaults():
