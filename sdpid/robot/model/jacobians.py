@@ -303,6 +303,7 @@ def _fill(tree: Any, links: Indices, places: Array, offsets: Array, q: Array, ou
     column, factor, count = tree.column, tree.factor, len(tree.kind)
     # Frames of joints in their parents', and made of them in the world's, a link after another.
     S, R, o = np.zeros((count, 3, 4)), np.zeros((count, 3, 4)), np.zeros((count, 3))
+    unit = np.eye(3)
     for k in range(len(q)):
         joints_at(tree, q, k, S, o)
         for i in range(count):
@@ -324,24 +325,15 @@ def _fill(tree: Any, links: Indices, places: Array, offsets: Array, q: Array, ou
             tz = o[i, 2] + R[i, 2, 0] * px + R[i, 2, 1] * py + R[i, 2, 2] * pz + offsets[f, 2]
             while i >= 0:
                 rx, ry, rz = tx - o[i, 0], ty - o[i, 1], tz - o[i, 2]
-                v = first_v[i]
-                if kind[i] == FLOATING:
-                    for j in range(3):
-                        ax, ay, az = R[i, 0, j], R[i, 1, j], R[i, 2, j]
-                        h = column[v + j]
-                        out[k, f, 0, h], out[k, f, 1, h], out[k, f, 2, h] = ax, ay, az
-                        h = column[v + 3 + j]
-                        out[k, f, 0, h] = ay * rz - az * ry
-                        out[k, f, 1, h] = az * rx - ax * rz
-                        out[k, f, 2, h] = ax * ry - ay * rx
-                        out[k, f, 3, h], out[k, f, 4, h], out[k, f, 5, h] = ax, ay, az
-                else:
-                    sx, sy, sz = axis[i, 0], axis[i, 1], axis[i, 2]
-                    c, h = factor[v], column[v]
+                floats = kind[i] == FLOATING
+                for j in range(6 if floats else 1):
+                    s = unit[j % 3] if floats else axis[i]
+                    sx, sy, sz = s[0], s[1], s[2]
+                    c, h = factor[first_v[i] + j], column[first_v[i] + j]
                     ax = c * (R[i, 0, 0] * sx + R[i, 0, 1] * sy + R[i, 0, 2] * sz)
                     ay = c * (R[i, 1, 0] * sx + R[i, 1, 1] * sy + R[i, 1, 2] * sz)
                     az = c * (R[i, 2, 0] * sx + R[i, 2, 1] * sy + R[i, 2, 2] * sz)
-                    if kind[i] == PRISMATIC:
+                    if kind[i] == PRISMATIC or (floats and j < 3):
                         out[k, f, 0, h] += ax
                         out[k, f, 1, h] += ay
                         out[k, f, 2, h] += az
