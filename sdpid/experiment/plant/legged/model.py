@@ -251,8 +251,9 @@ def weight_torques(legs: Legs, plan: LeggedPlan, times: Array) -> Array:
     """
     from scipy.spatial.transform import Rotation
 
-    robot, (position, turn) = legs.robot, plan.base(times)
-    q = np.hstack([position, Rotation.from_rotvec(turn).as_quat(), plan.joints(times)[0]])
+    robot, base = legs.robot, plan.base(times)
+    turn = Rotation.from_rotvec(base[:, 3:]).as_quat()
+    q = np.hstack([base[:, :3], turn, plan.joints(times)[0]])
     still = np.zeros((len(q), robot.n))
     gravity = robot.inverse_dynamics(robot.prior, q, still, still)
     lever = np.ones(3)
@@ -319,7 +320,7 @@ def run_plan(
     weight = weight_torques(legs, plan, coarse) if plan.effort is None else plan.effort(coarse)
     weight = np.stack([np.interp(times, coarse, each) for each in weight.T], axis=1)
     command = stiffness * desired + damping * speeds + weight
-    start = np.hstack([each[0] for each in plan.base(np.zeros(1))])
+    start = plan.base(np.zeros(1))[0]
     built = build_legged(legs, theta, held=plan.held, timestep=step, start=start)
     coulomb, viscous, _ = theta[10 * legs.robot.n_links :].reshape(3, -1)
     model, data, dof = built.model, mujoco.MjData(built.model), built.dof
@@ -351,27 +352,25 @@ def run_plan(
         mujoco.mj_integratePos(model, data.qpos, mean_v, step)
         data.qvel[:] = rate + step * mean_a
 
-    samples, n, feet = total - first, legs.n_joints, max(len(built.feet), 1)
-    states = [np.empty((samples, size)) for size in (7 + n, 6 + n, 6 + n)]
-    torques = np.empty((samples, 2, n))
-    wrenches, down = np.zeros((samples, feet, 6)), np.zeros((samples, feet), bool)
+    noted = []
     for k in range(total):
         applied = evaluate(command[k])
         if k >= first:
-            torques[k - first] = applied
-            for noted, values in zip(states, (data.qpos, data.qvel, data.qacc), strict=True):
-                noted[k - first] = values
-            _note_wrenches(mujoco, built, data, wrenches[k - first], down[k - first])
+            state = (each.copy() for each in (data.qpos, data.qvel, data.qacc))
+            noted.append((*state, *applied, *_contacts(mujoco, built, data)))
         advance(command[k], command[k + 1])
         if k % 100 == 0 and not 1.0 - 2.0 * (data.qpos[4] ** 2 + data.qpos[5] ** 2) > _FALLEN:
             raise DataError(
                 f"legged plant of '{legs.robot.name}': the robot falls at {times[k] - LEAD:.2f} s "
                 "of the motion; change its parameters less, or take another motion."
             )
+    position, velocity, acceleration, torque, rubbing, wrenches, down = (
+        np.array(each) for each in zip(*noted, strict=True)
+    )
     # In Pinocchio's order and axes.
-    rows = np.concatenate([np.arange(6), dof])
-    position = states[0][:, [0, 1, 2, 4, 5, 6, 3, *built.qpos]]
-    velocity, acceleration = states[1][:, rows], states[2][:, rows]
+    rows = [*range(6), *dof]
+    position = position[:, [0, 1, 2, 4, 5, 6, 3, *built.qpos]]
+    velocity, acceleration = velocity[:, rows], acceleration[:, rows]
     inverse = Rotation.from_quat(position[:, 3:7]).inv()
     velocity[:, :3] = inverse.apply(velocity[:, :3])
     # The derivative of body-axis components, which Pinocchio calls the acceleration.
@@ -381,24 +380,24 @@ def run_plan(
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        effort=np.pad(torques[:, 0], ((0, 0), (6, 0))),
-        friction=torques[:, 1],
+        effort=np.pad(torque, ((0, 0), (6, 0))),
+        friction=rubbing,
         wrenches=wrenches,
         down=down,
     )
     return np.asarray(times[first:total] - LEAD), motion
 
 
-def _note_wrenches(mujoco: Any, built: LeggedModel, data: Any, wrenches: Array, down: Mask) -> None:
-    """Write forces and torques (c, 6) in world axes, and which contacts are closed."""
+def _contacts(mujoco: Any, built: LeggedModel, data: Any) -> tuple[Array, Mask]:
+    """Return forces and torques (c, 6) in world axes, and which contacts are closed."""
     if not built.feet:
         # What holds the base is all that acts on it: force in world axes, torque in its own.
-        wrenches[0, :3] = data.qfrc_constraint[:3]
-        wrenches[0, 3:] = data.xmat[1].reshape(3, 3) @ data.qfrc_constraint[3:6]
-        down[0] = True
+        force, torque = data.qfrc_constraint[:3], data.qfrc_constraint[3:6]
+        held = np.concatenate([force, data.xmat[1].reshape(3, 3) @ torque])
+        return held[None], np.ones(1, bool)
+    wrenches, down = np.zeros((len(built.feet), 6)), np.zeros(len(built.feet), bool)
     local = np.empty(6)
-    for number in range(data.ncon if built.feet else 0):
-        contact = data.contact[number]
+    for number, contact in enumerate(data.contact):
         if contact.efc_address < 0:
             continue
         foot = built.feet.index(int(contact.geom[1]))
@@ -408,3 +407,4 @@ def _note_wrenches(mujoco: Any, built: LeggedModel, data: Any, wrenches: Array, 
         wrenches[foot, :3] += force
         wrenches[foot, 3:] += np.cross(contact.pos - data.site_xpos[built.sites[foot]], force)
         down[foot] = True
+    return wrenches, down

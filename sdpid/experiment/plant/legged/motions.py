@@ -54,7 +54,7 @@ _SWING_HZ = (0.4, 0.7, 1.1, 1.6, 2.3)
 # legs are a third of its mass, so that each round leaves a third of the error.
 _ROUNDS = 3
 
-Path: TypeAlias = Callable[[Array], tuple[Array, Array]]
+Path: TypeAlias = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class LeggedPlan:
     joints : callable
         Joint positions and velocities wanted at times (K,), two arrays (K, joints).
     base : callable
-        Positions (K, 3) and rotation vectors (K, 3) of the base at times.
+        Positions of the base and its rotation vectors at times, (K, 6).
     down : callable
         Which feet shall bear weight, (K, c) bool.
     held : bool
@@ -77,12 +77,12 @@ class LeggedPlan:
         Torques (K, joints) that carry the motion; by default those that carry the weight.
     """
 
-    joints: Path
+    joints: Callable[[Array], tuple[Array, Array]]
     base: Path
     down: Callable[[Array], Mask]
     held: bool
     duration: float
-    effort: Callable[[Array], Array] | None = None
+    effort: Path | None = None
 
 
 def planned(
@@ -90,7 +90,7 @@ def planned(
     duration: float,
     rng: np.random.Generator,
     base: Path,
-    feet: Callable[[Array], Array],
+    feet: Path,
     down: Callable[[Array], Mask],
 ) -> LeggedPlan:
     """Plan a motion: solve for the joints at knots.
@@ -115,7 +115,7 @@ def planned(
     from scipy.spatial.transform import Rotation
 
     knots = np.arange(0.0, LEAD + duration + 2.0 / _KNOT_RATE, 1.0 / _KNOT_RATE)
-    position, turn = base(knots)
+    position, turn = np.split(base(knots), 2, axis=1)
     places, axes = feet(knots), Rotation.from_rotvec(turn).as_matrix()
     swing = joint_sines(len(legs.free), rng) if len(legs.free) else None
     wave = 0.0 if swing is None else _FREE_SHARE * swing(knots)[0]
@@ -137,13 +137,12 @@ def planned(
             moved = target - position[:, :2] - center[:, :2]
     spline = make_interp_spline(knots, solved(moved), k=5)
     slope, shift = spline.derivative(), make_interp_spline(knots, moved, k=5)
-    height = np.array([0.0, 0.0, legs.radius - legs.feet(legs.standing[None])[0, :, 2].min()])
+    height = legs.radius - legs.feet(legs.standing[None])[0, :, 2].min()
 
-    def lifted(t: Array) -> tuple[Array, Array]:
-        position, turn = base(t)
-        position = position + height
-        position[:, :2] += shift(t)
-        return position, turn
+    def lifted(t: Array) -> Array:
+        return np.asarray(
+            base(t) + np.pad(shift(t), ((0, 0), (0, 4))) + height * (np.arange(6) == 2)
+        )
 
     def joints(t: Array) -> tuple[Array, Array]:
         return spline(t), slope(t)
@@ -151,7 +150,7 @@ def planned(
     return LeggedPlan(joints, lifted, down, False, duration)
 
 
-def joint_sines(n: int, rng: np.random.Generator) -> Path:
+def joint_sines(n: int, rng: np.random.Generator) -> Callable[[Array], tuple[Array, Array]]:
     """Return sines of joints about zero, and their rates."""
     frequency = rng.permuted(np.tile(_SWING_HZ, (n, 1)), axis=1)[:, :3] * rng.uniform(
         0.9, 1.1, (n, 3)
@@ -177,10 +176,9 @@ def base_sines(legs: Legs, rng: np.random.Generator, scale: float) -> Path:
     size[:2] *= _SWAY_ON_SOLES if legs.flat else 1.0
     size[2:] *= _TURN_ON_SOLES if legs.flat else 1.0
 
-    def base(t: Array) -> tuple[Array, Array]:
+    def base(t: Array) -> Array:
         wave = np.sum(size * np.sin(2.0 * np.pi * frequency * t[:, None, None] + phase), axis=2)
-        wave *= rise(t)[0][:, None]
-        return wave[:, :3], wave[:, 3:]
+        return np.asarray(rise(t)[0][:, None] * wave)
 
     return base
 
@@ -251,14 +249,11 @@ def plan_motion(
         bearing = phase(t) < duty
         return np.asarray(bearing | (t < LEAD)[:, None] if legs.flat else bearing)
 
-    def base(t: Array) -> tuple[Array, Array]:
-        position, turn = sway(t)
+    def base(t: Array) -> Array:
         # Away from the foot that is lifted, ahead of time and smoothly: the first harmonic.
         angle = 2.0 * np.pi * (t[:, None] / cycle + phases - (1.0 + duty) / 2.0)
         lean = -shift * 0.5 * np.mean(np.cos(angle)[:, :, None] * places[:, :2], axis=1)
-        position = position.copy()
-        position[:, :2] += rise(t)[0][:, None] * (lean + middle)
-        return position, turn
+        return np.asarray(sway(t) + np.pad(rise(t)[0][:, None] * (lean + middle), ((0, 0), (0, 4))))
 
     return planned(legs, duration, rng, base, feet, down)
 
@@ -270,14 +265,15 @@ def _hang(legs: Legs, duration: float, rng: np.random.Generator) -> LeggedPlan:
         wave, slope = swing(t)
         return legs.standing + wave, slope
 
-    height = np.array([0.0, 0.0, 2.0 * float(np.abs(legs.feet(legs.standing[None])).max())])
+    height = 2.0 * float(np.abs(legs.feet(legs.standing[None])).max())
 
-    def base(t: Array) -> tuple[Array, Array]:
-        return np.broadcast_to(height, (len(t), 3)), np.zeros((len(t), 3))
+    def base(t: Array) -> Array:
+        return np.tile(height * (np.arange(6) == 2), (len(t), 1))
 
-    return LeggedPlan(
-        joints, base, lambda t: np.zeros((len(t), len(legs.frames)), bool), True, duration
-    )
+    def down(t: Array) -> Mask:
+        return np.zeros((len(t), len(legs.frames)), bool)
+
+    return LeggedPlan(joints, base, down, True, duration)
 
 
 def _phases(legs: Legs, places: Array, cycle: float, duty: float, together: bool) -> Array:
@@ -326,9 +322,9 @@ def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Legge
     if not length <= motion.duration:
         raise DataError(f"duration: {length:g} s, the motion ends after {motion.duration:g} s.")
     turn = Rotation.from_quat(motion.base_orientation).as_rotvec()
-    position, effort, place, turned = (
+    position, effort, place = (
         make_interp_spline(motion.time, values, k=3)
-        for values in (motion.position, motion.effort, motion.base_position, turn)
+        for values in (motion.position, motion.effort, np.hstack([motion.base_position, turn]))
     )
     slope = position.derivative()
 
@@ -338,8 +334,8 @@ def follow(legs: Legs, motion: WholeBodyMotion, duration: float | None) -> Legge
     def wanted(t: Array) -> tuple[Array, Array]:
         return position(at(t)), slope(at(t)) * (t > LEAD)[:, None]
 
-    def base(t: Array) -> tuple[Array, Array]:
-        return place(at(t)), turned(at(t))
+    def base(t: Array) -> Array:
+        return np.asarray(place(at(t)))
 
     def down(t: Array) -> Mask:
         return motion.down[np.minimum(np.searchsorted(motion.time, at(t)), len(motion.time) - 1)]
