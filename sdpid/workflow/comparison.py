@@ -276,18 +276,15 @@ def compare(
     left_out = {"log_cholesky": unsupported(problem)}
     able = [solver for solver in local if left_out.get(solver) is None]
     runs = [(solver, label, start) for solver in able for label, start in points]
-    with progress(len(runs), "local solvers", enabled=show_progress) as advance:
-        results = []
-        sent = problem.without_rows()
-        tasks = (delayed(_run)(solver, sent, x, max_iterations) for solver, _, x in runs)
-        for result in jobs(tasks):
-            results.append(result)
-            advance(1)
     entries: list[tuple[str, str, Estimate | str]] = [("wls", "-", wls), ("sdp", "-", best)]
-    for (solver, label, _), result in zip(runs, results, strict=True):
-        # A worker's estimate has a copy of the problem; give it this one.
-        own = result if isinstance(result, str) else replace(result, problem=problem)
-        entries.append((solver, label, own))
+    sent = problem.without_rows()
+    tasks = (delayed(_run)(solver, sent, start, max_iterations) for solver, _, start in runs)
+    with progress(len(runs), "local solvers", enabled=show_progress) as advance:
+        for (solver, label, _), result in zip(runs, jobs(tasks), strict=True):
+            # A worker's estimate has a copy of the problem; give it this one.
+            own = result if isinstance(result, str) else replace(result, problem=problem)
+            entries.append((solver, label, own))
+            advance(1)
     entries += [(solver, "-", f"{left_out[solver]}") for solver in local if solver not in able]
     return Comparison(
         rows=tuple(_row(solver, label, result, certificate) for solver, label, result in entries),
