@@ -116,12 +116,14 @@ class Samples(Sampled):
 
     Parameters
     ----------
+    effort : (K, n) array_like
+        In N·m.
     position : (K, n) or (K, nq) array_like
         Joint positions in rad; with a free flyer the configuration, one column more than n.
     velocity, acceleration : (K, n) array_like
         In rad/s and rad/s².
-    effort : (K, n) array_like
-        In N·m.
+    time : (K,) array_like, optional
+        In s.
     covariance : (n, n) or (K, n, n) array_like, optional
         Covariance of the effort in (N·m)², one for all samples or one a sample. From periodic
         records it is that of a single period, the paper's (11); the mean over `periods` periods
@@ -129,8 +131,6 @@ class Samples(Sampled):
     mask : (K, n) array_like of bool, optional
         True where the row (sample k, joint j) is to be used. None uses all. A joint may have no
         row at all: the six efforts of a floating base are not measured.
-    time : (K,) array_like, optional
-        In s.
     joint_names : sequence of str, optional
         One name a column of `effort`.
     periods : int, optional
