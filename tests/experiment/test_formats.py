@@ -396,23 +396,21 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
     assert 0 < refused <= count
 
 
-@pytest.mark.parametrize("suffix", sorted(BY_SUFFIX))
+GARBAGE = [np.random.default_rng(0).bytes(500), b"", b"\x00" * 64, b"a,b\n1\n", b"1,2\n3\n"]
+
+
+@pytest.mark.parametrize("suffix", ["", *sorted(BY_SUFFIX)])
 def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
-    file = tmp_path / f"log{suffix}"
-    contents = [np.random.default_rng(0).bytes(500), b"", b"\x00" * 64, b"a,b\n1\n", b"1,2\n3,4\n"]
-    # A child process for each takes a moment.
-    for content in contents[: 1 if BY_SUFFIX[suffix].sandboxed else None]:
-        file.write_bytes(content)
-        refuses(DataError, r"log\.", read_recording, file)
-
-
-@pytest.mark.parametrize("content", [np.random.default_rng(0).bytes(500), b"", b"1,2\n3\n"])
-def test_garbage_in_a_folder_of_matrices_is_a_data_error(tmp_path: Path, content: bytes):
-    for name in ("t", "q", "tau"):
-        (tmp_path / f"{name}.dat").write_bytes(content)
-    refuses(DataError, r"\.dat: is", read_recording, tmp_path)
-    (tmp_path / "q.txt").write_bytes(content)
-    refuses(DataError, r"q\.dat and q\.txt have the same name", read_recording, tmp_path)
+    # Without a suffix a folder of matrices. A child process for each content takes a moment.
+    names = [f"log{suffix}"] if suffix else ["t.dat", "q.dat", "tau.dat"]
+    for content in GARBAGE[: 1 if suffix and BY_SUFFIX[suffix].sandboxed else None]:
+        for name in names:
+            (tmp_path / name).write_bytes(content)
+        words = r"log\." if suffix else r"\.dat: is no matrix"
+        refuses(DataError, words, read_recording, tmp_path / names[0] if suffix else tmp_path)
+    (tmp_path / "q.txt").write_bytes(b"1")
+    if not suffix:
+        refuses(DataError, r"q\.dat and q\.txt have the same name", read_recording, tmp_path)
 
 
 MAGIC = b"\x89MCAP0\r\n"
