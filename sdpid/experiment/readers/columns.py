@@ -34,7 +34,7 @@ _STYLES = {
     "array": r"(?:(?P<of>.*)/)?{key}",
     "numbered": r"{key}[_./\s-]?\[?(?P<of>\d+)\]?",
     "labeled": r"{key}[_./\s-](?P<of>.+)",
-    "suffixed": r"(?:.*/)?(?P<of>.+?)[_./\s-]{key}",
+    "suffixed": r"(?:.*/)?(?P<of>[^/]+?)[_./\s-]{key}",
     "parts": rf"{{key}}(?P<of>){_BETWEEN}q?(?P<part>{{parts}})\]?",
     "axes": rf"{{key}}(?:[_\s-](?P<of>world|base))?{_BETWEEN}(?P<part>{{parts}})\]?",
     "feet": rf"{{key}}{_BETWEEN}(?P<of>.+?){_BETWEEN}(?P<part>{{parts}})\]?",
@@ -316,10 +316,10 @@ class Columns:
         row = Quantity((given,), bare=()) if given is not None else QUANTITIES[quantity]
         if given is None and any(map(_DERIVATIVE.fullmatch, self._plain.values())):
             row = replace(row, names=tuple(name for name in row.names if name != "q_d"))
-        array: Found | None = None
-        for array in self._arrays_called(quantity, row, names):
-            yield array
-        if array is not None:
+        found: Found | None = None
+        for found in self._arrays_called(quantity, row, names):
+            yield found
+        if found is not None:
             return
         if quantity in FLOATING:
             yield from self._of_base(quantity, row)
