@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -135,13 +136,11 @@ class JointChannels:
 _Runs: TypeAlias = Iterator[tuple[slice, float, float, dict[str, float]]]
 
 
-def _frozen(
-    joint: JointChannels, values: Array, limit: float, way: Callable[[slice], float]
-) -> _Runs:
+def _frozen(joint: JointChannels, name: str) -> _Runs:
     """Yield runs of equal values of a joint that moves, by how far it goes meanwhile."""
-    if not joint.moves:
+    values, time = getattr(joint, name), joint.time
+    if values is None or not joint.moves:
         return
-    time = joint.time
     edges = np.flatnonzero((np.diff(values) != 0.0) | ~joint.near(1)) + 1
     starts, stops = np.r_[0, edges], np.r_[edges, len(values)]
     lasting = time[np.minimum(stops, len(time) - 1)] - time[starts]
@@ -149,37 +148,29 @@ def _frozen(
     for i in np.flatnonzero(stays & (stops - starts >= _LEAST_ROWS)).tolist():
         rows = slice(int(starts[i]), int(stops[i]))
         value = float(values[rows.start])
-        extreme = values is not joint.position and value in (values.min(), values.max())
+        extreme = name != "position" and value in (values.min(), values.max())
         # A channel that comes back to its largest or least value is clipped.
-        if not (extreme and np.count_nonzero(values[starts] == value) > 1):
-            moved = way(rows)
-            numbers = {"value": value, "way": float(np.ptp(joint.position[rows])), "moved": moved}
-            yield rows, moved, limit * joint.reach, numbers
+        if extreme and np.count_nonzero(values[starts] == value) > 1:
+            continue
+        if name == "position":
+            moved, limit = _waited(joint, rows), _WAITED
+        elif name == "velocity":
+            moved, limit = joint.off_line(rows, value), _OFF_LINE
+        else:
+            moved, limit = joint.off_line(rows), _OFF_CHORD
+        numbers = {"value": value, "way": float(np.ptp(joint.position[rows])), "moved": moved}
+        yield rows, moved, limit * joint.reach, numbers
 
 
-def _velocity_frozen(joint: JointChannels) -> _Runs:
-    speeds = joint.velocity
-    if speeds is not None:
-        yield from _frozen(
-            joint, speeds, _OFF_LINE, lambda rows: joint.off_line(rows, speeds[rows.start])
-        )
-
-
-def _position_frozen(joint: JointChannels) -> _Runs:
-    velocity, jumps = joint.velocity, np.zeros(len(joint.position))
-    jumps[:-1] = np.abs(np.diff(joint.position)) * joint.near(1)
-    if not jumps.any():
-        return
-    usual = float(np.percentile(jumps[jumps > 0.0], _STEPS, method="lower"))
-
-    def waited(rows: slice) -> float:
-        jump = float(jumps[rows.stop - 1])
-        if velocity is None or jump >= _JUMPED * usual:
-            return jump if jump >= _JUMPED * usual else 0.0
-        way = abs(float(np.trapezoid(velocity[rows], joint.time[rows])))
-        return min(way, jump if jump > 0.0 else way / _UNSEEN)
-
-    yield from _frozen(joint, joint.position, _WAITED, waited)
+def _waited(joint: JointChannels, rows: slice) -> float:
+    """Return how far a joint goes whose position stays: what it jumps by, or its velocity says."""
+    jumps = np.append(np.abs(np.diff(joint.position)) * joint.near(1), 0.0)
+    least = _JUMPED * float(np.percentile(jumps[jumps > 0.0], _STEPS, method="lower"))
+    jump = float(jumps[rows.stop - 1])
+    if joint.velocity is None or jump >= least:
+        return jump if jump >= least else 0.0
+    way = abs(float(np.trapezoid(joint.velocity[rows], joint.time[rows])))
+    return min(way, jump if jump > 0.0 else way / _UNSEEN)
 
 
 def _effort_spike(joint: JointChannels) -> _Runs:
@@ -232,9 +223,9 @@ def _position_coarse(joint: JointChannels) -> _Runs:
 _RULES: dict[str, Callable[[JointChannels], _Runs]] = {
     "position_lone": _position_lone,
     "position_coarse": _position_coarse,
-    "position_frozen": _position_frozen,
-    "velocity_frozen": _velocity_frozen,
-    "effort_frozen": lambda joint: _frozen(joint, joint.effort, _OFF_CHORD, joint.off_line),
+    "position_frozen": partial(_frozen, name="position"),
+    "velocity_frozen": partial(_frozen, name="velocity"),
+    "effort_frozen": partial(_frozen, name="effort"),
     "effort_spike": _effort_spike,
 }
 

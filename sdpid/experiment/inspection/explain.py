@@ -466,18 +466,14 @@ def floating_log(
     without : collection of str
         Joints whose effort says nothing.
     """
-    contacts, base = samples.contacts, robot.n_base
+    contacts, n = samples.contacts, robot.n - robot.n_base
     if contacts is None or not robot.prior[:, 0].sum() > 0.0:
         return None
     some = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
-    parts = {
-        name: np.split(getattr(samples, name)[some], [base + (name == "position")], axis=1)
-        for name in (*_STATES, "effort")
-    }
-    signals = {name: of_joints for name, (_, of_joints) in parts.items()}
+    signals = {name: getattr(samples, name)[some, -n:] for name in (*_STATES, "effort")}
     signals["sign"] = smooth_sign(signals["velocity"])
-    position = samples.position[:, base + 1 :]
-    known = np.array([name not in without for name in robot.joint_names[base:]])
+    position = samples.position[:, -n:]
+    known = np.array([name not in without for name in robot.joint_names[-n:]])
     usable = moving(position.min(axis=0), position.max(axis=0)) & known
     usable &= np.ptp(signals["effort"], axis=0) > 0.0
     if not usable.any():
@@ -487,10 +483,10 @@ def floating_log(
         signals=signals,
         usable=usable,
         gravity=robot.gravity,
-        base=tuple(parts[name][0] for name in _STATES),
+        base=tuple(getattr(samples, name)[some, :-n] for name in _STATES),
         contacts=contacts.picked(some),
     ).moved()
-    asked = np.sqrt(np.mean(log.equations[0][2][:, base:] ** 2, axis=0))
+    asked = np.sqrt(np.mean(log.equations[0][2][:, -n:] ** 2, axis=0))
     usable = usable & (asked > _ASKS * asked.max())
     return replace(log, usable=usable).moved() if usable.any() else None
 

@@ -21,9 +21,6 @@ from sdpid._common.arrays import Array
 
 Severity = Literal["refuse", "warning", "note"]
 
-# What findings are about, the last of them about nothing in particular.
-SUBJECTS = ("speed", "base", "imu", "feet", "late", "forces", "flags", "")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
@@ -94,7 +91,8 @@ class Kind:
         Message, and what to do next, with fields in braces. Beside Python's formats numbers have
         those of `_UNITS`.
     about : str
-        What it is about, together with other kinds: one of `SUBJECTS`, or ``"log"``.
+        What it is about, together with other kinds: ``"speed"``, ``"base"``, ``"imu"``, ``"feet"``,
+        ``"late"``, ``"forces"``, ``"flags"``, or ``"log"``, which ``"everything"`` does not hide.
     hides : tuple of str
         Kinds, or subjects (`about`), whose findings it explains, and which are left out beside it:
         those of its joint, or all of them where it has none. A note explains only findings of its
@@ -184,8 +182,10 @@ def found(
 
 def explained(finding: Finding, others: list[Finding]) -> bool:
     """Return whether another finding explains one, so that it is left out."""
+    about = KINDS[finding.kind].about
+    names = {finding.kind, about, "" if about == "log" else "everything"}
     return any(
-        {finding.kind, KINDS[finding.kind].about} & {*KINDS[other.kind].hides}
+        names & {*KINDS[other.kind].hides}
         and (
             finding.joint in (None, other.joint)
             if other.joint is not None

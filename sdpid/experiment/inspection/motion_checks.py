@@ -8,15 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.kinds import (
-    KINDS,
-    SUBJECTS,
-    Finding,
-    found,
-    note,
-    refuse,
-    warning,
-)
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.gaps import MAX_GAP_STEPS
 from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units
@@ -51,7 +43,7 @@ KINDS.update(
         "positions look like degrees, not radians{seen}{mended}",
         "convert them, or read the file with units={{'position': 'deg'}}",
         # They raise most of the other alarms as well.
-        hides=SUBJECTS,
+        hides=("everything",),
         spoils=True,
         about="log",
     ),

@@ -42,8 +42,8 @@ class Subject:
     ----------
     given : Recording
         As it was measured.
-    asked : RobotModel or None
-        Whose joints these are.
+    robot : RobotModel or None
+        Whose joints these are; None too where they could not be matched.
     log : Recording
         The recording with its joints named and ordered as the robot's, where they are known, and
         without rows in which a channel is wrong.
@@ -56,7 +56,7 @@ class Subject:
     """
 
     given: Recording
-    asked: RobotModel | None
+    robot: RobotModel | None
     log: Recording
     mismatch: DataError | None = None
     without: frozenset[str] = frozenset()
@@ -72,8 +72,8 @@ class Subject:
         try:
             matched = log if robot is None else match_joints(robot, log)
         except DataError as refused:
-            return cls(given=log, asked=robot, log=log, mismatch=refused)
-        return cls(given=log, asked=robot, log=matched)
+            return cls(given=log, robot=None, log=log, mismatch=refused)
+        return cls(given=log, robot=robot, log=matched)
 
     def _once(self, key: Any, make: Callable[[], _Made]) -> _Made:
         if key not in self._made:
@@ -93,11 +93,6 @@ class Subject:
         if self.mismatch is not None:
             raise self.mismatch
         return self.log
-
-    @property
-    def robot(self) -> RobotModel | None:
-        """The robot; None where its joints could not be matched."""
-        return None if self.mismatch else self.asked
 
     @property
     def fixed(self) -> RobotModel | None:
@@ -125,12 +120,9 @@ class Subject:
         """Severity of what is wrong with a velocity: a note where by default it is not used."""
         return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
 
-    @property
+    @cached_property
     def continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
         """The parts between gaps, angles continued, none if refused, and what is said of them."""
-        return self._once("continued", self._continued)
-
-    def _continued(self) -> tuple[tuple[Recording, ...], list[Finding]]:
         try:
             pieces, notes = continuous(self.log)
         except DataError as refused:
@@ -238,10 +230,9 @@ class Subject:
         return self._once(chosen, lambda: self._processed(chosen))
 
     def _processed(self, processing: Processing) -> Samples:
-        robot, named = self.asked, self.given
+        robot, named = self.robot, self.matched
         assert robot is not None
         require_its_base(robot, named)
-        named = self.matched
         if processing.contact_force_std is not None and named.contacts:
             reach = round(processing.contact_margin_s / named.step)
             named = replace(named, contacts=carried(named.contacts, reach))
