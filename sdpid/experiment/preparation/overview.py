@@ -10,9 +10,9 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.inspect import inspect_recording
 from sdpid.experiment.inspection.kinds import found
+from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.motion import joint_frequencies, white_noise
-from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -38,9 +38,8 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         the frequencies (Hz) at which it mostly moves and below which 95 % of the motion lies; and
         ``findings`` (see `inspect_recording`). Missing is None.
     """
-    matched, findings = recording, list(inspect_recording(recording, robot).findings)
-    if robot is not None and not any(each.kind == "joints_unknown" for each in findings):
-        matched = match_joints(robot, recording)
+    matched = Subject.of(recording, robot).log
+    findings = list(inspect_recording(recording, robot).findings)
     processing, reasons = None, None
     try:
         chosen = default_processing(matched)
