@@ -146,14 +146,19 @@ def test_what_an_arm_cannot_do_is_refused(tmp_path: Path) -> None:
     refuses(ModelError, "floating base", default_motion, floating)
 
 
-@pytest.mark.parametrize("name", [STIFF, "z1"])
-def test_a_robot_of_large_damping_follows_its_motion_exactly(name: str) -> None:
+@pytest.mark.parametrize("name", [STIFF, "z1", NAME], ids=["stiff", "z1", "asked"])
+def test_large_damping_is_followed_exactly_and_any_robot_where_asked(name: str) -> None:
     """Friction does not hold a joint that is told to move."""
     robot = sdpid.load_robot(name)
-    trajectory = default_motion(robot, 1, period=6.25, periods=1)
-    log = sdpid.simulate(robot, trajectory, noise=False, progress=False)
-    lead = trajectory.lead_samples
-    np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
+    theta = THETA if name == NAME else plant.default_parameters(robot)
+    motion = default_motion(robot, 1, period=6.25, periods=1)
+    log = sdpid.simulate(robot, motion, noise=False, exact=name == NAME, progress=False)
+    lead = motion.lead_samples
+    q, v, a = motion.sample(lead)
+    np.testing.assert_array_equal(log.position[lead:], q)
+    dry, viscous = theta[10 * robot.n_links :].reshape(2, -1)
+    effort = robot.inverse_dynamics(theta, q, v, a) + dry * np.sign(v) + viscous * v
+    np.testing.assert_allclose(log.effort[lead:], effort, atol=1e-9)
     assert "without a controller" in log.notes[0]
 
 
@@ -176,15 +181,6 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     truth = problem.base.matrix @ plant.default_parameters(robot)
     scale = np.linalg.norm(problem.A @ truth)
     assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
-
-
-def test_any_robot_follows_its_motion_exactly_where_asked() -> None:
-    log, lead = recorded(exact=True), SHORT.lead_samples
-    q, v, a = (values[lead:] for values in SHORT.sample())
-    np.testing.assert_array_equal(log.position[lead:], q)
-    dry, viscous = THETA[60:].reshape(2, 6)
-    effort = ROBOT.inverse_dynamics(THETA, q, v, a) + dry * np.sign(v) + viscous * v
-    np.testing.assert_allclose(log.effort[lead:], effort, atol=1e-9)
 
 
 def test_defaults_of_a_simulation() -> None:
