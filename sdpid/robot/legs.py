@@ -273,12 +273,11 @@ def find_legs(
                 f"standing: the angle of '{robot.joint_names[6 + j]}' is {angles[j]}; give finite "
                 "ones, in rad."
             )
-    names = tuple(feet)
-    legs = Legs(robot, names, np.array(chains), 0.0, frozen(angles))
+    legs = Legs(robot, tuple(feet), np.array(chains), 0.0, frozen(angles))
     if len(chains[0]) == 3:
         return replace(legs, radius=_foot_radius(legs) if radius is None else radius)
     _require_level(legs)
-    return replace(legs, sole=frozen(_sole_corners(robot, names)))
+    return replace(legs, sole=frozen(_sole_corners(robot, legs.frames)))
 
 
 def _named(robot: RobotModel, word: str) -> list[str]:
@@ -338,7 +337,7 @@ def _sole_corners(robot: RobotModel, frames: tuple[str, ...]) -> Array:
     in; 0.2 m by 0.12 m where the description has none.
     """
     model = robot.pin_model
-    lower, upper = [], []
+    corners = []
     for name in frames:
         frame = model.frames[model.getFrameId(name)]
         try:
@@ -346,9 +345,9 @@ def _sole_corners(robot: RobotModel, frames: tuple[str, ...]) -> Array:
         except ModelError:
             continue
         own = (points - frame.placement.translation) @ frame.placement.rotation
-        own = own[own[:, 2] < own[:, 2].min() + _THICK]
-        lower.append(own[:, :2].min(axis=0))
-        upper.append(own[:, :2].max(axis=0))
-    if not lower:
+        own = own[own[:, 2] < own[:, 2].min() + _THICK, :2]
+        corners.append([own.min(axis=0), own.max(axis=0)])
+    if not corners:
         return np.array([[_BACK, -_SIDE], [_FRONT, _SIDE]])
-    return np.array([np.max(lower, axis=0), np.min(upper, axis=0)])
+    lower, upper = np.swapaxes(corners, 0, 1)
+    return np.array([lower.max(axis=0), upper.min(axis=0)])

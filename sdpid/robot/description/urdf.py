@@ -90,22 +90,19 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tu
     """
     root = parse_urdf(text, what)
     _check_numbers(root, what)
-    moving = 0
+    moving = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
     mimics = []
-    for joint in root.findall("joint"):
+    for joint in moving:
         name, kind = joint.get("name", "?"), joint.get("type", "?")
-        if kind == "fixed":
-            continue
         if kind not in _ONE_VARIABLE:
             raise ModelError(
                 f"{what}: joint '{name}' is of kind '{kind}'; supported are "
                 f"{', '.join(_ONE_VARIABLE)} and fixed (a floating base: root='free_flyer')."
             )
-        moving += 1
         for mimic in joint.findall("mimic")[:1]:
             multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
             mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
-    if moving == 0 and not floating:
+    if not moving and not floating:
         raise ModelError(f"{what}: no moving joint; nothing can be identified.")
     return root, tuple(mimics)
 

@@ -116,13 +116,11 @@ class BaseParameters(Shown):
         if name not in self.names:
             raise KeyError(f"no base parameter {name!r}; there are {', '.join(self.names)}")
         i = self.names.index(name)
-        row = self.matrix[i]
-        others = [j for j in np.flatnonzero(row) if j != self.kept[i]]
         terms = [self.theta_names[self.kept[i]]]
-        for j in others:
-            size = abs(row[j])
-            factor = "" if abs(size - 1.0) < ZERO else f"{size:.6g}*"
-            terms.append(f"{'-' if row[j] < 0 else '+'} {factor}{self.theta_names[j]}")
+        for j in np.setdiff1d(np.flatnonzero(self.matrix[i]), self.kept[i]):
+            value = self.matrix[i, j]
+            factor = "" if abs(abs(value) - 1.0) < ZERO else f"{abs(value):.6g}*"
+            terms.append(f"{'-' if value < 0 else '+'} {factor}{self.theta_names[j]}")
         return " ".join(terms)
 
     def explain(self) -> str:

@@ -380,13 +380,11 @@ class RobotDynamics:
         self, q: ArrayLike, v: Array, a: Array, *, kind: type[FrictionTerm] = FrictionTerm
     ) -> Array:
         """Return the effort (K, n) of the terms of a kind that depend on the position."""
+        position = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        motion = SampledMotion(position=position, velocity=v, acceleration=a, robot=self.robot)
         out = np.zeros_like(v)
         for term, values in self._posed():
             if isinstance(term, kind):
-                position = np.atleast_2d(np.asarray(q, dtype=np.float64))
-                motion = SampledMotion(
-                    position=position, velocity=v, acceleration=a, robot=self.robot
-                )
                 out += term.columns_in(motion, self.terms.joint_names) @ values
         return out
 

@@ -210,15 +210,11 @@ def regressor(
     places_of = [np.require(x, np.intp, _COMPILED_FOR) for x in at]
     whole = places is None
     route = np.arange(count) if places is None else np.require(places, np.intp, _COMPILED_FOR)
-    # Most of a sample is zero. A large new array comes as zeros from the system; any other is
-    # cleared sample by sample in the cache.
-    clear, cores = True, 1
-    if out is not None:
-        cores = threads() if size >= _LARGE else 1
-    elif size >= _LARGE:
-        # The system clears pages no faster for two threads than for one.
-        out, clear = np.zeros(shape), False
-    rows = np.empty(shape) if out is None else out
+    # Most of a sample is zero. A large new array comes as zeros from the system, which clears pages
+    # no faster for two threads than for one; any other is cleared sample by sample in the cache.
+    clear = size < _LARGE or out is not None
+    cores = threads() if size >= _LARGE and out is not None else 1
+    rows = out if out is not None else np.empty(shape) if clear else np.zeros(shape)
 
     def work(part: slice) -> None:
         parts = (x[part] for x in states)
