@@ -101,8 +101,8 @@ def _assembled(robot: RobotModel) -> Array:
     """Return positions in which the loops are closed, (1, joints)."""
     names = robot.joint_names[robot.n_base :]
     rough = np.zeros((1, len(names)))
-    rough[0, [names.index(name) for name in robot.passive]] = robot.assembled
     passive = np.array([names.index(name) for name in robot.passive], dtype=np.intp)
+    rough[0, passive] = robot.assembled
     rng, least = np.random.default_rng(0), np.inf
     # Links in one line give Newton's method no direction: then it starts beside them.
     for away in _BESIDE:

@@ -481,11 +481,8 @@ def _fill(
                 own[4], own[5], own[6], own[7], own[8], own[9] = m4, m5, m6, m7, m8, m9
                 if direct:
                     continue
-                if shared[m]:
-                    for t in range(first[i], first[i + 1]):
-                        out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]
-                else:
-                    for t in range(first[i], first[i + 1]):
-                        out[k, h, route[wanted[t]]] = row[wanted[t] - to]
+                # Of a coordinate that moves one joint alone the factor is one.
+                for t in range(first[i], first[i + 1]):
+                    out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]
         for e in range(len(extra_row)):
             out[k, extra_row[e], extra_column[e]] = extra[k, e]
