@@ -178,16 +178,13 @@ def _upward(mean: Array) -> float:
 def _signed_axes() -> Iterator[tuple[str, Array, bool]]:
     """Yield the 48 matrices that exchange axes and turn signs, in words, and which of them mirror.
 
-    The unit matrix is first, and has no words.
+    The unit matrix is first.
     """
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            names = (
-                "-" * (sign < 0) + "xyz"[axis] for axis, sign in zip(order, signs, strict=True)
-            )
-            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
-            mirrors = bool(np.linalg.det(matrix) < 0.0)
-            yield f"x, y, z are {', '.join(names)} measured", matrix, mirrors
+    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
+        names = ("-" * (sign < 0) + "xyz"[axis] for axis, sign in zip(order, signs, strict=True))
+        matrix = np.diag(signs) @ np.eye(3)[list(order)]
+        mirrors = bool(np.linalg.det(matrix) < 0.0)
+        yield f"x, y, z are {', '.join(names)} measured", matrix, mirrors
 
 
 def _evidence(
@@ -275,12 +272,9 @@ def imu_channels(subject: Subject) -> Iterator[Finding]:
     log, turns = based[0], _turns(based[1].orientation)
     for sensor, values in imu.channels.items():
         if not np.any(np.ptp(values, axis=0)):
-            yield found(
-                f"imu_{sensor}",
-                what=f" never changes: it is {vector(values[0])} in every row",
-                remedy="if it was not measured, leave it out",
-                size=float(np.linalg.norm(values[0])),
-            )
+            what = f" never changes: it is {vector(values[0])} in every row"
+            size, remedy = np.linalg.norm(values[0]), "if it was not measured, leave it out"
+            yield found(f"imu_{sensor}", what=what, remedy=remedy, size=size)
         elif sensor == "gyroscope":
             yield from _gyroscope(log, turns, imu, values)
         else:
@@ -307,17 +301,11 @@ def _gyroscope(log: Recording, turns: Rotation, imu: Imu, values: Array) -> Iter
         right = [axes] if axes != next(_signed_axes())[0] else []
         right += ["it is in deg/s"] if scale == _DEGREES else []
         better = f"; {100 * left:.2g} % where {' and '.join(right)}"
-    yield found(
-        "imu_gyroscope",
-        what=(
-            f" leaves {100 * own:.3g} % of the orientation's turning unexplained, limit "
-            f"{100 * limit:g} %{better}"
-        ),
-        remedy="give the sensor's axes (imu rotation) or its unit, or leave it out",
-        unexplained=own,
-        best=left,
-        limit=limit,
-    )
+    what = f" leaves {100 * own:.3g} % of the orientation's turning unexplained, limit "
+    what += f"{100 * limit:g} %{better}"
+    remedy = "give the sensor's axes (imu rotation) or its unit, or leave it out"
+    numbers = {"unexplained": own, "best": left, "limit": limit}
+    yield found("imu_gyroscope", what=what, remedy=remedy, **numbers)
 
 
 def _accelerometer(turns: Rotation, imu: Imu, values: Array) -> Iterator[Finding]:
@@ -445,8 +433,11 @@ _CUTOFFS_HZ = {"gyroscope": 15.0, "accelerometer": 10.0}
 # Told from five standard errors on and from this size: turned by 3°, placed 1 cm off, 0.1 m/s²
 # (0.05 rad/s) or 2 % off. Right logs of three quadrupeds are off by 3.2 errors at most; an
 # accelerometer 5 cm off costs 1.2 %.
-SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
-RATE_BIAS = 0.05
+_OF_BOTH = {"scale": 0.02, "axes": np.radians(3.0), "late": np.inf}
+_SIZES = {
+    "gyroscope": {"bias": 0.05, **_OF_BOTH},
+    "accelerometer": {"bias": 0.1, **_OF_BOTH, "place": 0.01},
+}
 # Columns of what may be wrong, and how far off it is at most: m/s² (rad/s), 1, rad, s, m. The delay
 # is told elsewhere.
 _AT = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,), "place": (8, 9, 10)}
@@ -520,7 +511,7 @@ def sensor_fit(
 
     # At rest it has nothing but a bias; a gyroscope shows the same wherever it sits.
     rests = rms(low(turns)[kept]) < LEAST_RATE
-    names = ["bias", "late"] if rests else [*_AT][: 4 if gyroscope else 5]
+    names = ["bias", "late"] if rests else [*_SIZES[sensor]]
     starts = [stated]
     if not rests:
         in_base = [np.einsum("kji,kj->ki", axes, x) for x in (wanted, np.einsum("kijj->ki", along))]
@@ -544,15 +535,10 @@ def sensor_fit(
             value, covariance = last.values[own], last.covariance[np.ix_(own, own)]
             if name == "axes":
                 value = value + Rotation.from_matrix(turn @ stated.T).as_rotvec()
-            if (sure := sure_part(value, covariance, _size(sensor, name))) is not None:
+            if (sure := sure_part(value, covariance, _SIZES[sensor][name])) is not None:
                 wrong[name] = sure
         names = [name for name in names if name != optional or name in wrong]
     return wrong, turn if "axes" in wrong else stated, rests
-
-
-def _size(sensor: str, name: str) -> float:
-    """Return the least size of something wrong with a sensor that is told."""
-    return RATE_BIAS if (sensor, name) == ("gyroscope", "bias") else SIZES.get(name, np.inf)
 
 
 def _second(values: Array, step: float) -> Array:
@@ -575,7 +561,7 @@ def imu(subject: Subject) -> Iterator[Finding]:
         wrong, turn, rests = sensor_fit(log, sensor, gravity, turn)
         matrix = turn @ given.rotation
         for name, (value, error) in wrong.items():
-            size, limit = float(np.linalg.norm(value)), _size(sensor, name)
+            size, limit = float(np.linalg.norm(value)), _SIZES[sensor][name]
             fields = {"sensor": sensor, "error": error, "limit": limit}
             if name == "axes":
                 rows = (", ".join(f"{x:.4f}" for x in row) for row in matrix.round(4) + 0.0)

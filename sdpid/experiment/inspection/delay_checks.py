@@ -17,7 +17,7 @@ from sdpid.experiment.inspection.delays import (
     is_significant,
 )
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
-from sdpid.experiment.inspection.rows import FilteredRows, friction
+from sdpid.experiment.inspection.rows import FilteredRows, follows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
 from sdpid.experiment.recording.plausible import moving
@@ -69,14 +69,11 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
         return
     limit, lags = max(_LEAST_DELAY, _LEAST_STEPS * rows.step), {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
-        measured, velocity = rows.recorded_velocity[:, j], rows.velocity[:, j]
-        columns = np.column_stack([velocity, rows.acceleration[:, j], np.ones_like(velocity)])
-        scale, rate, _ = weights = np.linalg.lstsq(columns, measured, rcond=None)[0]
-        left = float(np.var(measured - columns @ weights))
+        signals = (rows.recorded_velocity, rows.velocity, rows.acceleration)
+        fit = follows(*(each[:, j] for each in signals))
         # Another signal has no delay.
-        alike = scale and left < (1.0 - _CORRELATED**2) * float(np.var(measured))
-        if alike and abs(rate / scale) >= limit:
-            lags[subject.log.names[j]] = -float(rate / scale)
+        if fit["correlation"] > _CORRELATED and abs(fit["lag"]) >= limit:
+            lags[subject.log.names[j]] = -fit["lag"]
     if lags:
         worst = max(lags.values(), key=abs)
         joint = next(iter(lags)) if len(lags) == 1 else None

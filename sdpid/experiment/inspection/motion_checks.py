@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
+from sdpid.experiment.inspection.rows import follows
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.gaps import MAX_GAP_STEPS
 from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units
@@ -275,22 +275,6 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
         yield found("long_rest", share=resting, speed=_RESTING, limit=_LONGEST_REST)
 
 
-def _follows(signal: Array, value: Array, rate: Array, *others: Array) -> dict[str, float]:
-    """Fit a signal as scale × a value some time later, plus an offset; others are accounted for."""
-    mean = float(value.mean())
-    columns = np.column_stack([value - mean, rate, *others, np.ones_like(rate)])
-    weights = np.linalg.lstsq(columns, signal)[0]
-    scale, slope, level = weights[[0, 1, -1]].tolist()
-    a, b = (each - each.mean() for each in (columns @ weights, signal))
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return {
-        "scale": scale,
-        "offset": level - mean,
-        "lag": slope / scale if scale != 0.0 else 0.0,
-        "correlation": float(a @ b) / size if size > 0.0 else 0.0,
-    }
-
-
 @check
 def velocities(subject: Subject) -> Iterator[Finding]:
     """Find velocities that are not the rate of the positions, and stamps that run wrong."""
@@ -300,7 +284,7 @@ def velocities(subject: Subject) -> Iterator[Finding]:
     fits = {}
     for j, name in enumerate(subject.log.names):
         rate = rows.velocity[:, j]
-        fit = _follows(rows.recorded_velocity[:, j], rate, rows.acceleration[:, j])
+        fit = follows(rows.recorded_velocity[:, j], rate, rows.acceleration[:, j])
         if np.sqrt(np.mean(rate**2)) >= _LEAST_SPEED and fit["correlation"] >= _CORRELATED:
             fits[name] = fit
     scales = np.array([fit["scale"] for fit in fits.values()])
@@ -342,10 +326,10 @@ def references(subject: Subject) -> Iterator[Finding]:
     wrong, numbers = {}, {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
         name, reference = subject.log.names[j], rows.recorded_reference[:, j]
-        fit = _follows(reference, *motion[j])
+        fit = follows(reference, *motion[j])
         what = _unlike(fit)
         if fit["correlation"] < _CORRELATED:
-            others = [_follows(reference, *other)["correlation"] for other in motion]
+            others = [follows(reference, *other)["correlation"] for other in motion]
             best = int(np.argmax(others))
             if others[best] > _CORRELATED:
                 followed = subject.log.names[best]

@@ -135,3 +135,19 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> dict[str, Array]:
         if (recorded := getattr(log, name)) is not None:
             signals[f"recorded_{name}"] = smooth(averaged(recorded), 0)
     return {name: each[edge:-edge] for name, each in signals.items()}
+
+
+def follows(signal: Array, value: Array, rate: Array, *others: Array) -> dict[str, float]:
+    """Fit a signal as scale × a value some time later, plus an offset; others are accounted for."""
+    mean = float(value.mean())
+    columns = np.column_stack([value - mean, rate, *others, np.ones_like(rate)])
+    weights = np.linalg.lstsq(columns, signal)[0]
+    scale, slope, level = weights[[0, 1, -1]].tolist()
+    a, b = (each - each.mean() for each in (columns @ weights, signal))
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return {
+        "scale": scale,
+        "offset": level - mean,
+        "lag": slope / scale if scale != 0.0 else 0.0,
+        "correlation": float(a @ b) / size if size > 0.0 else 0.0,
+    }
