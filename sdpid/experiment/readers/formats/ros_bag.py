@@ -234,6 +234,8 @@ def _at_states(
     quantities: Mapping[str, tuple[str, str]], stream: _Stream, states: _Stream
 ) -> dict[str, Array]:
     """Return quantities of the base at the stamps of the joint states; NaN where unknown."""
+    from scipy.spatial.transform import Rotation, Slerp
+
     own = any(states.stamps)
     stamps = states.since(states, own)
     time, first = np.unique(stream.since(states, own), return_index=True)
@@ -246,16 +248,9 @@ def _at_states(
         own_rows, rows = rows[:, : len(parts)], rows[:, len(parts) :]
         values = np.column_stack([np.interp(stamps, time, column) for column in own_rows.T])
         if quantity == "base_orientation" and len(time) > 1:
-            values = _between(stamps, time, own_rows)
+            # Along the shortest turn.
+            turns = Slerp(time, Rotation.from_quat(own_rows))
+            values = turns(np.clip(stamps, time[0], time[-1])).as_quat()
         values[unknown] = np.nan
         found[quantity] = values
-    return found
-
-
-def _between(stamps: Array, time: Array, quaternions: Array) -> Array:
-    """Return orientations between others, along the shortest turn."""
-    from scipy.spatial.transform import Rotation, Slerp
-
-    turns = Slerp(time, Rotation.from_quat(quaternions))
-    found: Array = turns(np.clip(stamps, time[0], time[-1])).as_quat()
     return found
