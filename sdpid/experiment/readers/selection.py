@@ -86,7 +86,12 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
     for quantity in CHANNELS:
         joints = found.labels.get("position", how.joint_names or stored)
         if quantity == "reference" and quantity not in how.columns:
-            _add_reference(log, found, joints)
+            try:
+                _add_reference(log, found, joints)
+            except DataError as cause:
+                # A log is never refused for a reference that nobody asked for.
+                found.left_out["reference"] = str(cause)
+                log.forget("reference")
         elif not _add(log, found, quantity, joints) and quantity in ("position", "effort"):
             raise log.missing(quantity)
     _align(found, CHANNELS)
@@ -152,42 +157,35 @@ def _align(found: Selection, quantities: Sequence[str]) -> None:
 
 
 def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None) -> None:
-    """Add commanded positions, or note why they are left out.
+    """Add commanded positions, where there are any and nothing else has their name.
 
-    A log is never refused for a reference that nobody asked for.
+    Raises
+    ------
+    DataError
+        Saying why they are left out.
     """
     commands: dict[frozenset[str], Found] = {}
-    try:
-        for command in log.finds("reference", joints):
-            commands.setdefault(frozenset(command[0]), command)
-        first = [columns[0] for columns, _, _ in commands.values()]
-        if len(commands) != 1:
-            why = f"it could be {' or '.join(first)}; name one with columns= (--column)"
-            found.left_out |= {"reference": why} if commands else {}
-            return
-        ((columns, labels, unit),) = commands.values()
-        table = log.load("reference", columns, unit)
-    except DataError as cause:
-        found.left_out["reference"] = str(cause)
-        log.forget("reference")
-        return
-    position, of_positions = found.tables["position"], found.labels.get("position")
-    if table.shape != position.shape:
-        why = f"it has the shape {table.shape}, positions {position.shape}"
-    elif not sound(table):
-        why = "it lacks values"
-    elif labels is not None and set(labels) != set(of_positions or labels):
-        why = f"its columns are of joints {', '.join(labels)}"
-    elif "q_d" in first[0] and not _followed(table, position):
-        why = "the positions do not follow it, so that it may be a derivative"
-    else:
+    for command in log.finds("reference", joints):
+        commands.setdefault(frozenset(command[0]), command)
+    first = [columns[0] for columns, _, _ in commands.values()]
+    if len(commands) > 1:
+        raise DataError(f"it could be {' or '.join(first)}; name one with columns= (--column)")
+    for columns, labels, unit in commands.values():
+        table, why = log.load("reference", columns, unit), None
+        position, of_positions = found.tables["position"], found.labels.get("position")
+        if table.shape != position.shape:
+            why = f"it has the shape {table.shape}, positions {position.shape}"
+        elif not sound(table):
+            why = "it lacks values"
+        elif labels is not None and set(labels) != set(of_positions or labels):
+            why = f"its columns are of joints {', '.join(labels)}"
+        elif "q_d" in first[0] and not _followed(table, position):
+            why = "the positions do not follow it, so that it may be a derivative"
+        if why is not None:
+            remedy = "name it with columns= (--column) where it is one"
+            raise DataError(f"{first[0]}: {why}; {remedy}")
         found.tables["reference"] = table
         found.labels |= {} if labels is None else {"reference": labels}
-        return
-    log.forget("reference")
-    found.left_out["reference"] = (
-        f"{first[0]}: {why}; name it with columns= (--column) where it is one"
-    )
 
 
 def _followed(table: NDArray[Any], position: NDArray[Any]) -> bool:
