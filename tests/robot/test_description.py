@@ -17,7 +17,6 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhJoint, DhTable
-from sdpid.robot.description.loops import pointing
 from sdpid.robot.description.xml import matrix_rpy, rpy_matrix
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.jacobians import frame_axes, frame_gaps
@@ -258,14 +257,6 @@ def test_equalities_of_an_mjcf_close_loops(kind: str) -> None:
     # MuJoCo joins what is at one place when joints are at zero.
     assert frame_gaps(robot, np.zeros((1, 3)), [loop.frame], [loop.against]) < 1e-15
     assert loop.kind == ("point" if kind == "connect" else "plane")
-
-
-def test_an_axis_makes_a_frame() -> None:
-    for axis in ([0.0, -2.0, 0.0], [1.0, 0.2, -3.0]):
-        R = pointing(np.array(axis))
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
-        np.testing.assert_allclose(R[:, 1], axis / np.linalg.norm(axis), atol=1e-15)
-        assert np.linalg.det(R) > 0.0
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.closed_chains import mjcf
-from tests.helpers.data import friction_model, full_regressor, make_samples, random_theta
+from tests.helpers.data import friction_model, full_regressor, random_theta
 from tests.helpers.linkages import urdf
 from tests.helpers.random_trees import random_tree
 from tests.helpers.refusals import refuses
@@ -83,21 +83,6 @@ def test_the_laws_of_the_equations_of_motion(seed: int, name: str) -> None:
         full = plain.to_pinocchio()
         state = (full, full.createData(), robot.configuration(q)[0], v[0], a[0])
         assert_same(plain.inverse_dynamics(q, v, a)[0], pin.rnea(*state) + plain.friction(v)[0])
-
-
-@pytest.mark.parametrize("solve", [sdpid.solve_sdp, sdpid.solve_wls])
-def test_an_estimate_gives_its_model(solve: object) -> None:
-    robot = small_arm(3)
-    rng = np.random.default_rng(5)
-    samples = make_samples(robot, random_theta(robot, rng, TERMS), rng, noise=0.01, friction=TERMS)
-    estimate = solve(sdpid.build_problem(robot, samples, friction=TERMS))
-    model = estimate.model()
-    predicted = sdpid.validate(estimate).effort_predicted
-    found = model.inverse_dynamics(samples.position, samples.velocity, samples.acceleration)
-    assert_same(found, predicted)
-    if estimate.theta is not None:
-        np.testing.assert_array_equal(model.theta, estimate.theta)
-    assert "arm3" in repr(model)
 
 
 def test_rotor_inertia_is_pinocchios_armature_and_descriptions_have_no_say() -> None:

@@ -641,16 +641,6 @@ def test_the_rank_decision_is_explained(table_iv: BaseParameters) -> None:
     assert table_iv.largest_dropped < table_iv.tolerance < table_iv.smallest_kept
 
 
-def test_a_rotor_inertia_folds_into_zzr1(denso: RobotModel) -> None:
-    base = base_of(denso, "coulomb", "viscous", "rotor_inertia")
-    assert "Ia1" not in base.names
-    assert "Ia2" not in base.names
-    assert base.names[-3:] == ("Fs6", "Fv6", "Ia6")
-    assert base.expression("zzr1").endswith("+ Ia1")
-    assert base.expression("zzr2").endswith("+ Ia2")
-    assert base.count == 52
-
-
 def fresh_rows(robot: RobotModel, terms: tuple[str, ...], seed: int, count: int = 12) -> Array:
     """Return full regressor rows at states that the scan has not seen."""
     rows = full_regressor(robot, generic_states(robot, count, seed), terms)
