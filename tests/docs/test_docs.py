@@ -229,10 +229,10 @@ def test_a_page_that_was_not_run_says_so_below_its_title() -> None:
     assert sum("why." in line for line in lines) == 1
 
 
-# Messages and kinds of findings on the page of troubleshooting are those of the package.
+# Messages on the page of troubleshooting, and kinds of findings on the page of inspection, are
+# those of the package.
 
 
-PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
 _WORDS = re.compile(r"`([^`]+)`")
 
 
@@ -251,10 +251,10 @@ def text(node: ast.AST) -> str:
     return ""
 
 
-def first_cells(header: str) -> Iterator[str]:
-    """Yield the code in the first column of each table that begins with this heading."""
+def first_cells(page: str, header: str) -> Iterator[str]:
+    """Yield the code in the first column of each table of a page that begins with this heading."""
     inside = False
-    for line in PAGE.splitlines():
+    for line in (ROOT / "docs" / page).read_text("utf-8").splitlines():
         cell = line.strip().strip("|").split("|")[0].strip() if line.startswith("|") else ""
         inside = bool(cell) and (inside or cell == header)
         if inside:
@@ -262,7 +262,7 @@ def first_cells(header: str) -> Iterator[str]:
 
 
 def test_every_message_is_one_of_the_package() -> None:
-    messages = list(first_cells("message"))
+    messages = list(first_cells("troubleshooting.md", "message"))
     assert len(messages) > 50
     wanted = [[part for part in message.split("…") if len(part) > 2] for message in messages]
     said = texts()
@@ -276,6 +276,6 @@ def test_every_message_is_one_of_the_package() -> None:
 
 def test_every_kind_of_finding_is_named() -> None:
     kinds = set(inspection.KINDS)
-    named = set(first_cells("kind"))
+    named = set(first_cells("guides/inspection.md", "kind"))
     assert kinds - named == set()
     assert named - kinds == set()
