@@ -22,7 +22,7 @@ from sdpid.excitation.search import search as module
 from sdpid.excitation.search import steps
 from sdpid.excitation.search.ipopt import INTERRUPTED, minimize
 from sdpid.excitation.search.linear import largest_step, linear_limits
-from sdpid.excitation.search.search import Candidate, Search, most_steps
+from sdpid.excitation.search.search import Candidate, Search
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import random_start
 from sdpid.excitation.search.steps import counted_steps
@@ -80,14 +80,11 @@ def test_the_best_are_refined_within_the_limits() -> None:
     assert found[0].space.size > search.space.size
     coarse = min(c.value for c in found if c.space is search.space)
     assert found[0].value < coarse
-    assert sum(c.steps for c in found) == steps <= most_steps(3)
+    assert sum(c.steps for c in found) == steps <= search.most_steps(3)
 
 
-def test_the_best_goes_on_after_starts_that_are_no_better(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module, "_REFINING_STEPS", 5)
-    search = search_of()
+def test_the_best_goes_on_after_starts_that_are_no_better() -> None:
+    search = search_of(refining_steps=5)
     start = next(starts_of(search, 1))
     values = [search.run([start] * count)[0][0].value for count in (1, 2, 3)]
     assert values[0] > values[1] > values[2]

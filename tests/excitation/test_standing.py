@@ -14,12 +14,11 @@ from sdpid.errors import DataError, ModelError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.search.space import SplineSpace
-from sdpid.excitation.standing.design import _narrowed, _rows
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance, StanceStates
-from sdpid.excitation.standing.task import _joints
+from sdpid.excitation.standing.task import StandingInequalities, _joints
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
@@ -93,7 +92,7 @@ def test_limits_are_held_where_the_criterion_looks() -> None:
     space = SplineSpace.of(plan.stance.n, 3.0)
     finer = space.refined(np.zeros(space.size))
     for each in (space, finer[0]):
-        ((_, instants),) = _rows(each, plan.held, 0.9).parts
+        ((_, instants),) = StandingInequalities(plan.held).rows(each).parts
         np.testing.assert_array_equal(instants, each.grid())
 
 
@@ -104,8 +103,9 @@ def test_limits_are_narrowed_by_what_was_missing(slack: float, narrower: float) 
         kind="friction", subject="foot", side="upper", limit=0.5, worst=0.5 - slack,
         reached=0.5 - slack, time=0.0, slack=slack, unit="1", verdict="broken",
     )  # fmt: skip
-    check = LimitCheck(rows=(row,), notes=())
-    assert _narrowed(0.97, check) == pytest.approx(0.97 / narrower)
+    searched = StandingInequalities(standing_plan().held, share=0.97)
+    searched.learn(LimitCheck(rows=(row,), notes=()))
+    assert searched.share == pytest.approx(0.97 / narrower)
 
 
 def test_robots_without_legs_are_refused() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, generator
+from sdpid._common.arrays import generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.information import UNDETERMINED, Excitation
 from sdpid.estimation.prior.prior import Prior
@@ -21,16 +21,16 @@ from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.objectives import WORDS, ObjectiveKind
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.design.homes import homes
-from sdpid.excitation.design.repair import Inequalities, mend
+from sdpid.excitation.design.on_grid import ArmInequalities
+from sdpid.excitation.design.repair import mend
 from sdpid.excitation.design.task import MOTIONS, Motion, Task
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.plan.settings import settings_of
-from sdpid.excitation.search.ipopt import INTERRUPTED, require_solver
-from sdpid.excitation.search.search import Candidate, Search, most_steps
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.ipopt import INTERRUPTED
+from sdpid.excitation.search.search import Candidate, Search, require_search
 from sdpid.excitation.search.steps import counted_steps
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
@@ -40,8 +40,7 @@ from sdpid.robot.model.model import RobotModel
 
 # Friction terms of a plan, where none are named: those that every joint has.
 FRICTION = ("coulomb", "viscous", "offset")
-# Starts of the search, and random motions of which the best is the first: condition numbers of
-# single starts differ by up to a fifth (UR10e).
+# Starts of the search.
 STARTS = 4
 # Of a time limit, what is kept for the check and for what the run will buy: times what it took to
 # resolve the arguments on this machine, and at most this share.
@@ -169,11 +168,7 @@ def design_excitation(
     >>> plan.names[:3], plan.standard_errors.shape
     (('zzr1', 'Fs1', 'Fsg1'), (16,))
     """
-    if starts < 1:
-        raise DataError(f"starts: is {starts}; give at least 1.")
-    if time_limit is not None and not time_limit > 0.0:
-        raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
-    require_solver()
+    require_search(time_limit, starts=starts)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     require_open_chain(model, "excitation")
     if not model.n_base:
@@ -208,11 +203,12 @@ def design_excitation(
     if time_limit is not None:
         kept = min(_KEPT * (time.monotonic() - began), _KEPT_SHARE * time_limit)
         search = replace(search, deadline=began + time_limit - kept)
-    inequalities = Inequalities(task)
-    with counted_steps(most_steps(starts), began, search.deadline, progress) as step:
+    inequalities = ArmInequalities(task)
+    with counted_steps(search.most_steps(starts), began, search.deadline, progress) as step:
+        rng = generator(seed)
+        begun = search.random_starts(homes(task, rng), inequalities.rows(task.space), rng)
         count = starts if time_limit is None else None
-        begun = itertools.islice(_starts(task, search, inequalities.rows(task.space), seed), count)
-        found, stopped = search.run(begun, inequalities.rows, step=step)
+        found, stopped = search.run(itertools.islice(begun, count), inequalities.rows, step=step)
     search = replace(search, deadline=search.deadline + kept / 2.0)
     best, check = mend(task, search, found, inequalities)
     notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
@@ -275,20 +271,6 @@ def _compile(robot: RobotModel) -> None:
     rows = BaseRows.of(robot, ())
     still = np.zeros((max(1, _STATES // robot.n), robot.n))
     rows.gradient(rows.rows(still, still, still), still, still, still)
-
-
-def _starts(task: Task, search: Search, rows: Any, seed: int) -> Iterable[Array]:
-    """Yield random motions within all limits."""
-    rng = generator(seed)
-
-    def holds(x: Array) -> bool:
-        return rows is None or bool(np.min(rows.values(x)) > 0.0)
-
-    drawn = (random_start(task.space, search.linear, home, rng, holds) for home in homes(task, rng))
-    # The best goes first: a search that ends at once is no worse than any of these.
-    first = itertools.islice(drawn, STARTS)
-    yield from sorted(first, key=lambda x: search.value_and_gradient(x)[0])
-    yield from drawn
 
 
 def _notes(

@@ -28,12 +28,12 @@ from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
+from sdpid.excitation.limits.check import LimitCheck, check_trajectory
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
-from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.starts import usual_states
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
@@ -197,7 +197,10 @@ class Task:
         sizes = np.where(half > 0.0, np.minimum(half, _LARGEST), _LARGEST)
         space = _space(robot.n, duration, motion, closed, harmonics).sized(sizes)
         rows = BaseRows.of(robot, friction)
-        usual = _usual_states(robot, joints, space, seed)
+        rng = generator(seed)
+        shares = (rng.uniform(0.25, 0.75, robot.n) for _ in range(_USUAL))
+        around = (joints.lower + share * (joints.upper - joints.lower) for share in shares)
+        usual = usual_states(space, joints, around, rng)
         bodies, assumed = nominal_bodies(robot)
         notes += assumed
         effort = np.sqrt(np.mean(robot.inverse_dynamics(bodies, *usual) ** 2, axis=0))
@@ -256,6 +259,16 @@ class Task:
             velocity_limit=limits.velocity,
         )
 
+    def check(self, curve: Curve) -> LimitCheck:
+        """Return what a motion comes to beside its limits, at every instant."""
+        return check_trajectory(
+            self.robot,
+            self.trajectory(curve),
+            self.limits,
+            collision=self.collision or False,
+            torque=self.torque,
+        )
+
 
 def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> None:
     require_fixed_robot(
@@ -302,23 +315,6 @@ def _space(n: int, duration: float, motion: Motion, closed: bool, harmonics: int
     if motion == "one_by_one":
         return SplineSpace.one_by_one(n, duration)
     return SplineSpace.of(n, duration, closed=closed)
-
-
-def _usual_states(
-    robot: RobotModel, limits: JointLimits, space: Space, seed: int
-) -> tuple[Array, Array, Array]:
-    """Return states (K, n) of random motions within the limits: the efforts that are usual."""
-    rng = generator(seed)
-    linear = linear_limits(space, limits)
-    bases = [space.basis(space.grid(), order) for order in range(3)]
-    parts = []
-    for _ in range(_USUAL):
-        share = rng.uniform(0.25, 0.75, robot.n)
-        home = limits.lower + share * (limits.upper - limits.lower)
-        c = space.coefficients(random_start(space, linear, home, rng, lambda x: True))
-        parts.append([basis @ c for basis in bases])
-    q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return q, v, a
 
 
 def _criterion(

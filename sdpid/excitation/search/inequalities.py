@@ -95,6 +95,10 @@ class InstantRows:
             ]
         )
 
+    def hold(self, x: Array) -> bool:
+        """Return whether a motion (N,) is within all of them."""
+        return bool(np.min(self.values(x)) > 0.0)
+
     def derivative(self, x: Array) -> Array:
         """Return the derivative (R, N)."""
         blocks = []

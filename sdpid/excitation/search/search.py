@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,23 +12,36 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.errors import DataError
 from sdpid.excitation.criterion.criterion import Criterion
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.search.ipopt import Rows, minimize
+from sdpid.excitation.search.inequalities import InstantRows
+from sdpid.excitation.search.ipopt import Rows, minimize, require_solver
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import Space
+from sdpid.excitation.search.starts import random_start
 
-# Steps of one start: what more of them bring, finer motions bring sooner.
-MOST_STEPS = 40
-# What is better than all starts before goes on with twice and four times the intervals; after any
-# other start the best so far goes on. Deadlines only end this: what a search finds in less time,
-# it finds in more.
-_LEVELS, _REFINING_STEPS = 2, 60
+# Random motions of which the best is the first start: condition numbers of single starts differ by
+# up to a fifth (UR10e).
+_FIRST = 4
 
 
-def most_steps(starts: int) -> int:
-    """Return the largest number of steps of a search from a number of starts."""
-    return starts * (MOST_STEPS + _LEVELS * _REFINING_STEPS)
+def require_search(time_limit: float | None, **counts: int) -> None:
+    """Refuse numbers of starts and steps, and time limits, of which there is no search.
+
+    Raises
+    ------
+    DataError
+        When one is out of range.
+    MissingExtraError
+        When CasADi is not installed (extra ``excite``).
+    """
+    for name, number in counts.items():
+        if number < 1:
+            raise DataError(f"{name}: is {number}; give at least 1.")
+    if time_limit is not None and not time_limit > 0.0:
+        raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
+    require_solver()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +79,10 @@ class Candidate:
 class Search:
     """A search of motions.
 
+    What is better than all starts before goes on with twice the intervals, and so on; after any
+    other start the best so far goes on. Deadlines only end this: what a search finds in less time,
+    it finds in more.
+
     Attributes
     ----------
     space : Space
@@ -77,6 +95,11 @@ class Search:
         Where the motions begin.
     deadline : float
         Time of `time.monotonic` at which the search ends, infinite for none.
+    steps, refining_steps : int
+        Largest numbers of steps from one start, and of one with finer motions: what more steps
+        from a start bring, finer motions bring sooner.
+    levels : int
+        How often the intervals are halved.
     """
 
     space: Space
@@ -84,6 +107,13 @@ class Search:
     limits: JointLimits
     start: Array | None = None
     deadline: float = np.inf
+    steps: int = 40
+    refining_steps: int = 60
+    levels: int = 2
+
+    def most_steps(self, starts: int) -> int:
+        """Return the largest number of steps of a search from a number of starts."""
+        return starts * (self.steps + self.levels * self.refining_steps)
 
     def on(self, space: Space) -> Search:
         """Return the same search among other motions."""
@@ -107,13 +137,24 @@ class Search:
         grid = self.space.grid()
         return [self.space.basis(grid, order) for order in range(3)]
 
+    def random_starts(
+        self, homes: Iterable[Array], rows: InstantRows | None, rng: np.random.Generator
+    ) -> Iterator[Array]:
+        """Yield random motions within all limits, one from each home (n,)."""
+        holds = (lambda x: True) if rows is None else rows.hold
+        drawn = (random_start(self.space, self.linear, home, rng, holds) for home in homes)
+        # The best goes first: a search that ends at once is no worse than any of these.
+        first = itertools.islice(drawn, _FIRST)
+        yield from sorted(first, key=lambda x: self.value_and_gradient(x)[0])
+        yield from drawn
+
     def improve(
         self,
         start: Array,
         rows: Rows | None,
         *,
         number: int = 0,
-        most_steps: int = MOST_STEPS,
+        most_steps: int | None = None,
         step: Callable[[], None] = lambda: None,
         near: bool = False,
     ) -> tuple[Candidate, bool]:
@@ -128,7 +169,7 @@ class Search:
         number : int, optional
             Number of the start.
         most_steps : int, optional
-            Largest number of steps.
+            Largest number of steps; by default `steps`.
         step : callable, optional
             Called after every step.
         near : bool, optional
@@ -145,7 +186,7 @@ class Search:
             start,
             self.linear,
             rows,
-            most_steps=most_steps,
+            most_steps=most_steps or self.steps,
             stop=stop,
             near=near,
         )
@@ -191,7 +232,7 @@ class Search:
             for number, start in enumerate(starts):
                 candidate, stopped = self.improve(start, rows, number=number, step=step)
                 found.append(candidate)
-                times = _LEVELS
+                times = self.levels
                 if candidate.value < coarse:
                     coarse = candidate.value
                 else:
@@ -206,7 +247,7 @@ class Search:
                         x,
                         rows_of(space),
                         number=candidate.start,
-                        most_steps=_REFINING_STEPS,
+                        most_steps=self.refining_steps,
                         step=step,
                         near=True,
                     )
@@ -222,7 +263,7 @@ class Search:
     def _onward(self, candidate: Candidate) -> tuple[Space, Array]:
         """Return the motions among which a candidate goes on, and its numbers there."""
         finer = None
-        if candidate.space.size < 2**_LEVELS * self.space.size:
+        if candidate.space.size < 2**self.levels * self.space.size:
             finer = candidate.space.refined(candidate.x)
         return finer or (candidate.space, candidate.x)
 

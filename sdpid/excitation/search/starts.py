@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.excitation.search.linear import largest_step
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.search.linear import largest_step, linear_limits
 from sdpid.excitation.search.space import Space
 
 # A start uses this share of the way to the first limit: searches that begin at a limit are slow.
@@ -64,3 +65,19 @@ def random_start(
         if holds(candidate):
             return np.asarray(candidate)
     return still
+
+
+def usual_states(
+    space: Space,
+    limits: JointLimits,
+    homes: Iterable[Array],
+    rng: np.random.Generator,
+    holds: Callable[[Array], bool] = lambda x: True,
+    start: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Return positions, rates and accelerations (K, n) of random motions within the limits."""
+    linear = linear_limits(space, limits, start)
+    drawn = [space.coefficients(random_start(space, linear, home, rng, holds)) for home in homes]
+    bases = (space.basis(space.grid(), order) for order in range(3))
+    q, v, a = (np.concatenate([basis @ c for c in drawn]) for basis in bases)
+    return q, v, a

@@ -5,29 +5,21 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, generator
-from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.noise import Given
-from sdpid.excitation.limits.check import LimitCheck
+from sdpid.excitation.design.repair import mend
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.settings import settings_of
-from sdpid.excitation.search.inequalities import InstantRows
-from sdpid.excitation.search.ipopt import require_solver
-from sdpid.excitation.search.search import Candidate, Search
-from sdpid.excitation.search.space import Space
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.search import Candidate, Search, require_search
 from sdpid.excitation.search.steps import counted_steps
-from sdpid.excitation.standing.check import check_standing
-from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.plan import StandingPlan
-from sdpid.excitation.standing.task import StandingTask
+from sdpid.excitation.standing.task import StandingInequalities, StandingTask
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
@@ -41,13 +33,6 @@ FRICTION = ("coulomb", "viscous", "rotor_inertia")
 STARTS, STEPS, _REFINING = 1, 30, 0.5
 # Of a time limit, what is kept for the check, at most seconds and this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.2
-# Share of limits that is used there; rounds of search and check, each with less of it, and steps.
-_SHARE, _ROUNDS, _STEPS = 0.97, 4, 40
-# How much less than what was missing, and by which share at least and at most: nothing bounds the
-# friction that a foot would need which is pulled.
-_BEYOND, _LEAST, _MOST = 1.3, 1e-3, 1.0
-# Shares of a motion that are tried where no search mends it.
-_SHRINKS = (0.97, 0.93, 0.85, 0.7, 0.5, 0.3, 0.1)
 
 
 def design_standing(
@@ -146,14 +131,9 @@ def design_standing(
     >>> standing.limits.ok, standing.motion
     (True, WholeBodyMotion(12 joints, 4 feet, 2 s))
     """
-    require_solver()
+    require_search(time_limit, starts=starts, steps=steps)
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, root="free_flyer")
-    for name, number in (("starts", starts), ("steps", steps)):
-        if number < 1:
-            raise DataError(f"{name}: is {number}; give at least 1.")
-    if time_limit is not None and not time_limit > 0.0:
-        raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
     earlier = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
     began = time.monotonic()
     terms = FRICTION if friction is None else tuple(friction)
@@ -179,17 +159,22 @@ def design_standing(
     deadline = np.inf
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
+    still, inequalities = np.zeros(task.space.n), StandingInequalities(task.held)
     search = Search(
         space=task.space,
         criterion=task.criterion,
         limits=task.coordinates,
-        start=np.zeros(task.space.n),
+        start=still,
         deadline=deadline,
+        steps=steps,
+        refining_steps=math.ceil(_REFINING * steps),
+        levels=1,
     )
-    total = starts * steps + _refining(steps)
-    with counted_steps(total, began, deadline, progress) as step:
-        found, stopped = _searched(task, search, seed, starts, steps, step)
-        best, check = _mended(task, search, found)
+    with counted_steps(search.most_steps(starts), began, deadline, progress) as step:
+        rows, rng = inequalities.rows(task.space), generator(seed)
+        begun = search.random_starts([still] * starts, rows, rng)
+        found, stopped = search.run(begun, inequalities.rows, step=step)
+        best, check = mend(task, search, found, inequalities)
     notes = [*task.notes]
     if stopped:
         notes.append("the search was ended early: this is the best motion that it had found.")
@@ -223,112 +208,6 @@ def design_standing(
             seed=seed,
         ),
     )
-
-
-def _refining(steps: int) -> int:
-    """Return the steps of the best motion with twice the intervals."""
-    return math.ceil(_REFINING * steps)
-
-
-def _searched(
-    task: StandingTask, search: Search, seed: int, starts: int, steps: int, step: Callable[[], None]
-) -> tuple[Candidate, bool]:
-    """Return the best motion from random starts, refined, and whether the search was stopped."""
-    found: list[Candidate] = []
-    rows, stopped = _rows(task.space, task.held, _SHARE), False
-    for number, start in enumerate(_starts(task, search, rows, seed, starts)):
-        candidate, stopped = search.improve(start, rows, number=number, most_steps=steps, step=step)
-        found.append(candidate)
-        if stopped:
-            break
-    best = min(found, key=lambda each: each.value)
-    refined = None if stopped else best.space.refined(best.x)
-    if refined is not None:
-        space, x = refined
-        rows = _rows(space, task.held, _SHARE)
-        best, stopped = search.on(space).improve(
-            _shrunk(rows, x), rows, number=best.start, most_steps=_refining(steps), step=step
-        )
-    return best, stopped
-
-
-def _starts(
-    task: StandingTask, search: Search, rows: InstantRows, seed: int, count: int
-) -> Iterator[Array]:
-    """Yield random motions within all limits."""
-    rng, home = generator(seed), np.zeros(task.space.n)
-
-    def holds(x: Array) -> bool:
-        return bool(np.min(rows.values(x)) > 0.0)
-
-    for _ in range(count):
-        yield random_start(task.space, search.linear, home, rng, holds)
-
-
-def _rows(space: Space, held: Held, share: float) -> InstantRows:
-    """Return the limits at the instants at which the criterion looks.
-
-    At others a leg might be stretched where only the criterion looks: its rows grow without bound
-    there, and the search would find little else.
-    """
-    return InstantRows(space=space, parts=[(replace(held, share=share), space.grid())])
-
-
-def _mended(
-    task: StandingTask, search: Search, candidate: Candidate
-) -> tuple[Candidate, LimitCheck]:
-    """Return a motion that holds all limits at all checked instants, and the check.
-
-    Raises
-    ------
-    InfeasibleError
-        When none is found, or it stands still.
-    """
-    name, space, share = task.robot.name, candidate.space, _SHARE
-    check = check_standing(task.held, space.curve(candidate.x))
-    for _ in range(_ROUNDS):
-        if check.ok:
-            break
-        share = _narrowed(share, check)
-        rows = _rows(space, task.held, share)
-        candidate, stopped = search.on(space).improve(
-            _shrunk(rows, candidate.x), rows, number=candidate.start, most_steps=_STEPS
-        )
-        check = check_standing(task.held, space.curve(candidate.x))
-        if stopped:
-            break
-    x = candidate.x
-    for shrink in _SHRINKS:
-        if check.ok:
-            break
-        # Standing still is zero: what is left of it is a smaller motion.
-        candidate = replace(candidate, x=shrink * x)
-        check = check_standing(task.held, space.curve(candidate.x))
-    if not check.ok:
-        raise InfeasibleError(
-            f"excitation of '{name}': no motion was found that holds every limit; even a tenth of "
-            f"the best: {' '.join(check.sentences()[:3])} Widen these limits, or change the stance."
-        )
-    if not np.abs(candidate.x).max() > 1e-6:
-        raise InfeasibleError(
-            f"excitation of '{name}': no motion was found, the robot stands still. Give the search "
-            "more time, or wider limits."
-        )
-    return candidate, check
-
-
-def _narrowed(share: float, check: LimitCheck) -> float:
-    """Return the share of limits to be used next, from that in use and what was broken."""
-    worst = max(-row.slack / (abs(row.limit) or 1.0) for row in check.broken)
-    return share / (1.0 + _BEYOND * min(max(worst, _LEAST), _MOST))
-
-
-def _shrunk(rows: InstantRows, x: Array) -> Array:
-    """Return a motion as large as may be, on the way to standing still, that holds rows."""
-    for share in 0.95 ** np.arange(60):
-        if np.min(rows.values(share * x)) > 0.0:
-            return np.asarray(share * x)
-    return np.zeros_like(x)
 
 
 def _information(task: StandingTask, candidate: Candidate) -> Array:

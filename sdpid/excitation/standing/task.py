@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -16,15 +15,18 @@ from sdpid.excitation.criterion.criterion import Criterion
 from sdpid.excitation.criterion.noise import LASTING, ExpectedNoise, Given
 from sdpid.excitation.criterion.nominal import nominal_bodies
 from sdpid.excitation.criterion.objectives import Objective
+from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.limits.joint_limits import NONE, JointLimits
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.search.linear import linear_limits
+from sdpid.excitation.search.inequalities import InstantRows
 from sdpid.excitation.search.space import Space, SplineSpace
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.starts import usual_states
+from sdpid.excitation.standing.check import check_standing
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance
+from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.legs import find_legs
 from sdpid.robot.model.model import RobotModel
@@ -32,6 +34,10 @@ from sdpid.robot.model.model import RobotModel
 # Share of the description's limits that is used, and what is kept of torques for friction, which
 # descriptions seldom have.
 _SHARE, _RESERVE = 0.95, 0.2
+# Share of limits that a search uses; by how much less than what was missing that becomes, and by
+# which share at least and at most: nothing bounds the friction that a foot would need which is
+# pulled.
+_SEARCHED, _BEYOND, _LEAST, _MOST = 0.97, 1.3, 1e-3, 1.0
 # The base sways by this share of its height where nothing else is said: on balls, and on soles.
 _SWAY, _SWAY_ON_SOLES = 0.25, 0.1
 # It speeds up by at most this share of gravity along the ground, and as much at its height about
@@ -90,6 +96,10 @@ class StandingTask:
         """The robot, on a floating base."""
         return self.stance.robot
 
+    def check(self, curve: Curve) -> LimitCheck:
+        """Return what a motion comes to beside its limits, 500 times a second."""
+        return check_standing(self.held, curve)
+
     @classmethod
     def of(
         cls,
@@ -139,7 +149,11 @@ class StandingTask:
         _require_stance(held)
         coordinates = _coordinates(stance, joints, sway, tilt)
         space = SplineSpace.of(stance.n, duration)
-        usual = _usual(stance, held, coordinates, space, seed)
+        still = np.zeros(space.n)
+        holds = StandingInequalities(held, share=1.0).rows(space).hold
+        usual = usual_states(
+            space, coordinates, [still] * _USUAL, generator(seed), holds, start=still
+        )
         states = stance.states(stance.poses(usual[0]), *usual[1:])
         torque = loads(stance, bodies, states, grip).torque
         effort = np.sqrt(np.mean(torque**2, axis=0))
@@ -173,6 +187,37 @@ class StandingTask:
             values=rows.base.matrix @ theta,
             notes=(*joints.assumed, *assumed, *expected.notes),
         )
+
+
+@dataclass(eq=False)
+class StandingInequalities:
+    """The limits of a standing robot, as a search holds them on a grid.
+
+    Attributes
+    ----------
+    held : Held
+        The limits.
+    share : float
+        Share of them that is used.
+    """
+
+    held: Held
+    share: float = _SEARCHED
+
+    def rows(self, space: Space) -> InstantRows:
+        """Return the limits at the instants at which the criterion looks.
+
+        At others a leg might be stretched where only the criterion looks: its rows grow without
+        bound there, and the search would find little else.
+        """
+        return InstantRows(
+            space=space, parts=[(replace(self.held, share=self.share), space.grid())]
+        )
+
+    def learn(self, check: LimitCheck) -> None:
+        """Use a smaller share of the limits, by what a check found broken."""
+        worst = max(-row.slack / (abs(row.limit) or 1.0) for row in check.broken)
+        self.share /= 1.0 + _BEYOND * min(max(worst, _LEAST), _MOST)
 
 
 def _check(duration: float, tilt: float, grip: float, load: float) -> None:
@@ -255,23 +300,3 @@ def _coordinates(stance: Stance, joints: JointLimits, sway: float, tilt: float) 
         torque=np.full(stance.n, np.inf),
         sources=dict.fromkeys(("lower", "upper", "velocity", "torque"), none),
     )
-
-
-def _usual(
-    stance: Stance, held: Held, coordinates: JointLimits, space: Space, seed: int
-) -> tuple[Array, Array, Array]:
-    """Return coordinates of random motions within the limits, and their derivatives."""
-    rng, grid = generator(seed), space.grid()
-    linear = linear_limits(space, coordinates, np.zeros(space.n))
-    bases = [space.basis(grid, order) for order in range(3)]
-
-    def holds(x: Array) -> bool:
-        c = space.coefficients(x)
-        return bool(held.evaluate(*(basis @ c for basis in bases)).min() > 0.0)
-
-    parts = []
-    for _ in range(_USUAL):
-        c = space.coefficients(random_start(space, linear, np.zeros(space.n), rng, holds))
-        parts.append([basis @ c for basis in bases])
-    q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return cast(tuple[Array, Array, Array], (q, v, a))
