@@ -12,7 +12,7 @@ import pytest
 import sdpid
 
 FOLDER = Path(__file__).resolve().parent.parent / "examples" / "benchmark"
-PLACES = [str(FOLDER), str(FOLDER / "adapters"), str(FOLDER.parent / "studies")]
+PLACES = [str(FOLDER), str(FOLDER / "adapters"), str(FOLDER.parent / "evidence")]
 
 
 @pytest.fixture(scope="module")

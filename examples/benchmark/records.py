@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE / "adapters"), str(HERE.parent / "studies")]
+sys.path[:0] = [str(HERE / "adapters"), str(HERE.parent / "evidence")]
 
 from data_sets import SETS  # noqa: E402
 from held_out import STILL, Case, cases  # noqa: E402

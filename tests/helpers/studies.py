@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-_STUDIES = Path(__file__).parents[2] / "examples" / "studies"
+_STUDIES = Path(__file__).parents[2] / "examples" / "evidence"
 
 
 def study(name: str) -> ModuleType:

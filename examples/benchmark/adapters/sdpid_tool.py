@@ -12,7 +12,7 @@ from protocol import Answer, Method, Rows, Task, main
 import sdpid
 
 FRICTION = ("viscous", "offset")
-# As in examples/studies/real_robots.py, rad/s.
+# As in examples/evidence/real_robots.py, rad/s.
 WRIST_WIDTH = 0.05
 # FloBaRoID's, 0.02 rad/s.
 TANH = sdpid.friction.Coulomb(width=0.02)

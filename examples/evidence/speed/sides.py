@@ -25,7 +25,7 @@ _ADAPTERS = Path(__file__).resolve().parents[2] / "benchmark" / "adapters"
 _RATE_HZ, _CUTOFF_HZ = 5000.0, 100.0
 _JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 _WRIST = _JOINTS[4:]
-# As the coupling's friction is smoothed in examples/studies/real_robots.py, rad/s.
+# As the coupling's friction is smoothed in examples/evidence/real_robots.py, rad/s.
 _WIDTH = 0.05
 _LIBRARIES = ("sdpid", "figaroh", "numpy", "scipy", "pin", "clarabel", "numba")
 

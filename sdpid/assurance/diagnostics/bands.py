@@ -64,12 +64,12 @@ _LEAST_GUARDS = 2
 
 # Of a normal error, 95 % lie within so many standard deviations. Student's t does not apply: s_j
 # rests on all moving rows held out, not on one number a block. With t of five blocks, 2.78, bands
-# that hold 93 to 97 % of the rows on six robots (examples/studies/grades.py) would be 1.4 times
+# that hold 93 to 97 % of the rows on six robots (examples/evidence/grades.py) would be 1.4 times
 # as wide.
 _QUANTILE = 1.96
 
 # Errors of the model on another motion over those on the training rows, where no blocks can be
-# held out (examples/studies/grades.py).
+# held out (examples/evidence/grades.py).
 WIDER = 1.2
 
 # Eigenvalues below this share of the largest, parameters scaled to unit deviations, are rounding.

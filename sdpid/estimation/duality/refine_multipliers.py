@@ -60,14 +60,14 @@ _CUT = 1e-14
 _PROGRESS = 0.05
 
 # Corrections by a program are tried where the gap is no larger: beyond, parameters are rather no
-# optimum. Multipliers of examples/studies/birdy begin at up to 1e-3.
+# optimum. Multipliers of examples/evidence/birdy begin at up to 1e-3.
 _CORRECTED = 1e-3
 
 # Where nothing is left of ρ this is the unit of corrections: some rounding.
 _LEAST = 1e-12
 
 # The program is solved to this, which is times ε of the multipliers. On 65 problems of
-# examples/studies/birdy 1e-11 proves no more and takes half as long again.
+# examples/evidence/birdy 1e-11 proves no more and takes half as long again.
 _TOLERANCE = 1e-7
 
 

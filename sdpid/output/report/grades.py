@@ -33,7 +33,7 @@ SMALL = 0.1
 # Held-out blocks repeat the motion that was trained on. A joint is trusted on other motion where
 # twice their error would still be good: then all of 229 joints of six real robots kept the grade on
 # another recording. By blocks alone the shortest recordings (Gen3) kept 4 of 10; with a margin of
-# 1.5 they keep 2 of 3, with 2 none is trusted there (examples/studies/grades.py).
+# 1.5 they keep 2 of 3, with 2 none is trusted there (examples/evidence/grades.py).
 MARGIN = 2.0
 
 

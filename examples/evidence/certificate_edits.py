@@ -1,0 +1,200 @@
+"""Ways to edit any certificate without a thought of what it means: half of what forgeries.py does.
+
+Numbers are changed by a digit, a sign or a scale, lists lose their order, numbers become something
+else. A mutation changes the data in place and returns whether it found something to change.
+
+    python examples/evidence/certificate_edits.py --out results
+
+writes one forgery of each kind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from random import Random
+from typing import Any
+
+Data = dict[str, Any]
+Mutation = Callable[[Random, Data, dict[str, Data]], bool]
+
+# What proves something, or is proven; origin and metadata are described elsewhere.
+SECTIONS = ("problem", "theta", "multipliers", "claims")
+HUGE = (1e308, -1e308, 1e30, 5e-324, 1e-300, -0.0, 0.0, 2**53 + 1, 10**25)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], float]]:
+    """Yield path and value of every number."""
+    if type(value) in (int, float):
+        yield path, value
+    elif isinstance(value, (dict, list)):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from places(item, (*path, key))
+
+
+def at(data: Any, path: tuple[Any, ...]) -> Any:
+    """Return what is at a path."""
+    for key in path:
+        data = data[key]
+    return data
+
+
+def number(rng: Random, data: Data, nonzero: bool = True) -> tuple[Any, Any, float] | None:
+    """Return a random number: its container, its key, and its value. Every field is as likely."""
+    fields = [(section, key) for section in SECTIONS for key in _keys(data.get(section))]
+    rng.shuffle(fields)
+    for section, key in fields:
+        inside = data[section] if key is None else data[section][key]
+        found = [path for path, value in places(inside) if value or not nonzero]
+        if found:
+            path = (section, *(() if key is None else (key,)), *rng.choice(found))
+            where = at(data, path[:-1])
+            return where, path[-1], where[path[-1]]
+    return None
+
+
+def _keys(section: Any) -> list[Any]:
+    return list(section) if isinstance(section, dict) else [] if section is None else [None]
+
+
+def numeric(change: Callable[[Random, float], float]) -> Mutation:
+    """Return a mutation that changes one number."""
+
+    def apply(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+        found = number(rng, data)
+        if found is None:
+            return False
+        where, key, value = found
+        new = change(rng, value)
+        if key == "links" or key == "link" or type(value) is int:
+            new = round(new) if math.isfinite(new) and abs(new) < 1e6 else value + 1
+        where[key] = new
+        return bool(new != value)
+
+    return apply
+
+
+def digit(rng: Random, value: float) -> float:
+    """Return a number with another digit."""
+    text = repr(value)
+    k = rng.choice([k for k, c in enumerate(text) if c.isdigit()])
+    changed = text[:k] + rng.choice([c for c in "0123456789" if c != text[k]]) + text[k + 1 :]
+    try:
+        new = float(changed)
+    except ValueError:
+        return value
+    return new if math.isfinite(new) else value
+
+
+def last_digits(rng: Random, value: float) -> float:
+    """Return a neighbor among the doubles, or one some steps further."""
+    for _ in range(rng.choice([1, 1, 1, 3, 10])):
+        value = math.nextafter(value, rng.choice([-math.inf, math.inf]))
+    return value
+
+
+def swap(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+    """Swap two neighbors of a list: numbers, rows of a matrix, links."""
+    found = number(rng, data, nonzero=False)
+    if found is None:
+        return False
+    lists = [each for each in lists_of(data[rng.choice(SECTIONS)]) if len(each) > 1]
+    if not lists:
+        return False
+    chosen = rng.choice(lists)
+    i, j = rng.sample(range(len(chosen)), 2)
+    same = chosen[i] == chosen[j]
+    chosen[i], chosen[j] = chosen[j], chosen[i]
+    return not same
+
+
+def lists_of(value: Any) -> Iterator[list[Any]]:
+    """Yield every list, outer ones first."""
+    if isinstance(value, list):
+        yield value
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from lists_of(item)
+
+
+def extreme(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+    """Put a number at the end of what doubles can be."""
+    found = number(rng, data, nonzero=False)
+    if found is None:
+        return False
+    where, key, _ = found
+    where[key] = rng.choice(HUGE)
+    return True
+
+
+def odd_type(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+    """Put something that is no number where a number belongs, or another empty thing."""
+    found = number(rng, data, nonzero=False)
+    if found is None:
+        return False
+    if rng.random() < 0.3:
+        data["problem"][rng.choice(["rows", "cones", "prior_matrix"])] = rng.choice(["", {}, None])
+    else:
+        where, key, _ = found
+        where[key] = rng.choice([True, "1", None, [], {}, [1.0]])
+    return True
+
+
+def odd_key(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+    """Add a key that no format knows, somewhere."""
+    objects = [data, *(each for each in _objects(data) if each is not data)]
+    rng.choice(objects)["approved"] = rng.choice([True, "by all", {}])
+    return True
+
+
+def _objects(value: Any) -> Iterator[Data]:
+    """Yield every object."""
+    if isinstance(value, dict):
+        yield value
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            if isinstance(item, (dict, list)):
+                yield from _objects(item)
+
+
+EDITS: dict[str, Mutation] = {
+    "digit": numeric(digit),
+    "last digits": numeric(last_digits),
+    "sign": numeric(lambda rng, value: -value),
+    "scale": numeric(
+        lambda rng, value: value * rng.choice([2.0, 0.5, 10.0, 1e-3, 1e6, 1.0 + 1e-9])
+    ),
+    "swap": swap,
+    "extreme number": extreme,
+    "odd type": odd_type,
+    "odd key": odd_key,
+}
+
+
+def write_each(mutations: Mapping[str, Mutation]) -> None:
+    """Write one forgery of each kind."""
+    from certificate_zoo import made
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--quick", action="store_true", help="of small robots only")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    zoo, rng = made(arguments.quick), Random(arguments.seed)
+    for name, mutate in mutations.items():
+        for _ in range(100):
+            data = copy.deepcopy(rng.choice(list(zoo.values())))
+            if mutate(rng, data, zoo):
+                path = arguments.out / f"{name.replace(' ', '_')}.json"
+                path.write_text(json.dumps(data), encoding="utf-8")
+                break
+
+
+if __name__ == "__main__":
+    sys.exit(write_each(EDITS))

@@ -1,0 +1,230 @@
+"""Write certificates of every kind: what an attack on the verifier starts from.
+
+Eighteen small problems of robots that come with the package or with example-robot-data, at random
+states and with noise from a seed: both consistencies and none, both kinds of prior, rows, cones and
+equations, a local solver's result, parameters that are not feasible, data without noise and with
+next to nothing else, a tree.
+
+    python examples/evidence/certificate_zoo.py --out results
+
+Told are the size of each file and the processor time of ``python -I -S sdpid/verifier`` for it.
+``--large`` adds two humanoids, a minute of work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid import constraints as of
+from sdpid import verifier
+from sdpid._common.tables import Table
+
+# States drawn for each problem, and their ranges (rad, rad/s, rad/s²).
+SAMPLES, RANGES = 60, (1.5, 1.5, 5.0)
+
+# Kinds that --quick leaves out: the larger robots.
+LARGE = ("panda", "tree", "hull")
+
+
+def problem(
+    robot: str,
+    *others: Any,
+    seed: int = 0,
+    noise: float = 1.0,
+    consistency: Any = "pseudo_inertia",
+    prior: sdpid.Prior | None = None,
+    weighting: Any = "gls",
+    **limits: float,
+) -> Any:
+    """Return a problem of a robot whose described links are moved at random."""
+    model = sdpid.load_robot(robot)
+    rng = np.random.default_rng(seed)
+    q, v, a = (scale * rng.uniform(-1.0, 1.0, (SAMPLES, model.n)) for scale in RANGES)
+    effort = model.regressor(q, v, a) @ np.asarray(model.prior).ravel()
+    effort += rng.uniform(0.5, 2.0, model.n) * np.sign(v) + rng.uniform(0.1, 1.0, model.n) * v
+    effort += noise * rng.standard_normal(effort.shape)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    demands = {"margin": 1e-4, "mass_max": 50.0, "theta_max": 200.0, **limits}
+    return sdpid.build_problem(
+        model,
+        samples,
+        consistency=consistency,
+        constraints=sdpid.Constraints(others=others, **demands),
+        prior=prior,
+        weighting=weighting,
+    )
+
+
+def certified(found: Any) -> dict[str, Any]:
+    """Return the certificate of the global optimum."""
+    return sdpid.certify(sdpid.solve_sdp(found)).to_dict()
+
+
+def rows() -> dict[str, Any]:
+    """Return a certificate with a total mass, a box and an ellipsoid of mass: rows."""
+    names = sdpid.load_robot("ur5_robot").link_names
+    return certified(
+        problem(
+            "ur5_robot",
+            of.TotalMass(17.0, tolerance=0.2),
+            of.CenterOfMassInBox(names[1], (-0.3, -0.3, 0.0), (0.3, 0.05, np.inf)),
+            of.MassInEllipsoid(names[2], (0.0, 0.0, 0.2), (0.1, 0.1, 0.3)),
+            seed=1,
+        )
+    )
+
+
+def cones() -> dict[str, Any]:
+    """Return a certificate with two second-order cones."""
+    names = sdpid.load_robot("ur5_robot").link_names
+    return certified(
+        problem(
+            "ur5_robot",
+            of.TotalMass(15.0, tolerance=1.0),
+            of.CenterOfMassInEllipsoid(names[1], (0.0, 0.0, 0.2), (0.05, 0.05, 0.1)),
+            of.CenterOfMassInEllipsoid(names[3], (0.0, 0.0, 0.0), (0.02, 0.05, 0.03)),
+            seed=2,
+            consistency="spatial_inertia",
+        )
+    )
+
+
+def hull() -> dict[str, Any]:
+    """Return a certificate with the faces of a collision shape."""
+    name = sdpid.load_robot("panda").link_names[2]
+    return certified(problem("panda", of.CenterOfMassInHull(name, tolerance=5e-3), seed=3))
+
+
+def equations() -> dict[str, Any]:
+    """Return a certificate with known parameters, a known link and a known place of mass."""
+    names = sdpid.load_robot("ur5_robot").link_names
+    return certified(
+        problem(
+            "ur5_robot",
+            of.Fixed({"m_2": 8.0, "Fv1": 0.5}),
+            of.FixedLink(names[-1]),
+            of.MirrorSymmetry(names[2], (0.0, 1.0, 0.0)),
+            seed=4,
+        )
+    )
+
+
+def local() -> dict[str, Any]:
+    """Return a certificate of a local solver that was stopped early: a gap that is not small."""
+    found = problem("double_pendulum", seed=5)
+    early = sdpid.solve_slsqp(found, max_iterations=3)
+    return sdpid.certify(early, bound=sdpid.solve_sdp(found)).to_dict()
+
+
+def outside() -> dict[str, Any]:
+    """Return a certificate whose parameters are not feasible: the bound alone is proven."""
+    found = problem("double_pendulum", seed=6)
+    # Least squares under no consistency: parameters of this cost that no body has.
+    free = sdpid.solve_sdp(found.constrained(consistency="none"))
+    moved = type(free).of_theta(found, free.theta, method="unconstrained", status="moved")
+    return sdpid.certify(moved, bound=sdpid.solve_sdp(found)).to_dict()
+
+
+ZOO: dict[str, Callable[[], dict[str, Any]]] = {
+    "pendulum": lambda: certified(problem("double_pendulum", seed=7)),
+    "denso": lambda: certified(problem("denso_vp6242", seed=8)),
+    "spatial": lambda: certified(problem("ur5_robot", seed=9, consistency="spatial_inertia")),
+    "none": lambda: certified(problem("double_pendulum", seed=10, consistency="none")),
+    "pullback": lambda: certified(problem("ur5_robot", seed=11, prior=sdpid.Prior())),
+    "log-det": lambda: certified(problem("ur5_robot", seed=12, prior=sdpid.Prior(kind="entropic"))),
+    "small log-det": lambda: certified(
+        problem("double_pendulum", seed=13, margin=0.0, prior=sdpid.Prior(kind="entropic"))
+    ),
+    "rows": rows,
+    "cones": cones,
+    "hull": hull,
+    "equations": equations,
+    "local": local,
+    "outside": outside,
+    "panda": lambda: certified(problem("panda", seed=14)),
+    "tree": lambda: certified(problem("solo", seed=15)),
+    "noise-free": lambda: certified(problem("double_pendulum", seed=16, noise=0.0)),
+    "big floor": lambda: certified(problem("double_pendulum", seed=17, noise=1e3)),
+    "eq18": lambda: certified(problem("double_pendulum", seed=18, weighting="eq18")),
+}
+
+
+# More parameters than samples show: a prior.
+LARGE_ROBOTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "iCub": lambda: certified(problem("icub", seed=19, prior=sdpid.Prior())),
+    "Talos, 6x6": lambda: certified(
+        problem(
+            "talos_full_v2",
+            seed=20,
+            consistency="spatial_inertia",
+            prior=sdpid.Prior(kind="entropic"),
+        )
+    ),
+}
+
+
+def made(quick: bool = False) -> dict[str, dict[str, Any]]:
+    """Return the certificates by name; quick: those of small robots and few conditions alone."""
+    return {name: make() for name, make in ZOO.items() if not (quick and name in LARGE)}
+
+
+def asked(description: str) -> tuple[dict[str, dict[str, Any]], argparse.Namespace]:
+    """Return the certificates that a study is asked for, by name, and its options."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("files", type=Path, nargs="*", help="by default certificates of the zoo")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--quick", action="store_true", help="of the zoo, only small ones")
+    options = parser.parse_args()
+    given = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in options.files}
+    return given or made(options.quick), options
+
+
+def verified(path: Path) -> tuple[str, float]:
+    """Return the last line of the stand-alone verifier, and its processor time in seconds."""
+    folder = str(Path(verifier.__file__).parent)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", folder, str(path)], capture_output=True, text=True, check=False
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return (done.stdout.splitlines() or [done.stderr])[-1], seconds
+
+
+def main() -> None:
+    """Write every certificate, and verify it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--quick", action="store_true", help="without the larger robots")
+    parser.add_argument("--large", action="store_true", help="humanoids too")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    zoo = made(arguments.quick)
+    if arguments.large:
+        zoo |= {name: make() for name, make in LARGE_ROBOTS.items()}
+    rows = []
+    for name, data in zoo.items():
+        path = arguments.out / f"{name.replace(' ', '_')}.json"
+        path.write_text(json.dumps(data), encoding="utf-8")
+        problem = data["problem"]
+        sizes = len(problem["lower"]), len(problem["rhs"])
+        verdict, seconds = verified(path)
+        rows.append((name, *sizes, path.stat().st_size / 1e6, seconds, verdict))
+    header = ("certificate", "p", "b", "MB", "seconds", "verdict")
+    table = Table(header, tuple(rows), {"MB": ".2f", "seconds": ".2f"})
+    table.write(arguments.out / "certificate_zoo.csv")
+    print(table.text())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""How much larger the bounds of a curve are than what it reaches between the samples.
+
+Random closed splines of 36 intervals over 20 s, at rest at their ends, and Fourier series of ten
+random harmonics: the largest control point of each derivative after its knots were halved some
+times, and the bound of `enclose` over short cells, beside the largest value on a fine grid.
+
+    python examples/evidence/curve_bounds.py --out results
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from sdpid._common.tables import Table
+from sdpid.experiment.trajectory.curve import Curve, Spline
+from sdpid.experiment.trajectory.fourier import FourierSeries
+
+DURATION, FREE, JOINTS, HARMONICS = 20.0, 35, 3, 10
+DERIVATIVES = ("position", "velocity", "acceleration", "jerk")
+ORDERS = range(len(DERIVATIVES))
+TIME = np.linspace(0.0, DURATION, 20_001)
+
+
+def random_spline(rng: np.random.Generator) -> Spline:
+    """Return a spline that is at rest at its ends, which are the same."""
+    return Spline.from_free(rng.uniform(-1.0, 1.0, (FREE, JOINTS)), DURATION)
+
+
+def random_series(rng: np.random.Generator) -> FourierSeries:
+    """Return a series whose harmonics move equally fast in the mean."""
+    harmonics = np.tile(np.arange(1, HARMONICS + 1), (JOINTS, 1))
+    return FourierSeries(
+        period=DURATION,
+        center=np.zeros(JOINTS),
+        harmonics=harmonics,
+        amplitudes=rng.uniform(0.0, 1.0, harmonics.shape) / harmonics,
+        phases=rng.uniform(0.0, 2.0 * np.pi, harmonics.shape),
+    )
+
+
+def enclosed(curve: Curve, order: int, cell: float) -> np.ndarray:
+    """Return the bound (n,) of a derivative's size over all cells."""
+    edges = np.linspace(0.0, DURATION, round(DURATION / cell) + 1)
+    lower, upper = curve.enclose(edges, derivative=order)
+    return np.asarray(np.maximum(-lower, upper).max(axis=0))
+
+
+def controlled(curve: Spline, order: int, halvings: int) -> np.ndarray:
+    """Return the size (n,) of the largest control point of a derivative."""
+    matrix = Spline.control_matrix(len(curve.control_points), DURATION, order, halvings)
+    return np.asarray(np.abs(matrix @ curve.control_points).max(axis=0))
+
+
+WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] = {
+    "control points, one halving": (random_spline, controlled, 1),
+    "two halvings": (random_spline, controlled, 2),
+    "three halvings": (random_spline, controlled, 3),
+    "enclose, cells of 0.1 s": (random_spline, enclosed, 0.1),
+    "enclose, cells of 0.02 s": (random_spline, enclosed, 0.02),
+    "enclose of a Fourier series, cells of 0.1 s": (random_series, enclosed, 0.1),
+}
+
+
+def main() -> int:
+    """Measure and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--curves", type=int, default=20)
+    parser.add_argument("--quick", action="store_true", help="two curves")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(2 if options.quick else options.curves)
+    excess: dict[str, list[list[float]]] = {name: [] for name in WAYS}
+    for make in (random_spline, random_series):
+        for curve in (make(np.random.default_rng(seed)) for seed in seeds):
+            reached = [np.abs(curve.evaluate(TIME, derivative=k)).max(axis=0) for k in ORDERS]
+            for name, (of, bound, size) in WAYS.items():
+                if of is make:
+                    bounds = [bound(curve, k, size) for k in ORDERS]
+                    shares = np.array(bounds) / np.array(reached) - 1.0
+                    excess[name].append((100.0 * shares.mean(axis=1)).tolist())
+    rows = [(name, *np.mean(found, axis=0).tolist()) for name, found in excess.items()]
+    table = Table(("excess over the true extreme, %", *DERIVATIVES), tuple(rows))
+    table.write(options.out / "curve_bounds.csv")
+    print(table.text(2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""Write a thousand draws of real seven-axis arms, audit every file, load every file in MuJoCo.
+
+Each arm is identified with defaults from its recording. The table of files has the CPU seconds of
+drawing, writing, and of checking every file as a stranger would: `audit_urdf` of every URDF, and
+MuJoCo's loading of every URDF and MJCF. The table of ranges says what is lost where numbers are
+drawn one by one: the share of the draws within all ranges, and how far the efforts on the recorded
+motion spread, over those of the draws; and the widest range of a shear relative to the mean of the
+draws and relative to the identified robot, which may lie on the boundary.
+
+    python examples/evidence/drawn_robots.py --data /path/to/data --out results
+
+The folder of the data may also be named by the environment variable SDPID_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from data_sets import ROBOTS, SETS
+
+import sdpid
+from sdpid._common.tables import Table
+from sdpid.errors import SdpidError
+from sdpid.output.samples.ranges import changes
+from sdpid.workflow.sample import ParameterSamples
+
+ARMS = ("panda_unisa", "kinova_gen3_dynamapp", "kuka_lwr4plus")
+PROBABILITIES = (0.95, 0.5, 0.05)
+SEED = 0
+
+FILES = (
+    "arm", "draws", "least ESS", "largest R-hat", "draw, CPU s", "write, CPU s", "URDFs audited",
+    "not passed", "audit, CPU s", "loaded by MuJoCo", "load, CPU s",
+)  # fmt: skip
+RANGES = (
+    "arm",
+    "share in each",
+    "share in all",
+    "efforts widened",
+    "shear, mean",
+    "shear, identified",
+)
+
+
+def checked(folder: Path) -> tuple[object, ...]:
+    """Return how many files pass the audit, do not, load, and the seconds of each."""
+    start = time.process_time()
+    audits = [sdpid.audit_urdf(path) for path in sorted(folder.glob("*.urdf"))]
+    middle = time.process_time()
+    robots = [path for path in folder.iterdir() if path.suffix in (".urdf", ".xml")]
+    for path in robots:
+        mujoco.MjModel.from_xml_path(str(path))
+    end = time.process_time()
+    wrong = sum(not audit.passed for audit in audits)
+    return len(audits), wrong, middle - start, len(robots), end - middle
+
+
+def widest(samples: ParameterSamples, reference: np.ndarray) -> float:
+    """Return the widest 95 % range of a shear relative to bodies (links, 10)."""
+    bodies = samples.theta[:, : reference.size].reshape(-1, *reference.shape)
+    low, high = np.quantile(changes(bodies, reference)[..., 4:7], (0.025, 0.975), axis=0)
+    return float(np.max(high - low))
+
+
+def ranged(arm: str, samples: ParameterSamples) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the ranges."""
+    problem = samples.estimate.problem
+    own, mean = (
+        problem.feasible.bodies(theta)
+        for theta in (samples.estimate.theta, samples.theta.mean(axis=0))
+    )
+    try:
+        identified: float | None = widest(samples, own)
+    except np.linalg.LinAlgError:
+        identified = None
+    for probability in PROBABILITIES:
+        found = samples.ranges(probability)
+        shears = (widest(samples, mean), identified) if probability == 0.95 else (None, None)
+        yield arm, probability, found.inside, found.widened, *shears
+
+
+def main() -> None:
+    """Draw, write, check, and print two tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
+    parser.add_argument("--quick", action="store_true", help="ten draws of one arm")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    count, arms = (10, ARMS[:1]) if options.quick else (options.count, options.arms)
+    files, ranges = [], []
+    for name in arms:
+        if options.data is None or not (Path(options.data) / name).is_dir():
+            where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
+            continue
+        source = Path(options.data) / name
+        run = source / f"{SETS[name].records[0]}.npz"
+        try:
+            result = sdpid.identify(source / SETS[name].urdf, run, intervals=False)
+        except SdpidError as error:
+            sys.exit(f"drawn_robots: {name}: {error}")
+        arm, folder = ROBOTS[name], options.out / name
+        start = time.process_time()
+        samples = sdpid.sample_parameters(result, count, SEED)
+        drawn = time.process_time()
+        samples.save(folder, ("urdf", "mjcf"))
+        written = time.process_time()
+        mixed = samples.diagnostics
+        cells = (mixed["least_effective_size"], mixed["largest_r_hat"])
+        files.append((arm, count, *cells, drawn - start, written - drawn, *checked(folder)))
+        ranges += ranged(arm, samples)
+        if not options.quick:
+            shutil.rmtree(folder)
+    for title, table in (
+        ("files", Table(FILES, tuple(files))),
+        ("ranges", Table(RANGES, tuple(ranges))),
+    ):
+        table.write(options.out / f"{title}.csv")
+        print(f"{table.text(3)}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,463 @@
+"""Does a run buy what its plan expects? Expected intervals against those of simulated runs.
+
+For each robot a plan is made from its description alone. Twenty robots that differ from the
+description (inertias by 15 %, friction within a factor of two) run it in closed loop
+(`sdpid.simulate`), and `sdpid.identify` is given the logs without any hint: as one record, or as
+periods that are averaged. Compared are the intervals that it states, and its errors, with what
+the plan expected. A second table names what a prediction loses that leaves something out. A third
+repeats a first run, or runs a plan made from the first run's estimate.
+
+    python examples/evidence/excitation_expected.py --out results
+
+It takes some twenty minutes on one core. The LWR 4+ is read from the folder of
+docs/evidence/data.md, named by --data or the environment variable SDPID_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from simulated_logs import described, perturbed
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid._common.threads import parallel
+from sdpid.assurance.intervals.delta_method import friction_curve
+from sdpid.estimation.compression.covariance import JointRows
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
+from sdpid.excitation.expected.expect import expect
+from sdpid.excitation.expected.expected import Expected
+from sdpid.excitation.expected.rehearsal import rehearse
+from sdpid.experiment.plant.default_motion import default_motion
+from sdpid.experiment.plant.simulate import plant_parts
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.consistent import raise_second_moments
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.base_parameters import structural_base
+
+ROBOTS = ("ur10", "panda", "lwr4")
+
+# Periods of a record, and of one that is averaged over them.
+PERIODS = {"record": 1, "periods": 4}
+
+# Noise of the efforts, as a share of each joint's usual effort, at the trajectory's rate.
+NOISE = 0.03
+
+# Of a first run and the one after it, s; and of the motion on which widths are compared.
+SHORT, LONG = 10.0, 20.0
+
+# Standard deviation of the logarithms by which inertias differ from the description's, and the
+# radius of gyration that every link has at least, m.
+PERTURBED, RADIUS = 0.15, 0.02
+
+# Drives that follow the plan: the default's velocity loop this many times as stiff, and the
+# position loop's pole, 1/s. The default's lags by 10 to 20 % of the motion, and stiff wrists stick.
+STIFFER, POSITION_POLE = 2.0, 200.0
+
+# Coulomb, sigmoid and viscous friction beside each other: single coefficients say little.
+TRADED = ("Fs", "Fsg", "Fv")
+
+# What a search may take, and where all is to be quick, s.
+SEARCH, QUICK_SEARCH = 15.0, 4.0
+
+# What the ratio of simulated to expected intervals must lie within.
+LEAST, MOST = 0.8, 1.25
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter of one run: its interval, its error, and what was expected."""
+
+    robot: str
+    reading: str
+    seed: int
+    name: str
+    expected: float
+    simulated: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A robot that differs from its description, and the noise of its efforts, N·m."""
+
+    theta: Array
+    noise: Array
+
+
+def plan_of(
+    robot: sdpid.RobotModel, seed: int, duration: float, quick: bool, **given: Any
+) -> Trajectory:
+    """Return a plan from the robot's description, and from what else is given."""
+    limit = QUICK_SEARCH if quick else SEARCH
+    plan = sdpid.design_excitation(
+        robot, duration=duration, seed=seed, time_limit=limit, progress=False, **given
+    )
+    return plan.trajectory
+
+
+def noise_of(robot: sdpid.RobotModel, trajectory: Trajectory) -> Array:
+    """Return the standard deviation of every sample's effort, N·m."""
+    rigid = robot.inverse_dynamics(robot.prior, *trajectory.sample())
+    return NOISE * usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+
+
+def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Twin:
+    """Draw a robot that the description is of."""
+    rng = np.random.default_rng(seed)
+    bodies = np.array(robot.prior)
+    bodies = perturbed(raise_second_moments(bodies, RADIUS**2 * bodies[:, 0]), PERTURBED, rng)
+    rigid = robot.inverse_dynamics(bodies, *trajectory.sample())
+    usual = usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+    coulomb = rng.uniform(0.05, 0.2, robot.n) * usual
+    viscous = rng.uniform(0.5, 1.5, robot.n) * coulomb
+    theta = np.concatenate([bodies.ravel(), coulomb, viscous])
+    return Twin(theta, noise_of(robot, trajectory))
+
+
+def log_of(
+    robot: sdpid.RobotModel,
+    trajectory: Trajectory,
+    twin: Twin,
+    seed: int,
+    reading: str,
+    exact: bool = False,
+) -> sdpid.Recording:
+    """Return what a run records."""
+    _, drives = plant_parts(robot, trajectory, twin.theta, None)
+    drives = replace(
+        drives,
+        current_noise=twin.noise / drives.effort_scale,
+        velocity_gain=STIFFER * drives.velocity_gain,
+        proportional_gain=np.full(robot.n, POSITION_POLE),
+    )
+    log = sdpid.simulate(
+        robot,
+        trajectory,
+        theta=twin.theta,
+        drives=drives,
+        seed=seed,
+        exact=exact,
+        progress=False,
+    )
+    return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
+
+
+def truth(base: sdpid.robot.model.base_parameters.BaseParameters, twin: Twin, n: int) -> Array:
+    """Return the base parameters of a twin; terms that it does not have are zero."""
+    tail = twin.theta[-2 * n :].reshape(2, n)
+    known = {f"{kind}{j + 1}": tail[k, j] for k, kind in enumerate(("Fs", "Fv")) for j in range(n)}
+    links = twin.theta[: -2 * n]
+    names = base.theta_names[len(links) :]
+    return np.asarray(base.matrix @ np.concatenate([links, [known.get(x, 0.0) for x in names]]))
+
+
+def run(
+    name: str,
+    reading: str,
+    seed: int,
+    trajectory: Trajectory,
+    data: Path | None,
+    expected: Expected,
+    exact: bool,
+) -> list[Row]:
+    """Simulate a run, identify, and compare with what was expected."""
+    robot = described(name, data)
+    twin = twin_of(robot, trajectory, seed)
+    log = log_of(robot, trajectory, twin, seed, reading, exact)
+    try:
+        result = sdpid.identify(robot, log, effects="none")
+    except sdpid.errors.SdpidError as error:
+        print(f"{name} {reading} {seed}: {error}", flush=True)
+        return []
+    if result.intervals is None:
+        print(f"{name} {reading} {seed}: {result.intervals_note}", flush=True)
+        return []
+    half = dict(zip(result.intervals.names, 0.5 * result.intervals.width, strict=True))
+    base = result.problem.base
+    errors = dict(
+        zip(base.names, np.abs(result.estimate.base - truth(base, twin, robot.n)), strict=True)
+    )
+    widths = 0.5 * (expected.upper - expected.lower)
+    pairs = zip(expected.names, widths.tolist(), strict=True)
+    rows = [
+        Row(name, reading, seed, each, own, float(half[each]), float(errors[each]))
+        for each, own in pairs
+        if each in half
+    ]
+    friction, half_widths = friction_curve(result.estimate, expected.speeds)
+    coulomb, viscous = twin.theta[-2 * robot.n :].reshape(2, robot.n)
+    for k, speed in enumerate(expected.speeds.tolist()):
+        wrong = np.abs(friction[k] - coulomb - viscous * speed)
+        for j in range(robot.n):
+            rows.append(
+                Row(
+                    name,
+                    reading,
+                    seed,
+                    f"friction {j + 1} at {speed:g}",
+                    float(expected.friction_half_widths[k, j]),
+                    float(half_widths[k, j]),
+                    float(wrong[j]),
+                )
+            )
+    return rows
+
+
+def traded(row: Row) -> bool:
+    """Return whether a coefficient trades with others by a speed that the data choose.
+
+    Coulomb friction, a sigmoid and viscous friction beside each other are a curve: that is told,
+    and its coefficients are not.
+    """
+    return row.reading == "record" and row.name.rstrip("0123456789") in TRADED
+
+
+def summary(rows: Sequence[Row]) -> list[str]:
+    """Return the table of ratios."""
+    lines = [
+        "| robot | read as | of | runs | number | simulated / expected, median | 10 to 90 % of "
+        f"all | medians within {LEAST} to {MOST}, % | errors within the expected interval, % |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    kinds = {
+        "base parameters": lambda row: not traded(row) and "friction" not in row.name,
+        "friction curves": lambda row: "friction" in row.name,
+    }
+    for robot, reading in dict.fromkeys((row.robot, row.reading) for row in rows):
+        for kind, counts in kinds.items():
+            own = [r for r in rows if (r.robot, r.reading) == (robot, reading) and counts(r)]
+            by_name: dict[str, list[float]] = defaultdict(list)
+            for row in own:
+                by_name[row.name].append(row.simulated / row.expected)
+            medians = np.array([np.median(each) for each in by_name.values()])
+            inside = 100.0 * np.mean((medians >= LEAST) & (medians <= MOST))
+            held = 100.0 * np.mean([row.error <= row.expected for row in own])
+            low, middle, high = np.quantile(np.concatenate(list(by_name.values())), [0.1, 0.5, 0.9])
+            lines.append(
+                f"| {robot} | {reading} | {kind} | {len({row.seed for row in own})} | "
+                f"{len(by_name)} | {middle:.2f} | {low:.2f} to {high:.2f} | {inside:.0f} | "
+                f"{held:.0f} |"
+            )
+    return lines
+
+
+@dataclass(frozen=True)
+class Next:
+    """A run after a first one: the widest interval of the first, and the widest of all after it."""
+
+    robot: str
+    first: str
+    seed: int
+    widest: str
+    before: float
+    repeated: float
+    planned: float
+    all_repeated: float
+    all_planned: float
+
+
+def next_run(name: str, first: str, seed: int, data: Path | None, quick: bool) -> Next:
+    """Run a first motion, then the same again, or a plan made from the first run's estimate."""
+    robot = described(name, data)
+    if first == "plan":
+        motion = plan_of(robot, 0, SHORT, quick)
+    else:
+        motion = default_motion(robot, seed, period=SHORT, periods=1)
+    twin = twin_of(robot, motion, seed)
+
+    def recorded(trajectory: Trajectory, number: int) -> sdpid.Recording:
+        return log_of(robot, trajectory, twin, 100 * seed + number, "record")
+
+    once, again = recorded(motion, 0), recorded(motion, 1)
+    known = sdpid.identify(robot, once, effects="none")
+    plan = plan_of(robot, seed, motion.duration, quick, previous=known)
+    other = recorded(plan, 2)
+    found = [
+        known,
+        *(sdpid.identify(robot, [once, run], effects="none") for run in (again, other)),
+    ]
+    sizes = effort_sizes(robot, known.problem)
+    widths = []
+    for result in found:
+        pairs = zip(result.intervals.names, result.intervals.width.tolist(), strict=True)
+        widths.append({each: width * sizes[each] for each, width in pairs if each in sizes})
+    widest = max(widths[0], key=lambda each: widths[0][each])
+    return Next(
+        name,
+        first,
+        seed,
+        widest,
+        *(each[widest] for each in widths),
+        *(max(each.values()) for each in widths[1:]),
+    )
+
+
+def effort_sizes(
+    robot: sdpid.RobotModel, problem: sdpid.estimation.problem.Problem
+) -> dict[str, float]:
+    """Return the rms efforts that base parameters move per unit, on one motion for all runs.
+
+    Widths of intervals are compared in these units, N·m: parameters of an arm have many. Left out
+    are coefficients of friction that trade with each other (see `traded`).
+    """
+    q, v, a = (each[::25] for each in default_motion(robot, 77, period=LONG, periods=1).sample())
+    links = robot.regressor(q, v, a)
+    W = np.concatenate([links, problem.friction.columns(v, a)], axis=2)[:, :, problem.base.kept]
+    sizes = np.sqrt(np.mean(np.sum(W**2, axis=1), axis=0))
+    return {
+        name: float(size)
+        for name, size in zip(problem.base.names, sizes, strict=True)
+        if name.rstrip("0123456789") not in TRADED
+    }
+
+
+def next_summary(rows: Sequence[Next]) -> list[str]:
+    """Return the table of second runs."""
+    lines = [
+        "| robot | first run | runs | its widest interval after repeating it, of before | after a "
+        "plan from its estimate | widest of all, plan / repeated | plan is better, % |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for robot, first in dict.fromkeys((row.robot, row.first) for row in rows):
+        own = [row for row in rows if (row.robot, row.first) == (robot, first)]
+        again, planned = (
+            float(np.median([getattr(row, which) / row.before for row in own]))
+            for which in ("repeated", "planned")
+        )
+        ratio = float(np.median([row.all_planned / row.all_repeated for row in own]))
+        better = 100.0 * float(np.mean([row.planned < row.repeated for row in own]))
+        lines.append(
+            f"| {robot} | {first} | {len(own)} | {again:.2f} | {planned:.2f} | {ratio:.2f} | "
+            f"{better:.0f} |"
+        )
+    return lines
+
+
+def left_out(
+    robot: sdpid.RobotModel, trajectory: Trajectory, noise: ExpectedNoise, rows: Sequence[Row]
+) -> dict[str, float]:
+    """Return the median ratio of predictions that leave something out to simulated intervals.
+
+    Of base parameters of a record, one effect more at a time.
+    """
+    run = rehearse(robot, trajectory, noise=noise)
+    problem = run.problem
+    stated: dict[str, list[float]] = defaultdict(list)
+    for row in rows:
+        if row.reading == "record" and row.robot == rows[-1].robot and not traded(row):
+            stated[row.name].append(row.simulated)
+    q, v, a = trajectory.sample()
+    every = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=np.zeros_like(v))
+    terms = (*(term for term in problem.friction.terms if "Sigmoid" not in type(term).__name__),)
+    few = FrictionModel.from_terms(terms, robot.joint_names)
+    kept = 1.0 / float(np.median(np.diff(problem.samples.time)))
+
+    def of_rows(friction: FrictionModel, samples: sdpid.Samples, rate: float) -> dict[str, float]:
+        base = structural_base(robot, friction)
+        joints = JointRows.of(RowSource(robot, friction, base, samples))
+        R = joints.joined(noise.density * rate).R[:, :-1]
+        errors = np.sqrt(np.diag(np.linalg.inv(R.T @ R)))
+        return dict(zip(base.names, errors.tolist(), strict=True))
+
+    weighted = np.sqrt(np.diag(run.spectrum.covariance))
+    whole = expect(robot, trajectory, noise=noise, repetitions=())
+    found = {
+        "every sample of the plan": of_rows(few, every, trajectory.rate_hz),
+        "and the friction terms of identify": of_rows(problem.friction, every, trajectory.rate_hz),
+        "and its filter and mask": of_rows(problem.friction, problem.samples, kept),
+        "and its weights": dict(zip(problem.base.names, weighted.tolist(), strict=True)),
+        "and its prior: what is expected": dict(
+            zip(whole.names, whole.standard_errors.tolist(), strict=True)
+        ),
+    }
+    return {
+        what: float(
+            np.median([1.96 * e[name] / np.median(s) for name, s in stated.items() if name in e])
+        )
+        for what, e in found.items()
+    }
+
+
+def main() -> int:
+    """Run everything and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each robot")
+    parser.add_argument("--next", type=int, default=3, help="second runs of each robot")
+    parser.add_argument("--duration", type=float, default=20.0, help="of a period, s")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--exact", action="store_true", help="robots that follow the plan exactly")
+    parser.add_argument("--quick", action="store_true", help="one short run")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.quick:
+        options.robot, options.seeds, options.next, options.duration = ["ur10"], 1, 1, SHORT
+    from joblib import delayed
+
+    rows: list[Row] = []
+    lost: dict[str, dict[str, float]] = {}
+    for name in options.robot or ROBOTS:
+        try:
+            robot = described(name, options.data)
+        except sdpid.errors.SdpidError as error:
+            print(f"{name}: skipped, {error}", flush=True)
+            continue
+        plan = plan_of(robot, 0, options.duration, options.quick)
+        for reading, periods in PERIODS.items():
+            trajectory = plan.with_periods(periods)
+            noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
+            expected = expect(robot, trajectory, noise=noise, reading=reading)
+            if reading == "record":
+                print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
+            found = parallel(options.jobs)(
+                delayed(run)(name, reading, seed, trajectory, options.data, expected, options.exact)
+                for seed in range(options.seeds)
+            )
+            rows += [row for each in found for row in each]
+            if reading == "record" and found:
+                lost[name] = left_out(robot, trajectory, noise, rows)
+        print("\n".join(summary(rows)), flush=True)
+    seconds = parallel(options.jobs)(
+        delayed(next_run)(name, first, seed, options.data, options.quick)
+        for name in dict.fromkeys(row.robot for row in rows)
+        for first in (("plan",) if options.quick else ("random", "plan"))
+        for seed in range(options.next)
+    )
+    columns = tuple(field.name for field in fields(Row))
+    Table(columns, tuple(astuple(row) for row in rows)).write(
+        options.out / "excitation_expected.csv"
+    )
+    text = [
+        *summary(rows),
+        "",
+        f"| predicted from | {' | '.join(lost)} |",
+        "|---" * (len(lost) + 1) + "|",
+    ]
+    for what in next(iter(lost.values()), {}):
+        text.append(f"| {what} | {' | '.join(f'{each[what]:.2f}' for each in lost.values())} |")
+    text += ["", *next_summary(seconds)]
+    print("\n".join(text))
+    columns = tuple(field.name for field in fields(Next))
+    Table(columns, tuple(astuple(row) for row in seconds)).write(
+        options.out / "excitation_next.csv"
+    )
+    atomic_write_text(options.out / "excitation_expected.md", "\n".join(text) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,283 @@
+"""Try to have something false accepted: forged certificates, and a judge of what the verifier says.
+
+Certificates of certificate_zoo.py are changed in the ways of certificate_mutations.py, one to three
+at a time, and half of them then claim what the verifier itself would find, so that the claims fit.
+All have a right digest: only what the numbers mean can give them away. Every sentence that
+`sdpid.verifier` prints of what it accepts is compared with the file, and every claim is judged by
+certificate_judge.py; so are the sentences on files that it does not accept as a whole.
+
+    python examples/evidence/forgeries.py --out results --count 12000 --jobs 2
+
+Ends with status 1 where something false was said, and writes such files to the folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import copy
+import json
+import math
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import mpmath as mp
+from certificate_judge import Judge, costs, doubles
+from certificate_mutations import MUTATIONS, Data
+from certificate_zoo import made
+
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.verifier import certificate as checker
+from sdpid.verifier.reading import REFUSED, digest
+
+# How sentences that claim something begin, and what is judged of the file where one stands.
+CLAIMS = {
+    "No feasible parameters cost less than ": "lower bound",
+    "The given parameters are feasible: ": "feasible",
+    "They cost at most ": "cost",
+    "They are optimal up to a gap of at most ": "gap",
+}
+
+# Of links with other bounds of their mass so many are named.
+LISTED = 60
+
+# Each process judges so many forgeries at a time.
+CHUNK = 50
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one forgery: refused, not proven or accepted, and what is false of it."""
+
+    kinds: tuple[str, ...]
+    fitted: bool
+    answer: str
+    false: tuple[str, ...]
+    undecided: tuple[str, ...]
+    data: Data | None = None
+
+
+def forged(
+    rng: Random, zoo: dict[str, Data], of: Sequence[str]
+) -> tuple[Data, tuple[str, ...], bool]:
+    """Return a forgery with a right digest, its mutations, and whether its claims were fitted."""
+    while True:
+        data = copy.deepcopy(zoo[rng.choice(sorted(zoo))])
+        kinds = rng.choices(of, k=rng.choice([1, 1, 1, 2, 3]))
+        try:
+            changed = [MUTATIONS[kind](rng, data, zoo) for kind in kinds]
+        except (LookupError, TypeError, AttributeError, ValueError, OverflowError):
+            continue  # a later mutation of what an earlier one has broken
+        if any(changed):
+            break
+    fitted = rng.random() < 0.5 and fit(data)
+    with contextlib.suppress(ValueError, OverflowError):
+        data["sha256"] = digest(data)
+    return data, tuple(kind for kind, done in zip(kinds, changed, strict=True) if done), fitted
+
+
+def fit(data: Data) -> bool:
+    """Claim what the verifier finds, where it can read the file."""
+    try:
+        proof, claims = checker.Proof(data), data["claims"]
+        bound = rounded(proof.lower_bound, -math.inf)
+        claims["lower_bound"] = bound
+        if proof.theta is not None:
+            claims["violation"] = rounded(proof.violation, math.inf)
+            claims["cost"] = cost = rounded(proof.cost, math.inf)
+            scale = max(Fraction(cost), proof.scale)
+            share = (Fraction(cost) - Fraction(bound)) / scale if scale else Fraction(0)
+            claims["gap"] = rounded(share, math.inf)
+    except REFUSED:
+        return False
+    return True
+
+
+def rounded(value: Fraction, toward: float) -> float:
+    """Return the next double in a direction."""
+    nearest = float(value)
+    wrong = Fraction(nearest) > value if toward < 0 else Fraction(nearest) < value
+    return math.nextafter(nearest, toward) if wrong else nearest
+
+
+def judged(judge: Judge, data: Data) -> tuple[str, list[str], list[str]]:
+    """Return what the verifier answers, and which of its sentences are false or undecided."""
+    content = json.dumps(data).encode()
+    try:
+        read = checker.load(content)
+        result = checker.check(read)
+    except REFUSED:
+        return "refused", [], []
+    answer = "accepted" if result.passed else "not proven"
+    said = [CLAIMS[start] for start in CLAIMS for s in result.statements if s.startswith(start)]
+    false, undecided = [*wrong_words(result, read), *wrong_shares(result, read)], []
+    for claim, (verdict, why) in judge.claims(read, said).items():
+        if verdict != "true":
+            (false if verdict == "false" else undecided).append(f"{claim}: {why}")
+    return answer, false, undecided
+
+
+def wrong_words(result: Any, data: Data) -> Iterator[str]:
+    """Yield what the sentences say that is not so in the file."""
+    data = doubles(data)
+    claims, problem, origin = data["claims"], data["problem"], data["origin"]
+    if not all(
+        each.isprintable() for each in (*result.statements, *result.problems, *result.unchecked)
+    ):
+        yield "a character that a terminal may obey"
+    if result.passed and len(said_claims(result)) != 4:
+        yield "accepted without a word on bound, parameters, cost and gap"
+    for start, key in (
+        ("No feasible parameters cost less than ", "lower_bound"),
+        ("They cost at most ", "cost"),
+        ("They are optimal up to a gap of at most ", "gap"),
+    ):
+        for each in result.statements:
+            if (
+                each.startswith(start)
+                and float(each[len(start) :].split()[0].rstrip(".,:")) != claims[key]
+            ):
+                yield f"{each} It is {claims[key]!r} in the file"
+    links, p = problem["links"], len(problem["lower"])
+    masses = range(0, 10 * links, 10)
+    rest = "\n".join(result.statements)
+    counts = {
+        f"{links} links": "links",
+        f"{p} parameters": "parameters",
+        f"{p - 10 * links} of them friction": "friction terms",
+        f"{len(problem['rhs'])} base parameters": "base parameters",
+        f"{len(origin['joints'])} joints": "joints",
+    }
+    if links:
+        # Most links have the bounds that are said first; others are named with theirs.
+        pairs = [(float(problem["lower"][k]), float(problem["upper"][k])) for k in masses]
+        usual = max(pairs, key=pairs.count)
+        counts["masses from {!r} to {!r} kg".format(*usual)] = "masses"
+        others = [pair for pair in pairs if pair != usual]
+        for least, most in others[:LISTED]:
+            counts[f" from {least!r} to {most!r}"] = "bounds of one mass"
+        if len(others) > LISTED:
+            counts[f" and {len(others) - LISTED} more"] = "further bounds of masses"
+    if problem["rows"] or problem["cones"]:
+        counts[f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"] = "conditions"
+    fixed = sum(a == b for a, b in zip(problem["lower"], problem["upper"], strict=True))
+    counts[f"{fixed} fixed by them"] = "parameters that their bounds fix"
+    if problem["consistency"] != "none":
+        counts[f"margin {0.0 + problem['margin']!r} kg.m2 of each link"] = "the margin"
+    for words, what in counts.items():
+        if words not in rest:
+            yield f"nothing said of {what} ({words})"
+    if (found := re.search(r"rows and cones to within (\S+) of their size", rest)) and (
+        float(found.group(1)) < claims["violation"]
+    ):
+        yield f"to within {found.group(1)}, but the file claims {claims['violation']!r}"
+
+
+def wrong_shares(result: Any, data: Data) -> Iterator[str]:
+    """Yield what the sentence on the cost says of data and prior that is not so."""
+    said = next((s for s in result.statements if s.startswith("Of it at most ")), None)
+    if said is None:
+        if "cost" in said_claims(result):
+            yield "nothing said of the cost on the data"
+        return
+    data = doubles(data)
+    own, beside = costs(data, data["theta"])
+    least = mp.mpf(data["problem"]["floor"])
+    wanted = re.fullmatch(
+        r"Of it at most (\S+) is on the data(?: and (\S+) for the prior)?; no numbers at all, "
+        r"feasible or not, cost less than (\S+) on the data.",
+        said,
+    )
+    if wanted is None:
+        yield f"words that are not known: {said}"
+        return
+    # Decimals stand for doubles in the text, too.
+    stated = [mp.mpf(float(number or 0)) for number in wanted.groups()]
+    true = [own, beside, -least]
+    for given, share in zip([*stated[:2], -stated[2]], true, strict=True):
+        if given < share:
+            yield f"{said} But there are {mp.nstr(share, 17)} for {mp.nstr(given, 17)}"
+
+
+def said_claims(result: Any) -> set[str]:
+    """Return which claims a result states."""
+    return {CLAIMS[start] for start in CLAIMS for s in result.statements if s.startswith(start)}
+
+
+def some(
+    numbers: range, seed: int, zoo: dict[str, Data], of: Sequence[str] = tuple(sorted(MUTATIONS))
+) -> list[Outcome]:
+    """Make and judge forgeries by number, of some kinds of mutation."""
+    judge, out = Judge(), []
+    for number in numbers:
+        data, kinds, fitted = forged(Random(f"{seed} {number}"), zoo, of)
+        answer, false, undecided = judged(judge, data)
+        kept = data if false or undecided else None
+        out.append(Outcome(kinds, fitted, answer, tuple(false), tuple(undecided), kept))
+    return out
+
+
+def table(outcomes: list[Outcome]) -> Table:
+    """Return counts by kind; forgeries of several kinds count for each."""
+    rows = []
+    for kind in [*sorted(MUTATIONS), "all"]:
+        own = [each for each in outcomes if kind in (*each.kinds, "all")]
+        answers = collections.Counter(each.answer for each in own)
+        counts = [answers[answer] for answer in ("refused", "not proven", "accepted")]
+        false = sum(bool(each.false) for each in own)
+        undecided = sum(bool(each.undecided) for each in own)
+        rows.append((kind, len(own), *counts, undecided, false))
+    columns = ("mutation", "forgeries", "refused", "not proven", "accepted", "undecided", "false")
+    return Table(columns, tuple(rows))
+
+
+def main() -> int:
+    """Make forgeries and judge what is said of them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--count", type=int, default=12_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first forgery")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="200 forgeries of small robots")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    zoo = made(arguments.quick)
+    first, count = arguments.first, 200 if arguments.quick else arguments.count
+    chunks = [range(k, min(k + CHUNK, first + count)) for k in range(first, first + count, CHUNK)]
+    work = partial(some, seed=arguments.seed, zoo=zoo)
+    outcomes = list[Outcome]()
+    with ProcessPoolExecutor(arguments.jobs) as pool, progress(count, "forgeries") as advance:
+        for found in pool.map(work, chunks):
+            outcomes += found
+            advance(len(found))
+    counts = table(outcomes)
+    print(counts.text())
+    counts.write(arguments.out / "forgeries.csv")
+    wrong = 0
+    for number, each in enumerate(outcomes, first):
+        if each.data is None:
+            continue
+        wrong += bool(each.false)
+        kind = "false" if each.false else "undecided"
+        print(
+            f"{kind} {number} ({', '.join(each.kinds)}): {'; '.join(each.false or each.undecided)}"
+        )
+        (arguments.out / f"{kind}_{number}.json").write_text(
+            json.dumps(each.data), encoding="utf-8"
+        )
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

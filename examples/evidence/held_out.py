@@ -1,0 +1,334 @@
+"""What `identify` predicts with its defaults on recordings of six real robots it did not see.
+
+Every set of docs/evidence/data.md is trained on one run, or on the first 60 % of its only record,
+without
+any hint, and predicts the rest. Two errors are shown: on the rows as `identify` itself processes
+them, and on common rows, filtered alike whatever the defaults are and with none masked, so that
+no default wins by leaving out what is hard. Of the common rows those that move are shown apart: at
+rest friction is anything up to its limit, which no function of the velocity tells. Least squares
+stands beside, with Coulomb, square-root and viscous friction and offsets, fitted to the common
+rows that move.
+
+    python examples/evidence/held_out.py --data /path/to/data --out results
+
+The folder of the data may also be named by the environment variable SDPID_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from data_sets import SETS, TRAINED, part
+from real_robots import DRIVES
+
+import sdpid
+from sdpid._common.arrays import Mask
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.preparation.prepare import chosen_processing, default_friction, samples_of
+
+# De Luca's gains of another UR10, N·m/A (docs/evidence/data.md).
+GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
+UR10E = {
+    "8 harmonics": "20_02_05-20sec_8harm",
+    "12 harmonics": "20_02_05-20sec_12harm",
+    "5 harmonics": "20_02_06-20sec_5harm",
+    "15 harmonics": "20_02_19_15harm50sec",
+    "January": "20_01_31-unload",
+    **{f"joint {j} alone": f"20_01_22-joint_{j}" for j in (1, 2, 4, 5)},
+}
+UR10E_TRAINED = "20_02_10-30sec_12harm"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording to train on, and others to predict.
+
+    Attributes
+    ----------
+    name, robot_name : str
+        Of the case, and of its robot: cases of one robot are not independent.
+    robot : RobotModel
+        The robot.
+    log : Recording
+        What is trained on.
+    others : dict
+        Recordings to predict by name.
+    scored_hz : float
+        Cut-off of the common rows.
+    limits : dict
+        Largest error in % by name of what is predicted.
+    after : float or None
+        Time (s) after which rows of the others count. They are filtered with what was measured
+        before; nothing of them reaches what is trained on.
+    terms : tuple
+        Friction terms beside the default ones, where a drive is known.
+    """
+
+    name: str
+    robot_name: str
+    robot: sdpid.RobotModel
+    log: sdpid.Recording
+    others: dict[str, sdpid.Recording]
+    scored_hz: float
+    limits: dict[str, float] = field(default_factory=dict)
+    after: float | None = None
+    terms: tuple[Any, ...] = ()
+
+    @property
+    def common(self) -> sdpid.Processing:
+        """The processing of the common rows, which no default changes."""
+        measured = self.log.velocity is not None and self.log.rate_hz < 100.0
+        return sdpid.Processing(
+            cutoff_hz=self.scored_hz,
+            order=4,
+            decimation=None,
+            reversal_time=None,
+            derivative="central4",
+            velocity="measured" if measured else "differentiated",
+        )
+
+    def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments of `identify`, with the terms of a known drive."""
+        out = dict(given)
+        if self.terms:
+            out["friction"] = (*(out.get("friction") or default_friction(self.log)), *self.terms)
+        return out
+
+
+def halves(
+    name: str, scored_hz: float, limit: float, terms: tuple[Any, ...], folder: Path
+) -> Iterator[Case]:
+    """Yield a set of one record: its first part, which predicts the rest."""
+    data = SETS[name]
+    log = sdpid.read_recording(folder / name / f"{data.records[0]}.npz")
+    cut = round(TRAINED * log.n_samples)
+    title = f"{TITLES[name]}{' with its terms' if terms else ''}"
+    yield Case(
+        f"{title}, first 60 %",
+        TITLES[name],
+        sdpid.load_robot(folder / name / data.urdf),
+        part(log, 0, cut),
+        {"rest": log},
+        scored_hz,
+        {"rest": limit},
+        float(log.time[cut - 1]),
+        terms,
+    )
+
+
+def pairs(
+    name: str,
+    scored_hz: float,
+    limit: float | None,
+    effort: str,
+    folder: Path,
+) -> Iterator[Case]:
+    """Yield a set of two runs, each of which predicts the other."""
+    data = SETS[name]
+    logs = [
+        sdpid.read_recording(folder / name / f"{run}.npz", columns={"effort": effort})
+        for run in data.records
+    ]
+    robot = sdpid.load_robot(folder / name / data.urdf)
+    title = TITLES[name] + ("" if effort == "tau" else " currents")
+    for own, other in ((0, 1), (1, 0)):
+        label = f"run {other + 1}"
+        limits = {label: limit} if limit is not None and own == 0 else {}
+        yield Case(
+            f"{title}, run {own + 1}",
+            TITLES[name],
+            robot,
+            logs[own],
+            {label: logs[other]},
+            scored_hz,
+            limits,
+        )
+
+
+def ur10e(folder: Path) -> Iterator[Case]:
+    """Yield the UR10e: the run of 30 s, which predicts the others without load."""
+    folder = folder / "ur10e_innopolis"
+    robot = sdpid.load_robot(folder / "ur10e.urdf")
+
+    def read(run: str) -> sdpid.Recording:
+        columns = {"time": 1, **{k: list(range(2 + 6 * i, 8 + 6 * i)) for i, k in enumerate(KINDS)}}
+        return sdpid.read_recording(folder / f"{run}.csv", columns=columns, effort_scale=GAINS)
+
+    others = {label: read(run) for label, run in UR10E.items()}
+    yield Case("UR10e, 30 s", "UR10e", robot, read(UR10E_TRAINED), others, 10.0)
+
+
+KINDS = ("position", "velocity", "effort")
+TITLES = {
+    "ur10_unisa": "UR10",
+    "panda_unisa": "Panda",
+    "kuka_lwr4plus": "LWR 4+",
+    "staubli_tx40": "TX40",
+    "kinova_gen3_dynamapp": "Gen3",
+    "ur10e_innopolis": "UR10e",
+}
+
+# The cut-offs of the common rows are 30 times the motion of the training part, Hz, those of
+# version 0.1.0; the UR10e's is that of its README.
+READERS: tuple[tuple[str, Callable[[Path], Iterator[Case]]], ...] = (
+    ("ur10_unisa", partial(halves, "ur10_unisa", 5.45, 4.8, ())),
+    ("panda_unisa", partial(halves, "panda_unisa", 4.0, 1.75, ())),
+    ("kuka_lwr4plus", partial(pairs, "kuka_lwr4plus", 3.58, 2.25, "tau")),
+    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 10.0, ())),
+    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 6.0, DRIVES["staubli_tx40"])),
+    ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, 14.5, "tau")),
+    ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, None, "tau_current")),
+    ("ur10e_innopolis", ur10e),
+)
+QUICK = ("panda_unisa", "ur10_unisa")
+
+HEADER = (
+    "case",
+    "predicted",
+    "limit",
+    "own_rows",
+    "common_rows",
+    "moving",
+    "least_squares_moving",
+    "trained",
+    "seconds",
+    "message",
+)
+
+# A joint slower than this stands still, rad/s.
+STILL = 0.01
+
+LEAST_SQUARES = ("coulomb", "square_root", "viscous", "offset")
+
+
+def cases(data: Path | None, names: Sequence[str]) -> Iterator[Case]:
+    """Yield the cases of the sets that are there, and say which are not."""
+    for name in dict.fromkeys(names):
+        if data is None or not (data / name).is_dir():
+            where = "SDPID_DATA is not set" if data is None else f"not in {data}"
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
+            continue
+        for own, reader in READERS:
+            if own == name:
+                yield from reader(data)
+
+
+def moving(samples: sdpid.Samples) -> Mask:
+    """Return which rows (K, n) are of joints that move."""
+    return np.asarray(np.abs(samples.velocity) > STILL)
+
+
+def error(
+    estimate: Estimate, samples: sdpid.Samples, after: float | None, *, only_moving: bool = False
+) -> float:
+    """Return the error of predicted efforts over the efforts, in %, on rows behind a time."""
+    kept = np.ones(samples.effort.shape, np.bool_) if samples.mask is None else samples.mask
+    if after is not None:
+        assert samples.time is not None
+        kept = kept & (samples.time > after)[:, None]
+    if only_moving:
+        kept = kept & moving(samples)
+    missed = samples.effort - sdpid.validate(estimate, samples).effort_predicted
+    return 100.0 * float(np.linalg.norm(missed[kept]) / np.linalg.norm(samples.effort[kept]))
+
+
+def least_squares(case: Case) -> Estimate:
+    """Return the plain least-squares fit to the common rows that move."""
+    samples = samples_of(case.robot, case.log, case.common)
+    samples = replace(samples, mask=moving(samples))
+    terms = (*LEAST_SQUARES, *case.terms)
+    problem = sdpid.build_problem(case.robot, samples, friction=terms, weighting="gls")
+    return sdpid.solve_wls(problem)
+
+
+def rows(case: Case, given: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
+    """Yield a row for every recording that is predicted."""
+    start = time.perf_counter()
+    try:
+        result = sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(given))
+    except sdpid.errors.SdpidError as wrong:
+        yield case.name, "", *(None,) * 6, time.perf_counter() - start, str(wrong)
+        return
+    seconds = time.perf_counter() - start
+    try:
+        plain: Estimate | None = least_squares(case)
+    except sdpid.errors.IdentifiabilityError:
+        plain = None  # the run leaves base parameters open
+    own, _ = chosen_processing([case.log], given.get("processing"))
+    for label, other in case.others.items():
+        common = samples_of(case.robot, other, case.common)
+        estimate = result.estimate
+        yield (
+            case.name,
+            label,
+            case.limits.get(label),
+            error(estimate, samples_of(case.robot, other, own), case.after),
+            error(estimate, common, case.after),
+            error(estimate, common, case.after, only_moving=True),
+            None if plain is None else error(plain, common, case.after, only_moving=True),
+            100.0 * result.training.relative,
+            seconds,
+            "",
+        )
+
+
+def markdown(done: Sequence[tuple[object, ...]]) -> str:
+    """Return one line for everything that was predicted."""
+    lines = [
+        "| trained on | predicted | limit | common rows, % | moving | least squares, moving | rows "
+        "of `identify` | trained |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, label, limit, own, common, moves, plain, trained, _, message in done:
+        if message:
+            lines.append(f"| {name} | {message} | | | | | | |")
+            continue
+        shown = [shown_number(value) for value in (limit, common, moves, plain, own, trained)]
+        lines.append(f"| {name} | {label} | " + " | ".join(shown) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def shown_number(value: object) -> str:
+    """Return a number to three digits, or nothing."""
+    return f"{value:.3g}" if isinstance(value, float) else ""
+
+
+def main() -> int:
+    """Run every case and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--set", action="append", choices=tuple(TITLES), help="default all")
+    parser.add_argument("--quick", action="store_true", help="two sets")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    names = options.set or (QUICK if options.quick else tuple(TITLES))
+    done: list[tuple[object, ...]] = []
+    Table(HEADER, ()).write(options.out / "held_out.csv")
+    for case in cases(options.data, names):
+        for cells in rows(case, {}):
+            done.append(cells)
+            print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
+        Table(HEADER, tuple(done)).write(options.out / "held_out.csv")
+    text = markdown(done)
+    atomic_write_text(options.out / "held_out.md", text)
+    print(f"\n{text}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,286 @@
+"""Robots on legs with known inertias: what stand, trot and hang identify, judged on a walk.
+
+Go1, A1, Solo12 and a humanoid, Talos, which steps in place of the trot, in MuJoCo; their links are
+15 % off the description, with friction, rotor inertia and noise. Dry friction has a Stribeck peak
+and a smooth sign that differ from seed to seed; the estimate knows this law, or takes what
+`identify` chooses by the data. Errors are those of the efforts that the estimate predicts for the
+walk as it was, with the forces of the ground known: of the joints in per cent of their rms effort,
+of the force on the base in N.
+
+* ``legged.csv``: which motions and sensors show how much; a median and a worst of all seeds.
+
+    python examples/evidence/legged.py --seeds 5 --out results
+
+``--keep folder`` keeps what each seed gave, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
+
+THREE = ("stand", "trot", "hang")
+# The motions of each robot; the second is its gait.
+ROBOTS = {
+    "go1": THREE,
+    "a1": THREE,
+    "solo12": THREE,
+    "talos_reduced": ("stand", "step", "hang"),
+}
+# Ranges from which each seed draws its law of dry friction: width of the sign and speed of the peak
+# in rad/s, and height of the peak over Coulomb friction.
+WIDTHS, PEAK_SPEEDS, PEAKS = (0.03, 0.1), (0.1, 0.4), (0.0, 0.5)
+# Every so many samples of the walk are predicted.
+STRIDE = 10
+
+
+@dataclass(frozen=True)
+class Walker:
+    """A robot that differs from its description, and its runs."""
+
+    name: str
+    seed: int
+    seconds: float
+
+    @cached_property
+    def robot(self) -> sdpid.RobotModel:
+        """The description."""
+        return sdpid.load_robot(self.name, root="free_flyer")
+
+    @cached_property
+    def theta(self) -> Array:
+        """True parameters."""
+        return changed_parameters(self.robot, seed=self.seed)
+
+    @cached_property
+    def law(self) -> DryFriction:
+        """Its law of dry friction."""
+        rng = np.random.default_rng([2026, self.seed])
+        width, speed = (float(np.exp(rng.uniform(*np.log(each)))) for each in (WIDTHS, PEAK_SPEEDS))
+        return DryFriction(width=width, peak=float(rng.uniform(*PEAKS)), peak_speed=speed)
+
+    @property
+    def friction(self) -> tuple[sdpid.friction.FrictionTerm | str, ...]:
+        """The terms of its friction; their sizes are not told."""
+        return (*self.law.terms, "viscous", "rotor_inertia")
+
+    def run(self, motion: str, sensors: Sensors | None = None) -> LeggedRun:
+        """Let it move."""
+        order = (*ROBOTS[self.name], "walk").index(motion)
+        return simulate_legged(
+            self.robot,
+            motion,
+            theta=self.theta,
+            duration=self.seconds,
+            seed=10 * self.seed + order,
+            sensors=sensors,
+            friction=self.law,
+        )
+
+    @cached_property
+    def runs(self) -> dict[str, LeggedRun]:
+        """All motions, with an IMU."""
+        return {motion: self.run(motion) for motion in (*ROBOTS[self.name], "walk")}
+
+    @cached_property
+    def walk(self) -> tuple[TrueMotion, Array]:
+        """The walk as it was, some of its samples, and their true efforts without the ground's."""
+        whole = self.runs["walk"].motion
+        motion = TrueMotion(**{key: value[::STRIDE] for key, value in vars(whole).items()})
+        needed = self.robot.inverse_dynamics(
+            self.theta[: 10 * self.robot.n_links].reshape(-1, 10),
+            motion.position,
+            motion.velocity,
+            motion.acceleration,
+        )
+        rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
+        needed[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
+        return motion, needed
+
+    def errors(self, predicted: Array) -> tuple[float, float, float]:
+        """Return errors of joints in % of rms effort, of the base in N and N·m."""
+        motion, needed = self.walk
+        off = predicted - needed
+        effort = np.sqrt(np.mean(motion.effort[:, 6:] ** 2))
+        return (
+            100.0 * float(np.sqrt(np.mean(off[:, 6:] ** 2)) / effort),
+            float(np.sqrt(np.mean(np.sum(off[:, :3] ** 2, axis=1)))),
+            float(np.sqrt(np.mean(np.sum(off[:, 3:6] ** 2, axis=1)))),
+        )
+
+    def predicted(self, problem: Problem, base: Array) -> Array:
+        """Return the efforts that base parameters predict for the walk."""
+        motion, needed = self.walk
+        exact = sdpid.Samples(
+            position=motion.position,
+            velocity=motion.velocity,
+            acceleration=motion.acceleration,
+            effort=needed,
+            joint_names=problem.robot.joint_names,
+        )
+        rows = RowSource(problem.robot, problem.friction, problem.base, exact)
+        return np.asarray(rows.regressor(slice(None)) @ base)
+
+    @cached_property
+    def described(self) -> tuple[float, float, float]:
+        """Errors of the description, with the true friction."""
+        motion, _ = self.walk
+        predicted = self.robot.inverse_dynamics(
+            self.robot.prior, motion.position, motion.velocity, motion.acceleration
+        )
+        rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
+        predicted[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
+        return self.errors(predicted)
+
+    def mass_error(self, theta: Array) -> float:
+        """Return the error of the total mass in %."""
+        links = 10 * self.robot.n_links
+        return 100.0 * float(theta[:links:10].sum() / self.theta[:links:10].sum() - 1.0)
+
+
+def without_imu(log: sdpid.Recording) -> sdpid.Recording:
+    """Return a log of the pose alone."""
+    assert log.base is not None
+    return replace(log, base=replace(log.base, imu=None))
+
+
+# What is measured: which motions, whether with an IMU, and whether the data choose friction.
+CASES: tuple[tuple[slice, bool, bool], ...] = (
+    (slice(None), True, True),
+    (slice(None), True, False),
+    (slice(1, 2), True, True),
+    (slice(1, 2), True, False),
+    (slice(None), False, True),
+    (slice(None), False, False),
+)
+
+
+def identified(
+    walker: Walker, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
+) -> list[object]:
+    """Identify a robot and return what is said of the result in a row."""
+    known = {} if chosen else {"friction": walker.friction, "effects": "none"}
+    start = time.process_time()
+    result = sdpid.identify(walker.robot, list(logs), **known, **options)
+    seconds = time.process_time() - start
+    estimate, problem = result.estimate, result.problem
+    certificate = result.certificate
+    least = walker.errors(walker.predicted(problem, result.wls.base))
+    return [
+        *walker.errors(walker.predicted(problem, estimate.base)),
+        abs(walker.mass_error(estimate.theta)),
+        *least[:2],
+        certificate is not None and bool(certificate.passed),
+        None if certificate is None else certificate.gap,
+        seconds,
+    ]
+
+
+def cell(walker: Walker, number: int) -> list[object]:
+    """Return what a robot gives in a case, with the errors of its description."""
+    which, imu, chosen = CASES[number]
+    logs = [walker.runs[motion].recording for motion in ROBOTS[walker.name][which]]
+    logs = logs if imu else [without_imu(log) for log in logs]
+    row = identified(walker, logs, chosen=chosen, intervals=False)
+    return [*row, *walker.described[:2]]
+
+
+def kept(folder: Path | None, name: str, made: Callable[[], list[object]]) -> list[object]:
+    """Return what an earlier run of this study kept, or make and keep it."""
+    if folder is None:
+        return made()
+    file = folder / f"{name}.json"
+    if not file.is_file():
+        file.write_text(json.dumps(made()))
+    values: list[object] = json.loads(file.read_text())
+    return values
+
+
+def main_rows(
+    seeds: int, seconds: float, robots: Sequence[str], cases: Sequence[int], folder: Path | None
+) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the table of motions and sensors: median and worst of all seeds."""
+    found: dict[tuple[str, int], list[list[object]]] = {}
+    # Seed by seed, so that what is there after an interruption is about all robots.
+    for seed in range(seeds):
+        for name in robots:
+            walker = Walker(name, seed, seconds)
+            for number in cases:
+                row = kept(folder, f"{name}_{seed}_{number}", partial(cell, walker, number))
+                print(name, seed, CASES[number], walker.law, *row, flush=True)
+                found.setdefault((name, number), []).append(row)
+    for name in robots:
+        for number in cases:
+            if (name, number) in found:
+                yield summary(name, number, found[name, number])
+
+
+def summary(name: str, number: int, rows: Sequence[Sequence[object]]) -> tuple[object, ...]:
+    """Return a row of the table from those of all seeds."""
+    which, imu, chosen = CASES[number]
+    columns = [np.array([row[i] for row in rows], dtype=float) for i in range(len(rows[0]))]
+    return (
+        name, ", ".join(ROBOTS[name][which]), "IMU" if imu else "pose",
+        "chosen" if chosen else "known", len(rows),
+        *(value for i in (0, 1, 3) for value in (np.median(columns[i]), columns[i].max())),
+        np.median(columns[4]), np.median(columns[5]),
+        np.median(columns[9]), np.median(columns[10]),
+        int(columns[6].sum()), columns[7].max(), np.median(columns[8]),
+    )  # fmt: skip
+
+
+COLUMNS = (
+    "robot", "motions", "base_motion", "friction", "seeds",
+    "joints_percent", "joints_worst_percent", "base_force_n", "base_force_worst_n",
+    "mass_percent", "mass_worst_percent",
+    "least_squares_joints_percent", "least_squares_base_force_n",
+    "description_joints_percent", "description_base_force_n",
+    "certified", "worst_gap", "cpu_s",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS), default=tuple(ROBOTS))
+    parser.add_argument("--keep", type=Path, help="folder for what each seed gave, to go on from")
+    parser.add_argument("--quick", action="store_true", help="one robot, one seed, one case")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    chosen = parser.parse_args()
+    robots, cases = tuple(chosen.robots), tuple(range(len(CASES)))
+    if chosen.quick:
+        chosen.seeds, chosen.seconds, robots, cases = 1, 3.0, ("solo12",), (1,)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True, exist_ok=True)
+    lines = []
+    with progress(len(robots) * len(cases), "legged") as advance:
+        for row in main_rows(chosen.seeds, chosen.seconds, robots, cases, chosen.keep):
+            lines.append(row)
+            print(*row, flush=True)
+            advance(1)
+    Table(COLUMNS, tuple(lines)).write(chosen.out / "legged.csv")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""Wrong logs of robots on legs: what a mistake costs, and what the inspection says of it.
+
+Stand, trot and hang of a quadruped in MuJoCo as in `legged.py`, with an IMU and force sensors in
+the feet, friction terms known. One mistake at a time is made in these logs, in all three of them.
+Contact forces are then either left out, so that those of closed contacts are eliminated
+(*projection*), or measurements (*fusion*). Where the log is refused, the error is what one gets
+who overrules that (`accept`).
+
+* ``legged_defects.csv``: errors on a held-out walk, and findings that the right logs do not have.
+
+    python examples/evidence/legged_defects.py --out results
+
+``--only places`` makes the mistakes in where things are: contact points, frames, and the IMU.
+``--keep folder`` keeps what each fit gave, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from legged import ROBOTS, THREE, Walker, kept
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.experiment.inspection.inspect import REFUSED
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
+
+Log = sdpid.Recording
+Change = Callable[[Log], Log]
+COLUMNS = (
+    "robot", "defect", "projection_joints_percent", "projection_mass_percent", "projection_named",
+    "fusion_joints_percent", "fusion_mass_percent", "fusion_named",
+)  # fmt: skip
+# What `--only places` leaves out.
+PLACES = (
+    "nothing", "contact at the ball's center", "shanks for feet", "IMU's place ignored",
+    "IMU's axes ignored", "gyroscope in deg/s", "accelerometer in g",
+    "accelerometer off by 0.2 m/s²",
+)  # fmt: skip
+# Of the weight: below it, a foot is said to be up; and what a force sensor shows without a load.
+THRESHOLD, BIAS = 0.1, 0.05
+SENSORS = Sensors(forces=True)
+
+
+class Sensed(Walker):
+    """A quadruped with force sensors in its feet."""
+
+    @property
+    def weight(self) -> float:
+        """Of the robot as it is, N."""
+        return float(self.theta[: 10 * self.robot.n_links : 10].sum()) * 9.81
+
+    @cached_property
+    def runs(self) -> dict[str, LeggedRun]:
+        """All motions, with forces."""
+        return {motion: self.run(motion, SENSORS) for motion in (*ROBOTS[self.name], "walk")}
+
+
+def effort(change: Callable[[Array], Array]) -> Change:
+    """Change joint torques."""
+    return lambda log: replace(log, effort=change(log.effort))
+
+
+def base(change: Callable[[BaseMotion], dict[str, Any]]) -> Change:
+    """Change fields of the base's motion."""
+
+    def changed(log: Log) -> Log:
+        assert log.base is not None
+        return replace(log, base=replace(log.base, **change(log.base)))
+
+    return changed
+
+
+def imu(change: Callable[[Imu], dict[str, Any]]) -> Change:
+    """Change fields of the IMU."""
+
+    def changed(motion: BaseMotion) -> dict[str, Any]:
+        assert motion.imu is not None
+        return {"imu": replace(motion.imu, **change(motion.imu))}
+
+    return base(changed)
+
+
+def feet(change: Callable[[Contacts], dict[str, Any]]) -> Change:
+    """Change fields of the feet's contacts; not of the stand that holds a base."""
+
+    def changed(log: Log) -> Log:
+        assert log.contacts is not None
+        if log.contacts.n == 1:
+            return log
+        return replace(log, contacts=replace(log.contacts, **change(log.contacts)))
+
+    return changed
+
+
+def shank(foot: str) -> str:
+    """Return the link before a foot, by the names of Go1, A1 and Solo12."""
+    return foot.replace("_foot", "_calf").replace("_FOOT", "_LOWER_LEG")
+
+
+def late(values: Array, samples: int) -> Any:
+    """Return values that many samples late."""
+    return values[np.maximum(np.arange(len(values)) - samples, 0)]
+
+
+def exchanged(order: Sequence[int]) -> Change:
+    """Give feet the flags and forces of others."""
+    columns = list(order)
+    return feet(lambda c: {"down": c.down[:, columns], "forces": c.forces[:, columns]})
+
+
+def in_base_axes(log: Log) -> Log:
+    """Give forces in the axes of the base, in place of the world's."""
+    assert log.base is not None
+    turns = log.base.rotations
+    return feet(lambda c: {"forces": np.einsum("kji,kcj->kci", turns, c.forces)})(log)
+
+
+def one_foot_always_down(contacts: Contacts) -> dict[str, Any]:
+    """Return flags with one that never opens."""
+    down = np.array(contacts.down)
+    down[:, 0] = True
+    return {"down": down}
+
+
+def defects(weight: float) -> dict[str, tuple[Change, bool]]:
+    """Return what is wrong: the change that does it, and whether forces alone have it."""
+    bias = np.array([0.0, 0.0, BIAS * weight])
+    gravity = 9.81
+    # Recorded at 1 kHz.
+    return {
+        "nothing": (lambda log: log, False),
+        "torques 2 ms late": (effort(lambda e: late(e, 2)), False),
+        "IMU 2 ms late": (
+            imu(lambda i: {k: late(getattr(i, k), 2) for k in ("gyroscope", "accelerometer")}),
+            False,
+        ),
+        "flags and forces 10 ms late": (
+            feet(lambda c: {"down": late(c.down, 10), "forces": late(c.forces, 10)}),
+            False,
+        ),
+        "flags above 10 % of the weight": (
+            feet(lambda c: {"down": c.forces[..., 2] > THRESHOLD * weight}),
+            False,
+        ),
+        "one foot always down": (feet(one_foot_always_down), False),
+        "left and right feet swapped": (exchanged((1, 0, 3, 2)), False),
+        "diagonal feet swapped": (exchanged((3, 2, 1, 0)), False),
+        "contact at the ball's center": (feet(lambda c: {"offset": np.zeros(3)}), False),
+        "shanks for feet": (feet(lambda c: {"frames": [shank(name) for name in c.frames]}), False),
+        "forces 10 % low": (feet(lambda c: {"forces": 0.9 * c.forces}), True),
+        "one foot's forces 10 % low": (
+            feet(lambda c: {"forces": c.forces * np.array([0.9, 1.0, 1.0, 1.0])[:, None]}),
+            True,
+        ),
+        "one foot's forces of zeros": (
+            feet(lambda c: {"forces": c.forces * np.array([0.0, 1.0, 1.0, 1.0])[:, None]}),
+            True,
+        ),
+        "forces of zeros": (feet(lambda c: {"forces": 0.0 * c.forces}), True),
+        "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
+        "forces on the ground": (feet(lambda c: {"forces": -c.forces}), True),
+        "forces in the base's axes": (in_base_axes, True),
+        "forces of left and right feet swapped": (
+            feet(lambda c: {"forces": c.forces[:, [1, 0, 3, 2]]}),
+            True,
+        ),
+        "quaternion w x y z": (
+            base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
+            False,
+        ),
+        "IMU's place ignored": (imu(lambda i: {"translation": np.zeros(3)}), False),
+        "IMU's axes ignored": (imu(lambda i: {"rotation": np.eye(3)}), False),
+        "gyroscope in deg/s": (imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), False),
+        "gyroscope of zeros": (imu(lambda i: {"gyroscope": 0.0 * i.gyroscope}), False),
+        "accelerometer in g": (imu(lambda i: {"accelerometer": i.accelerometer / gravity}), False),
+        "accelerometer off by 0.2 m/s²": (
+            imu(lambda i: {"accelerometer": i.accelerometer + np.array([0.2, 0.0, 0.0])}),
+            False,
+        ),
+        "torques in N·mm": (effort(lambda e: 1e3 * e), False),
+        "torques 5 % high": (effort(lambda e: 1.05 * e), False),
+    }
+
+
+def without_forces(log: Log) -> Log:
+    """Return a log of a robot that has no force sensors."""
+    assert log.contacts is not None
+    return replace(log, contacts=replace(log.contacts, forces=None, wrenches=None))
+
+
+def cell(quadruped: Sensed, defect: str, fused: bool) -> list[object]:
+    """Return errors of joints and of the mass, in %, and findings: kinds, and those refused."""
+    wrenches = quadruped.runs["trot"].motion.wrenches
+    # What the noise of the force sensors is.
+    std = SENSORS.force_noise * float(np.sqrt(np.mean(wrenches**2)))
+    options: dict[str, Any] = {"processing": {"contact_force_std": std}} if fused else {}
+    change = defects(quadruped.weight)[defect][0]
+    logs = [change(quadruped.runs[motion].recording) for motion in THREE]
+    if not fused:
+        logs = [without_forces(log) for log in logs]
+    known = {"friction": quadruped.friction, "effects": "none", "intervals": False}
+    try:
+        result = sdpid.identify(quadruped.robot, logs, accept=REFUSED, **known, **options)
+    except sdpid.errors.SdpidError as error:
+        print(defect, error, flush=True)
+        return ["refused", "refused", [], []]
+    problem, estimate = result.problem, result.estimate
+    found = [each for each in result.findings if each.severity != "note"]
+    return [
+        quadruped.errors(quadruped.predicted(problem, estimate.base))[0],
+        abs(quadruped.mass_error(estimate.theta)),
+        sorted({each.kind for each in found}),
+        sorted({each.kind for each in found if each.severity == "refuse"}),
+    ]
+
+
+def rows(
+    quadruped: Sensed, names: Sequence[str], folder: Path | None
+) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of a robot, the first of which is that of the right logs."""
+    usual: dict[bool, set[object]] = {}
+    for number, defect in enumerate(names):
+        row: list[object] = [quadruped.name, defect]
+        for fused in (False, True):
+            if not fused and defects(quadruped.weight)[defect][1]:
+                row += [None, None, None]
+                continue
+            file = f"{quadruped.name}_{list(defects(1.0)).index(defect)}_{int(fused)}"
+            error, mass, kinds, refused = kept(
+                folder, file, partial(cell, quadruped, defect, fused)
+            )
+            assert isinstance(kinds, list)
+            assert isinstance(refused, list)
+            if number == 0:
+                usual[fused] = set(kinds)
+            said = [
+                f"{kind} (refused)" if kind in refused else kind
+                for kind in kinds
+                if number == 0 or kind not in usual[fused]
+            ]
+            row += [error, mass, ", ".join(said) or "nothing"]
+        yield tuple(row)
+
+
+def main() -> None:
+    """Write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS)[:3], default=("solo12", "go1"))
+    parser.add_argument("--only", choices=("places",), help="some of the mistakes")
+    parser.add_argument("--keep", type=Path, help="folder for what each fit gave, to go on from")
+    parser.add_argument("--quick", action="store_true", help="one robot, two defects")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    chosen = parser.parse_args()
+    names = tuple(defects(1.0)) if chosen.only is None else PLACES
+    if chosen.quick:
+        chosen.robots, chosen.seconds, names = ("solo12",), 2.0, names[:2]
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True, exist_ok=True)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    lines: list[tuple[object, ...]] = []
+    with progress(len(names) * len(chosen.robots), "legged_defects") as advance:
+        for name in chosen.robots:
+            for row in rows(Sensed(name, 0, chosen.seconds), names, chosen.keep):
+                lines.append(row)
+                print(*row, sep=" | ", flush=True)
+                # Row by row, so that an interruption leaves those that are done.
+                Table(COLUMNS, tuple(lines)).write(chosen.out / "legged_defects.csv")
+                advance(1)
+
+
+if __name__ == "__main__":
+    main()

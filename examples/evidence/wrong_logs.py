@@ -1,0 +1,436 @@
+"""Spoil good logs in known ways, and see whether the inspection names what is wrong.
+
+Simulated logs of robots whose parameters are known (simulated_logs.py), inertias 15 % off the
+description's, and the first public recording of every real arm of docs/evidence/data.md are
+spoiled in some
+twenty ways. Each must be found and named; findings on the logs as they are are counted as well.
+
+    python examples/evidence/wrong_logs.py --data /path/to/data [--seeds 3] [--quick]
+
+The folder of the data may also be named by the environment variable SDPID_DATA; without it only
+simulated robots that come with the package's dependencies are looked at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from pathlib import Path
+
+import numpy as np
+from data_sets import SETS
+from simulated_logs import drawn, log_of, there, with_gravity
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table
+from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.inspection.kinds import Finding
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.experiment.recording.joints import match_joints
+
+# N·m per ampere at the joints of arms of this size, from the first joint to the last.
+TORQUE_CONSTANTS = (14.0, 9.0)
+DELAY_S = 0.06
+# A load of this share of the arm's mass, its center of mass so far off (m) along each axis.
+LOAD_SHARE, LOAD_OFFSET = 0.1, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Good:
+    """A log that is right, and its robot.
+
+    Attributes
+    ----------
+    name : str
+        Of the robot, and where the log is from.
+    robot : RobotModel
+        As it is described.
+    log : Recording
+        In the robot's order, with velocities.
+    joint : int
+        The joint that carries most.
+    """
+
+    name: str
+    robot: sdpid.RobotModel
+    log: sdpid.Recording
+    joint: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong:
+    """A way to spoil a log.
+
+    Attributes
+    ----------
+    words : str
+        For the table.
+    kinds : tuple of str
+        Kinds of findings that name it.
+    spoiled : callable
+        Returns the recordings and the robot's description.
+    of_joint : bool
+        Whether the finding must name the joint.
+    """
+
+    words: str
+    kinds: tuple[str, ...]
+    spoiled: Callable[[Good], tuple[Sequence[sdpid.Recording], sdpid.RobotModel]]
+    of_joint: bool = False
+
+
+def changed(good: Good, **arrays: Array) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log with other arrays; positions without the old velocities."""
+    if "position" in arrays and "velocity" not in arrays:
+        arrays["velocity"] = np.gradient(arrays["position"], good.log.time, axis=0)
+    return [replace(good.log, notes=(), **arrays)], good.robot
+
+
+def flipped(good: Good, *quantities: str) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log in which some quantities of one joint have the wrong sign."""
+    arrays = {name: getattr(good.log, name).copy() for name in quantities}
+    for values in arrays.values():
+        values[:, good.joint] *= -1.0
+    return changed(good, **arrays)
+
+
+def ordered(
+    good: Good, order: Sequence[int], *quantities: str
+) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log with columns in another order."""
+    return changed(good, **{name: getattr(good.log, name)[:, list(order)] for name in quantities})
+
+
+def late(values: Array, time: Array) -> Array:
+    """Return signals that come late."""
+    return np.column_stack([np.interp(time - DELAY_S, time, column) for column in values.T])
+
+
+def clipped(good: Good, quantity: str) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log in which one channel of one joint is clipped."""
+    values = getattr(good.log, quantity).copy()
+    column = values[:, good.joint]
+    low, high = np.percentile(column, (10.0, 90.0))
+    values[:, good.joint] = np.clip(column, low, high)
+    return changed(good, **{quantity: values})
+
+
+def standing(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log in which one joint does not move."""
+    position = good.log.position.copy()
+    noise = np.random.default_rng(0).standard_normal(good.log.n_samples)
+    position[:, good.joint] = position[0, good.joint] + 1e-5 * noise
+    return changed(good, position=position)
+
+
+def held(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log whose rows repeat: the robot measures at a quarter of the rate."""
+    rows = np.arange(good.log.n_samples) // 4 * 4
+    return changed(good, position=good.log.position[rows], effort=good.log.effort[rows])
+
+
+def rested(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log that goes on as long as it was, the robot at rest."""
+    log, count = good.log, good.log.n_samples
+    rows = np.r_[np.arange(count), np.full(count, count - 1)]
+    rng = np.random.default_rng(0)
+    still = np.r_[np.zeros(count), np.ones(count)][:, None]
+    noise = rng.standard_normal((2 * count, log.n)) * still
+    time = log.time[0] + log.step * np.arange(2 * count)
+    position = log.position[rows] + 1e-6 * noise
+    effort = log.effort[rows] + 1e-3 * noise
+    assert log.velocity is not None
+    velocity = log.velocity[rows] * (1.0 - still)
+    return [
+        replace(log, time=time, position=position, effort=effort, velocity=velocity)
+    ], good.robot
+
+
+def spiked(
+    good: Good, quantity: str, size: float
+) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log with one value far off."""
+    values = getattr(good.log, quantity).copy()
+    values[good.log.n_samples // 3, good.joint] += size
+    return changed(good, **{quantity: values})
+
+
+def loaded(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return both halves of a log, the second with a load at the last link."""
+    robot, log, half = good.robot, good.log, good.log.n_samples // 2
+    mass = LOAD_SHARE * float(robot.prior[:, 0].sum())
+    arm, both = np.zeros_like(robot.prior), np.zeros_like(robot.prior)
+    both[-1, :4] = mass * np.array([1.0, *3 * (LOAD_OFFSET,)])
+    both[-1, [4, 6, 9]] = 2.0 * mass * LOAD_OFFSET**2
+    both[-1, [5, 7, 8]] = -mass * LOAD_OFFSET**2
+    assert log.velocity is not None
+    # Accelerations hardly matter: gravity bears the load.
+    states = log.position, log.velocity, np.zeros_like(log.position)
+    load = replace(robot, prior=arm + both).described_efforts(*states)
+    parts = [slice(0, half), slice(half, None)]
+    efforts = [log.effort[parts[0]], (log.effort + load)[parts[1]]]
+    return [
+        replace(
+            log,
+            time=log.time[part],
+            position=log.position[part],
+            velocity=log.velocity[part],
+            effort=effort,
+        )
+        for part, effort in zip(parts, efforts, strict=True)
+    ], robot
+
+
+def hanging(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log, and the robot described upside down."""
+    robot = with_gravity(good.robot, -good.robot.gravity)
+    return [good.log], replace(robot, prior=good.robot.prior)
+
+
+def constants(good: Good) -> Array:
+    """Return N·m per ampere of each joint."""
+    return np.linspace(*TORQUE_CONSTANTS, good.log.n)
+
+
+def exchanged(good: Good) -> list[int]:
+    """Return the order of columns in which the first and the third joint are exchanged."""
+    return [2, 1, 0, *range(3, good.log.n)]
+
+
+def turned(good: Good) -> list[int]:
+    """Return the order of columns that begins with the last joint."""
+    return [good.log.n - 1, *range(good.log.n - 1)]
+
+
+def zeroed(good: Good) -> Array:
+    """Return positions in which one joint's zero is a quarter of a turn off."""
+    position = good.log.position.copy()
+    position[:, good.joint] += np.pi / 2.0
+    return position
+
+
+def retimed(good: Good, factor: float) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log whose stamps are in another unit."""
+    log = good.log
+    assert log.velocity is not None
+    return [replace(log, time=factor * log.time, velocity=None)], good.robot
+
+
+ALL = ("position", "velocity", "effort")
+KINDS = (
+    Wrong(
+        words="currents (A) named torque",
+        kinds=("effort_scale",),
+        spoiled=lambda g: changed(g, effort=g.log.effort / constants(g)),
+    ),
+    Wrong(
+        words="N·mm",
+        kinds=("effort_scale",),
+        spoiled=lambda g: changed(g, effort=1e3 * g.log.effort),
+    ),
+    Wrong(
+        words="motors' torques, before gears of 100",
+        kinds=("effort_scale",),
+        spoiled=lambda g: changed(g, effort=1e-2 * g.log.effort),
+    ),
+    Wrong(
+        words="sign of one effort",
+        kinds=("effort_sign",),
+        spoiled=lambda g: flipped(g, "effort"),
+        of_joint=True,
+    ),
+    Wrong(
+        words="sign of all efforts",
+        kinds=("effort_sign",),
+        spoiled=lambda g: changed(g, effort=-g.log.effort),
+    ),
+    Wrong(
+        words="sign of one position",
+        kinds=("position_sign",),
+        spoiled=lambda g: flipped(g, "position", "velocity"),
+        of_joint=True,
+    ),
+    Wrong(
+        words="signs of one position and effort",
+        kinds=("axis_sign",),
+        spoiled=lambda g: flipped(g, *ALL),
+        of_joint=True,
+    ),
+    Wrong(
+        words="zero off by 90°",
+        kinds=("position_zero",),
+        spoiled=lambda g: changed(g, position=zeroed(g)),
+        of_joint=True,
+    ),
+    Wrong(
+        words="joints 1 and 3 exchanged",
+        kinds=("joint_order",),
+        spoiled=lambda g: ordered(g, exchanged(g), *ALL),
+    ),
+    Wrong(
+        words="columns one on",
+        kinds=("joint_order",),
+        spoiled=lambda g: ordered(g, turned(g), *ALL),
+    ),
+    Wrong(
+        words="columns of efforts one on",
+        kinds=("effort_order",),
+        spoiled=lambda g: ordered(g, turned(g), "effort"),
+    ),
+    Wrong(
+        words="degrees",
+        kinds=("position_in_degrees",),
+        spoiled=lambda g: changed(g, position=np.degrees(g.log.position)),
+    ),
+    Wrong(
+        words="hangs, described as standing",
+        kinds=("gravity_direction",),
+        spoiled=hanging,
+    ),
+    Wrong(words="ms read as s", kinds=("time_unit",), spoiled=lambda g: retimed(g, 1e3)),
+    Wrong(
+        words="s read as ms",
+        kinds=("time_unit", "position_jumps"),
+        spoiled=lambda g: retimed(g, 1e-3),
+    ),
+    Wrong(words="one joint at rest", kinds=("joint_at_rest",), spoiled=standing, of_joint=True),
+    Wrong(
+        words="effort clipped",
+        kinds=("effort_clipped",),
+        spoiled=lambda g: clipped(g, "effort"),
+        of_joint=True,
+    ),
+    Wrong(
+        words="velocity clipped",
+        kinds=("velocity_clipped",),
+        spoiled=lambda g: clipped(g, "velocity"),
+        of_joint=True,
+    ),
+    Wrong(words="rows repeated four times", kinds=("repeated_rows",), spoiled=held),
+    Wrong(words="half at rest", kinds=("long_rest",), spoiled=rested),
+    Wrong(
+        words="efforts 60 ms late",
+        kinds=("effort_late",),
+        spoiled=lambda g: changed(g, effort=late(g.log.effort, g.log.time)),
+    ),
+    Wrong(
+        words="velocities 60 ms late",
+        kinds=("velocity_late",),
+        spoiled=lambda g: changed(g, velocity=late(g.log.velocity, g.log.time)),
+    ),
+    Wrong(
+        words="one effort far off",
+        kinds=("effort_spike",),
+        spoiled=lambda g: spiked(g, "effort", 1e5),
+        of_joint=True,
+    ),
+    Wrong(
+        words="one position off by 2 rad",
+        kinds=("position_lone", "position_jumps"),
+        spoiled=lambda g: spiked(g, "position", 2.0),
+        of_joint=True,
+    ),
+    Wrong(words="half with a load of a tenth", kinds=("payload_differs",), spoiled=loaded),
+)
+
+
+def good(name: str, robot: sdpid.RobotModel, log: sdpid.Recording) -> Good:
+    """Return a log in its robot's order, with velocities."""
+    log = match_joints(robot, log)
+    if log.velocity is None:
+        log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
+    rows = np.linspace(0, log.n_samples - 1, 200).astype(int)
+    q = log.position[rows]
+    gravity = robot.described_efforts(q, np.zeros_like(q), np.zeros_like(q))
+    return Good(name=name, robot=robot, log=log, joint=int(np.argmax(gravity.std(axis=0))))
+
+
+def simulated(seeds: int, data: Path | None) -> Iterator[Good]:
+    """Yield simulated logs of every robot that is there."""
+    for robot in there(data):
+        for seed in range(seeds):
+            log, truth = log_of(drawn(robot, seed), seed, data)
+            described = truth.robot
+            if robot == "denso":  # its description gives no masses
+                bodies = true_parameters("denso_vp6242")[: 10 * described.n_links]
+                described = replace(described, prior=bodies.reshape(-1, 10))
+            yield good(f"{robot}, simulated", described, log)
+
+
+def recorded(data: Path | None) -> Iterator[Good]:
+    """Yield the first recording of every real arm."""
+    if data is None:
+        return
+    for name, each in SETS.items():
+        robot = sdpid.load_robot(data / name / each.urdf)
+        yield good(name, robot, sdpid.read_recording(data / name / f"{each.records[0]}.npz"))
+
+
+def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
+    """Return whether findings name what is wrong, or name it as one of what does as well."""
+    joint = log.robot.joint_names[log.joint]
+    for finding in findings:
+        right = wrong.of_joint and finding.joint not in (None, joint)
+        told = finding.severity != "note" or finding.kind.startswith("velocity")
+        if finding.kind in wrong.kinds and told and not right:
+            return True
+        what = {
+            "position_sign": f"position of {joint} has the wrong sign",
+            "axis_sign": f"position and effort of {joint} count the other way round",
+        }.get(wrong.kinds[0])
+        if what is not None and what in finding.message:
+            return True
+    return False
+
+
+def main() -> int:
+    """Inspect, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--seeds", type=int, default=3, help="simulated logs of each robot")
+    parser.add_argument("--good", type=int, default=20, help="of these, to count false alarms")
+    parser.add_argument("--quick", action="store_true", help="one log of one robot")
+    given = parser.parse_args()
+    data = None if given.data is None else Path(given.data)
+    seeds, counted = (1, 1) if given.quick else (given.seeds, given.good)
+    logs = list(islice(chain(simulated(seeds, data), recorded(data)), 1 if given.quick else None))
+    names = list(dict.fromkeys(log.name for log in logs))
+    rows, missed = [], []
+    total = Counter(log.name for log in logs)
+    for wrong in KINDS:
+        found: Counter[str] = Counter()
+        for log in logs:
+            spoiled, robot = wrong.spoiled(log)
+            findings = inspect_recordings(spoiled, robot)
+            if named(wrong, log, findings):
+                found[log.name] += 1
+            else:
+                kinds = ", ".join(f"{f.kind} {f.joint or ''}".strip() for f in findings)
+                missed.append(f"{wrong.words}: {log.name}: {kinds or 'nothing'}")
+        print(f"{wrong.words}: {sum(found.values())} of {len(logs)}", file=sys.stderr, flush=True)
+        rows.append((wrong.words, *(f"{found[name]}/{total[name]}" for name in names)))
+    given.out.mkdir(parents=True, exist_ok=True)
+    table = Table(("what is wrong", *names), tuple(rows))
+    table.write(given.out / "wrong_logs.csv")
+    print(table.text())
+    print("\nnot named, and what was found:", *(missed or ["none"]), sep="\n  ")
+    alarms: Counter[str] = Counter()
+    looked_at = 0
+    for log in (*simulated(counted, data), *recorded(data)):
+        looked_at += 1
+        for finding in inspect_recordings([log.log], log.robot):
+            alarms[f"{finding.severity} {finding.kind}: {log.name}"] += 1
+    print(f"\nfindings on {looked_at} logs as they are:")
+    print(*(f"  {count} × {what}" for what, count in sorted(alarms.items())), sep="\n")
+    return int(any(what.startswith("refuse") for what in alarms))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
