@@ -10,27 +10,22 @@ of the force on the base in N.
 * ``legged.csv``: which motions and sensors show how much; a median and a worst of all seeds.
 
     python examples/evidence/legged.py --seeds 5 --out results
-
-``--keep folder`` keeps what each seed gave, and goes on from there.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
+import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from pathlib import Path
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
@@ -203,50 +198,6 @@ def cell(walker: Walker, number: int) -> list[object]:
     return [*row, *walker.described[:2]]
 
 
-def kept(folder: Path | None, name: str, made: Callable[[], list[object]]) -> list[object]:
-    """Return what an earlier run of this study kept, or make and keep it."""
-    if folder is None:
-        return made()
-    file = folder / f"{name}.json"
-    if not file.is_file():
-        file.write_text(json.dumps(made()))
-    values: list[object] = json.loads(file.read_text())
-    return values
-
-
-def main_rows(
-    seeds: int, seconds: float, robots: Sequence[str], cases: Sequence[int], folder: Path | None
-) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table of motions and sensors: median and worst of all seeds."""
-    found: dict[tuple[str, int], list[list[object]]] = {}
-    # Seed by seed, so that what is there after an interruption is about all robots.
-    for seed in range(seeds):
-        for name in robots:
-            walker = Walker(name, seed, seconds)
-            for number in cases:
-                row = kept(folder, f"{name}_{seed}_{number}", partial(cell, walker, number))
-                print(name, seed, CASES[number], walker.law, *row, flush=True)
-                found.setdefault((name, number), []).append(row)
-    for name in robots:
-        for number in cases:
-            if (name, number) in found:
-                yield summary(name, number, found[name, number])
-
-
-def summary(name: str, number: int, rows: Sequence[Sequence[object]]) -> tuple[object, ...]:
-    """Return a row of the table from those of all seeds."""
-    which, imu, chosen = CASES[number]
-    columns = [np.array([row[i] for row in rows], dtype=float) for i in range(len(rows[0]))]
-    return (
-        name, ", ".join(ROBOTS[name][which]), "IMU" if imu else "pose",
-        "chosen" if chosen else "known", len(rows),
-        *(value for i in (0, 1, 3) for value in (np.median(columns[i]), columns[i].max())),
-        np.median(columns[4]), np.median(columns[5]),
-        np.median(columns[9]), np.median(columns[10]),
-        int(columns[6].sum()), columns[7].max(), np.median(columns[8]),
-    )  # fmt: skip
-
-
 COLUMNS = (
     "robot", "motions", "base_motion", "friction", "seeds",
     "joints_percent", "joints_worst_percent", "base_force_n", "base_force_worst_n",
@@ -257,29 +208,45 @@ COLUMNS = (
 )  # fmt: skip
 
 
+CELL = (
+    *("robot", "seed", "case", "joints", "base_force", "base_torque", "mass"),
+    *("least_squares_joints", "least_squares_base_force", "passed", "gap", "cpu_s"),
+    *("described_joints", "described_base_force"),
+)
+
+
 def main() -> None:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS), default=tuple(ROBOTS))
-    parser.add_argument("--keep", type=Path, help="folder for what each seed gave, to go on from")
-    parser.add_argument("--quick", action="store_true", help="one robot, one seed, one case")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    robots, cases = tuple(chosen.robots), tuple(range(len(CASES)))
-    if chosen.quick:
-        chosen.seeds, chosen.seconds, robots, cases = 1, 3.0, ("solo12",), (1,)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    if chosen.keep is not None:
-        chosen.keep.mkdir(parents=True, exist_ok=True)
-    lines = []
-    with progress(len(robots) * len(cases), "legged") as advance:
-        for row in main_rows(chosen.seeds, chosen.seconds, robots, cases, chosen.keep):
-            lines.append(row)
-            print(*row, flush=True)
-            advance(1)
-    Table(COLUMNS, tuple(lines)).write(chosen.out / "legged.csv")
+    """Write the table: medians and worst of all seeds."""
+    study = Study(
+        __doc__,
+        quick={"seeds": 1, "seconds": 3.0, "robots": ["solo12"], "cases": [1]},
+        seeds=5,
+        seconds=10.0,
+        robots=[*ROBOTS],
+        cases=[*range(len(CASES))],
+    )
+    walker = cache(partial(Walker, seconds=study.seconds))
+
+    def cells(case: tuple[int, str, int]) -> Iterator[tuple[object, ...]]:
+        seed, name, number = case
+        yield name, seed, number, *cell(walker(name, seed), number)
+
+    # Seed by seed, so that what is there after an interruption is about all robots.
+    cases = itertools.product(range(study.seeds), study.robots, study.cases)
+    rows = []
+    for (name, number), own in grouped(
+        study.rows("cells.csv", CELL, cases, cells), "robot", "case"
+    ):
+        which, imu, chosen = CASES[number]
+        rows.append((
+            name, ", ".join(ROBOTS[name][which]), "IMU" if imu else "pose",
+            "chosen" if chosen else "known", len(own["seed"]),
+            *(value for each in ("joints", "base_force", "mass")
+              for value in (np.median(own[each]), own[each].max())),
+            *(np.median(own[each]) for each in (*CELL[7:9], *CELL[12:])),
+            own["passed"].sum(), own["gap"].astype(float).max(), np.median(own["cpu_s"]),
+        ))  # fmt: skip
+    study.write("legged.csv", COLUMNS, rows)
 
 
 if __name__ == "__main__":

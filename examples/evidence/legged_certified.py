@@ -10,17 +10,14 @@ without a prior. Each result is saved and checked from its log as `sdpid verify 
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
+from study import Study
 
 import sdpid
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.experiment.plant.legged.truth import DryFriction
 from sdpid.robot.legs import Legs, find_legs
 
@@ -112,26 +109,20 @@ def rows(name: str, seconds: float, priors: tuple[bool, ...]) -> Iterator[tuple[
 
 def main() -> None:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each motion")
-    parser.add_argument("--only", choices=tuple(ROBOTS), help="one robot")
-    parser.add_argument("--quick", action="store_true", help="one quadruped with a prior, 1 s")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    names, priors = tuple(ROBOTS), (True, False)
-    if chosen.quick:
-        chosen.seconds, names, priors = 1.0, ("solo12",), (True,)
-    if chosen.only:
-        names = (chosen.only,)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    kept = []
-    with progress(len(names), "legged_certified.csv") as advance:
-        for name in names:
-            for row in rows(name, chosen.seconds, priors):
-                kept.append(row)
-                print(*row, flush=True)
-            advance(1)
-    Table(COLUMNS, tuple(kept)).write(chosen.out / "legged_certified.csv")
+    study = Study(
+        __doc__,
+        quick={"robots": ["solo12"], "seconds": 1.0, "with_prior": True},
+        seconds=(2.0, "of each motion"),
+        robots=[*ROBOTS],
+        with_prior=(False, "with a prior alone"),
+    )
+    priors = (True,) if study.with_prior else (True, False)
+    study.rows(
+        "legged_certified.csv",
+        COLUMNS,
+        study.robots,
+        lambda name: rows(name, study.seconds, priors),
+    )
 
 
 if __name__ == "__main__":

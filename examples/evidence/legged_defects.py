@@ -9,27 +9,22 @@ who overrules that (`accept`).
 * ``legged_defects.csv``: errors on a held-out walk, and findings that the right logs do not have.
 
     python examples/evidence/legged_defects.py --out results
-
-``--only places`` makes the mistakes in where things are: contact points, frames, and the IMU.
-``--keep folder`` keeps what each fit gave, and goes on from there.
 """
 
 from __future__ import annotations
 
-import argparse
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
-from pathlib import Path
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from legged import ROBOTS, THREE, Walker, kept
+from legged import ROBOTS, THREE, Walker
+from study import Study
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.experiment.inspection.inspect import REFUSED
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
@@ -37,11 +32,12 @@ from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 
 Log = sdpid.Recording
 Change = Callable[[Log], Log]
+CELL = ("robot", "defect", "fused", "joints", "mass", "kinds", "refused")
 COLUMNS = (
     "robot", "defect", "projection_joints_percent", "projection_mass_percent", "projection_named",
     "fusion_joints_percent", "fusion_mass_percent", "fusion_named",
 )  # fmt: skip
-# What `--only places` leaves out.
+# What `--places` keeps.
 PLACES = (
     "nothing", "contact at the ball's center", "shanks for feet", "IMU's place ignored",
     "IMU's axes ignored", "gyroscope in deg/s", "accelerometer in g",
@@ -225,59 +221,39 @@ def cell(quadruped: Sensed, defect: str, fused: bool) -> list[object]:
     ]
 
 
-def rows(
-    quadruped: Sensed, names: Sequence[str], folder: Path | None
-) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a robot, the first of which is that of the right logs."""
-    usual: dict[bool, set[object]] = {}
-    for number, defect in enumerate(names):
-        row: list[object] = [quadruped.name, defect]
-        for fused in (False, True):
-            if not fused and defects(quadruped.weight)[defect][1]:
-                row += [None, None, None]
-                continue
-            file = f"{quadruped.name}_{list(defects(1.0)).index(defect)}_{int(fused)}"
-            error, mass, kinds, refused = kept(
-                folder, file, partial(cell, quadruped, defect, fused)
-            )
-            assert isinstance(kinds, list)
-            assert isinstance(refused, list)
-            if number == 0:
-                usual[fused] = set(kinds)
-            said = [
-                f"{kind} (refused)" if kind in refused else kind
-                for kind in kinds
-                if number == 0 or kind not in usual[fused]
-            ]
-            row += [error, mass, ", ".join(said) or "nothing"]
-        yield tuple(row)
-
-
 def main() -> None:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=3.0)
-    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS)[:3], default=("solo12", "go1"))
-    parser.add_argument("--only", choices=("places",), help="some of the mistakes")
-    parser.add_argument("--keep", type=Path, help="folder for what each fit gave, to go on from")
-    parser.add_argument("--quick", action="store_true", help="one robot, two defects")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    names = tuple(defects(1.0)) if chosen.only is None else PLACES
-    if chosen.quick:
-        chosen.robots, chosen.seconds, names = ("solo12",), 2.0, names[:2]
-    if chosen.keep is not None:
-        chosen.keep.mkdir(parents=True, exist_ok=True)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    lines: list[tuple[object, ...]] = []
-    with progress(len(names) * len(chosen.robots), "legged_defects") as advance:
-        for name in chosen.robots:
-            for row in rows(Sensed(name, 0, chosen.seconds), names, chosen.keep):
-                lines.append(row)
-                print(*row, sep=" | ", flush=True)
-                # Row by row, so that an interruption leaves those that are done.
-                Table(COLUMNS, tuple(lines)).write(chosen.out / "legged_defects.csv")
-                advance(1)
+    """Write the table: what is found of a mistake, but for what is found of the right logs."""
+    study = Study(
+        __doc__,
+        quick={"robots": ["solo12"], "seconds": 2.0, "most": 2},
+        seconds=3.0,
+        robots=["solo12", "go1"],
+        places=(False, "mistakes in where things are: contact points, frames, and the IMU"),
+        most=(len(defects(1.0)), "number of mistakes"),
+    )
+    names = [*(PLACES if study.places else defects(1.0))][: study.most]
+    quadruped = cache(lambda name: Sensed(name, 0, study.seconds))
+
+    def cells(case: tuple[str, str, bool]) -> Iterator[tuple[object, ...]]:
+        name, defect, fused = case
+        yield (*case, *cell(quadruped(name), defect, fused))
+
+    cases = [
+        (robot, name, fused)
+        for robot, name, fused in itertools.product(study.robots, names, (False, True))
+        if fused or not defects(1.0)[name][1]
+    ]
+    usual: dict[tuple[str, bool], list[str]] = {}
+    lines: dict[tuple[str, str], list[object]] = {}
+    for found in study.rows("cells.csv", CELL, cases, cells):
+        robot, name, fused, error, mass, kinds, refused = found.values()
+        right = usual.setdefault((robot, fused), [] if name != names[0] else kinds)
+        said = [f"{kind} (refused)" if kind in refused else kind for kind in kinds]
+        if name != names[0]:
+            said = [word for kind, word in zip(kinds, said, strict=True) if kind not in right]
+        line = lines.setdefault((robot, name), [None] * 3 if fused else [])
+        line += [error, mass, ", ".join(said) or "nothing"]
+    study.write("legged_defects.csv", COLUMNS, ((*key, *line) for key, line in lines.items()))
 
 
 if __name__ == "__main__":

@@ -13,16 +13,15 @@ filtered noise to more than the weight. Errors are those on a walk with the grou
 
 from __future__ import annotations
 
-import argparse
+import itertools
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from legged import without_imu
 from legged_defects import Sensed
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.rows import RowSource
 
@@ -61,23 +60,19 @@ def rows(quadruped: Sensed, imu: bool) -> Iterator[tuple[object, ...]]:
 
 def main() -> None:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=4.0)
-    parser.add_argument("--robots", nargs="+", default=("solo12", "go1"))
-    parser.add_argument("--quick", action="store_true", help="one robot, short logs")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    if chosen.quick:
-        chosen.robots, chosen.seconds = ("solo12",), 2.0
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    lines: list[tuple[object, ...]] = []
-    for name in chosen.robots:
-        quadruped = Sensed(name, 0, chosen.seconds)
-        for imu in (True, False):
-            for row in rows(quadruped, imu):
-                lines.append(row)
-                print(*row, flush=True)
-                Table(COLUMNS, tuple(lines)).write(chosen.out / "legged_forces.csv")
+    study = Study(
+        __doc__,
+        quick={"robots": ["solo12"], "seconds": 2.0},
+        seconds=4.0,
+        robots=["solo12", "go1"],
+    )
+    cases = itertools.product(study.robots, (True, False))
+    study.rows(
+        "legged_forces.csv",
+        COLUMNS,
+        cases,
+        lambda case: rows(Sensed(case[0], 0, study.seconds), case[1]),
+    )
 
 
 if __name__ == "__main__":

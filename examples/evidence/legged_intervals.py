@@ -20,8 +20,6 @@ on time, and are not searched for delays.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,10 +27,10 @@ from pathlib import Path
 
 import numpy as np
 from legged import Walker
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import with_motion_bias
 from sdpid.estimation.posterior import Posterior
@@ -133,11 +131,10 @@ def half_widths(estimate: Estimate, functions: Array) -> Array:
     return np.asarray(stdtrit(freedom, 0.5 * (1.0 + LEVEL)) * np.sqrt(variance))
 
 
-def cells(
-    robot: sdpid.RobotModel, name: str, seed: int, number: int, kept: Path
-) -> Iterator[tuple[object, ...]]:
+def cells(name: str, seed: int, number: int, kept: Path) -> Iterator[tuple[object, ...]]:
     """Yield what one set of motions of one robot and seed says."""
     motions, seconds, friction, _ = SETS[number]
+    robot = sdpid.load_robot(name, root="free_flyer")
     theta = changed_parameters(robot, seed=seed)
     law = Walker(name, seed, seconds).law if friction == "chosen" else None
     logs = [recorded(robot, theta, motion, seed, seconds, kept, law) for motion in motions]
@@ -166,68 +163,34 @@ def cells(
         )  # fmt: skip
 
 
-def summary(found: Sequence[dict[str, str]]) -> Iterator[tuple[object, ...]]:
-    """Yield one row a set of motions and kind of intervals, and one a robot of the default."""
-    names = ["all", *dict.fromkeys(row["robot"] for row in found)]
-    sets = dict.fromkeys(tuple(row[column] for column in CELL[1:5]) for row in found)
-    for kind in sorted(sets, key=lambda each: each[2] != "known"):
-        for name in names:
-            own = [
-                row
-                for row in found
-                if tuple(row[column] for column in CELL[1:5]) == kind
-                and name in (row["robot"], "all")
-            ]
-            if not own or (name != "all" and kind[3] != "default"):
-                continue
-            within, mass, force, error, half = (
-                np.array([float(row[column]) for row in own]) for column in CELL[6:]
-            )
-            yield (
-                name, *kind, len(own), within.mean(), within.min(), 100.0 * mass.mean(),
-                force.mean(), np.median(error), np.median(half),
-            )  # fmt: skip
-
-
 def main() -> None:
-    """Write the table; what is in the file of cells already is not run again."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10, help="at most so many of each set")
-    parser.add_argument("--robots", nargs="+", default=ROBOTS)
-    parser.add_argument("--sets", nargs="+", type=int, default=range(len(SETS)))
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--logs", type=Path, help="folder that keeps simulated logs")
-    parser.add_argument("--quick", action="store_true", help="one seed of a trot of one robot")
-    options = parser.parse_args()
-    if options.quick:
-        options.seeds, options.robots, options.sets = 1, ["go1"], [0]
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "cells.csv"
-    if not path.exists():
-        path.write_text(",".join(CELL) + "\n")
-    for number in options.sets:
-        motions, seconds, friction, seeds = SETS[number]
-        for seed in range(min(options.seeds, seeds)):
-            for name in HUMANOIDS if motions == STEPS else options.robots:
-                own = (name, ", ".join(motions), f"{seconds:g}", friction, str(seed))
-                with path.open() as file:
-                    done = {
-                        tuple(row[column] for column in (*CELL[:4], "seed"))
-                        for row in csv.DictReader(file)
-                    }
-                if own in done:
-                    continue
-                robot = sdpid.load_robot(name, root="free_flyer")
-                rows = list(cells(robot, name, seed, number, options.logs or options.out / "logs"))
-                with path.open("a", newline="") as file:
-                    csv.writer(file).writerows(rows)
-                for row in rows:
-                    print(*row, flush=True)
-    with path.open() as file:
-        found = list(csv.DictReader(file))
-    table = Table(COLUMNS, tuple(summary(found)))
-    print(table.text(4))
-    table.write(options.out / "legged_intervals.csv")
+    """Write the table: a row a set of motions and kind of intervals, and a robot of the default."""
+    study = Study(
+        __doc__,
+        quick={"seeds": 1, "robots": ["go1"], "sets": [0]},
+        seeds=(10, "at most so many of each set"),
+        robots=[*ROBOTS],
+        sets=[*range(len(SETS))],
+    )
+    cases = [
+        (name, seed, number)
+        for number in study.sets
+        for seed in range(min(study.seeds, SETS[number][-1]))
+        for name in (HUMANOIDS if SETS[number][0] == STEPS else study.robots)
+    ]
+    logs = study.out / "logs"
+    found = study.rows("cells.csv", CELL, cases, lambda case: cells(*case, logs))
+    rows = []
+    for kind, own in grouped(found, *CELL[1:5]):
+        of_robots = {name: own["robot"] == name for name in np.unique(own["robot"])}
+        shown = of_robots if kind[3] == "default" else {}
+        for name, chosen in {"all": slice(None), **shown}.items():
+            within, mass, force, error, half = (own[column][chosen] for column in CELL[6:])
+            rows.append((
+                name, *kind, len(within), within.mean(), within.min(), 100.0 * mass.mean(),
+                force.mean(), np.median(error), np.median(half),
+            ))  # fmt: skip
+    study.write("legged_intervals.csv", COLUMNS, sorted(rows, key=lambda row: row[3] != "known"))
 
 
 if __name__ == "__main__":

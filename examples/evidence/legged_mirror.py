@@ -15,19 +15,17 @@ are known, not their sizes. What is said beside the data and the prior of one na
 
 from __future__ import annotations
 
-import argparse
-import csv
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from legged import Walker
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.constraints import Condition, Layout, Row, equal_friction, mirror_pairs
 from sdpid.estimation.prior.prior import prior_terms
 from sdpid.estimation.problem import Problem
@@ -118,56 +116,25 @@ def cells(name: str, seed: int, seconds: float, alike: bool) -> Iterator[tuple[o
         yield name, "mirrored" if alike else "unlike", what, seed, joints, force, mass
 
 
-def summary(found: Sequence[dict[str, str]]) -> Iterator[tuple[object, ...]]:
-    """Yield one row a robot, truth and what is said: medians and the worst of all seeds."""
-    for name in dict.fromkeys(row["robot"] for row in found):
-        for truth in ("mirrored", "unlike"):
-            for what in SAID:
-                key = (name, truth, what)
-                own = [row for row in found if (row["robot"], row["truth"], row["said"]) == key]
-                if not own:
-                    continue
-                joints, force, mass = (
-                    np.array([float(row[column]) for row in own]) for column in CELL[4:]
-                )
-                yield (
-                    *key, len(own), np.median(joints), joints.max(),
-                    np.median(force), force.max(), np.median(mass),
-                )  # fmt: skip
-
-
 def main() -> None:
-    """Write the table; seeds that are in the file of cells already are not run again."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=4.0)
-    parser.add_argument("--robots", nargs="+", default=ROBOTS)
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="one seed of one robot, 2 s")
-    options = parser.parse_args()
-    if options.quick:
-        options.seeds, options.seconds, options.robots = 1, 2.0, ["solo12"]
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "cells.csv"
-    if not path.exists():
-        path.write_text(",".join(CELL) + "\n")
-    for seed in range(options.seeds):
-        for name in options.robots:
-            for alike in (True, False):
-                truth = "mirrored" if alike else "unlike"
-                with path.open() as file:
-                    done = {(r["robot"], r["truth"], r["seed"]) for r in csv.DictReader(file)}
-                if (name, truth, str(seed)) in done:
-                    continue
-                rows = list(cells(name, seed, options.seconds, alike))
-                with path.open("a", newline="") as file:
-                    csv.writer(file).writerows(rows)
-                for row in rows:
-                    print(*row, flush=True)
-    with path.open() as file:
-        table = Table(COLUMNS, tuple(summary(list(csv.DictReader(file)))))
-    print(table.text(4))
-    table.write(options.out / "legged_mirror.csv")
+    """Write the table: medians and the worst of all seeds."""
+    study = Study(
+        __doc__,
+        quick={"seeds": 1, "seconds": 2.0, "robots": ["solo12"]},
+        seeds=3,
+        seconds=4.0,
+        robots=[*ROBOTS],
+    )
+    cases = itertools.product(range(study.seeds), study.robots, (True, False))
+    found = study.rows(
+        "cells.csv", CELL, cases, lambda case: cells(case[1], case[0], study.seconds, case[2])
+    )
+    rows = []
+    for key, own in grouped(found, "robot", "truth", "said"):
+        joints, force, mass = (own[column] for column in CELL[4:])
+        ends = (np.median(joints), joints.max(), np.median(force), force.max(), np.median(mass))
+        rows.append((*key, len(joints), *ends))
+    study.write("legged_mirror.csv", COLUMNS, rows)
 
 
 if __name__ == "__main__":

@@ -12,18 +12,17 @@ axes and units of sensors and feet tell what they find.
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 from legged import Walker
 from legged_defects import Change, Log, feet, imu, shank
+from study import Study
 
 import sdpid
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.experiment.inspection import base_checks, feet_checks
 from sdpid.experiment.inspection.kinds import Finding, explained
 from sdpid.experiment.inspection.subject import Check, Subject
@@ -31,14 +30,8 @@ from sdpid.experiment.inspection.subject import Check, Subject
 MOTIONS = ("stand", "trot", "walk", "hang")
 ROBOTS = ("go1", "a1", "solo12")
 COLUMNS = (
-    "defect",
-    "motion",
-    "logs",
-    "named",
-    "told",
-    "median_off_percent",
-    "worst_off_percent",
-    "others",
+    *("defect", "motion", "logs", "named", "told"),
+    *("median_off_percent", "worst_off_percent", "others"),
 )
 CHECKS: tuple[Check, ...] = (
     base_checks.orientation,
@@ -131,36 +124,29 @@ def row(name: str, motion: str, logs: Sequence[tuple[sdpid.RobotModel, Log]]) ->
     return (name, motion, len(logs), named if mistake.kind else None, mistake.kind, *off, others)
 
 
-def rows(walkers: Sequence[Walker], motions: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    """Yield all rows."""
-    for motion in motions:
-        logs = [(each.robot, each.run(motion).recording) for each in walkers]
-        for name in MISTAKES:
-            yield row(name, motion, logs)
-
-
 def main() -> None:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--quick", action="store_true", help="one short log of two motions")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    robots, motions = ROBOTS, MOTIONS
-    if chosen.quick:
-        robots, motions, chosen.seeds, chosen.seconds = ("solo12",), MOTIONS[:1], 1, 2.0
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    walkers = [Walker(name, s, chosen.seconds) for name in robots for s in range(chosen.seeds)]
-    lines = []
-    with progress(len(MISTAKES) * len(motions), "legged_places") as advance:
-        for line in rows(walkers, motions):
-            lines.append(line)
-            print(*line, flush=True)
-            advance(1)
-    order = list(MISTAKES)
-    lines.sort(key=lambda line: order.index(str(line[0])))
-    Table(COLUMNS, tuple(lines)).write(chosen.out / "legged_places.csv")
+    """Write the table, mistake by mistake."""
+    study = Study(
+        __doc__,
+        quick={"robots": ["solo12"], "motions": ["stand"], "seeds": 1, "seconds": 2.0},
+        seeds=4,
+        seconds=5.0,
+        robots=[*ROBOTS],
+        motions=[*MOTIONS],
+    )
+    every = itertools.product(study.robots, range(study.seeds))
+    walkers = [Walker(name, seed, study.seconds) for name, seed in every]
+
+    @cache
+    def logs(motion: str) -> list[tuple[sdpid.RobotModel, Log]]:
+        return [(each.robot, each.run(motion).recording) for each in walkers]
+
+    study.rows(
+        "legged_places.csv",
+        COLUMNS,
+        itertools.product(MISTAKES, study.motions),
+        lambda case: [row(*case, logs(case[1]))],
+    )
 
 
 if __name__ == "__main__":

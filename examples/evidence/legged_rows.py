@@ -11,18 +11,15 @@ which they sink; the ground may resist turning and rolling, too.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from study import Study
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
@@ -149,30 +146,17 @@ def rows_of(name: str, seconds: float) -> Iterator[tuple[Any, ...]]:
 
 
 COLUMNS = (
-    "robot",
-    "motion",
-    "ground",
-    "samples",
-    "known",
-    "plane",
-    "point",
+    *("robot", "motion", "ground", "samples", "known", "plane", "point"),
     "point_a_radius_below",
 )
 
 
-def main() -> int:
+def main() -> None:
     """Measure and write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="one robot, a fifth of the time")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    robots, seconds = (ROBOTS[:1], 0.4) if options.quick else (ROBOTS, 2.0)
-    table = Table(COLUMNS, tuple(line for name in robots for line in rows_of(name, seconds)))
-    print(table.text(digits=2))
-    table.write(options.out / "legged_rows.csv")
-    return 0
+    quick = {"robots": ["solo12"], "seconds": 0.4}
+    study = Study(__doc__, quick=quick, robots=[*ROBOTS], seconds=2.0)
+    study.rows("legged_rows.csv", COLUMNS, study.robots, lambda name: rows_of(name, study.seconds))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

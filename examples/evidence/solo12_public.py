@@ -19,11 +19,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from each_record import parse
+from study import Study
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.assurance.diagnostics.bands import held_out_blocks
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
@@ -91,16 +90,16 @@ def size(off: Array) -> float:
 
 def main() -> None:
     """Write the table."""
-    options = parse(__doc__.splitlines()[0])
-    folder = None if options.data is None else options.data / "solo12_simulated"
-    if folder is None or not folder.is_dir():
+    study = Study(__doc__, data=True)
+    folder = study.data / "solo12_simulated"
+    if not folder.is_dir():
         print("solo12_simulated: skipped; docs/evidence/data.md says where it comes from")
         return
-    names = ("stand", "trot") if options.quick else tuple(RECORDINGS)
+    names = ("stand", "trot") if study.quick else tuple(RECORDINGS)
     robot = sdpid.load_robot(folder / "solo12.urdf", root="free_flyer")
     known = (
         {"friction": (sdpid.friction.Coulomb(width=0.02), "viscous"), "effects": "none"}
-        if options.quick
+        if study.quick
         else {}
     )
     start = time.process_time()
@@ -130,8 +129,7 @@ def main() -> None:
                 *(*base, 100.0 * (mass - 1.0), result.certificate.gap, seconds),
             )
         )
-        print(*table[-1], flush=True)
-    Table(COLUMNS, tuple(table)).write(options.out / "solo12_public.csv")
+    study.write("solo12_public.csv", COLUMNS, table)
 
 
 if __name__ == "__main__":
