@@ -6,7 +6,7 @@ the default prior and without one; nothing is tuned to a robot. What was not tra
 predicted: the other run where there are two, the last 40 % of a record otherwise. Data that leave
 base parameters undetermined must be refused without a prior. Errors are rows like any other.
 
-    python examples/evidence/data_sets.py --data /path/to/data --out results --markdown
+    python examples/evidence/data_sets.py --data /path/to/data --out results
 
 With --priors, kinds and strengths of priors are compared instead, under the 4×4 inequality and with
 one friction model a set. The folder of the data may also be named by the environment variable
@@ -15,18 +15,14 @@ SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+from study import Study, pivot
 
 import sdpid
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.estimation.problem import Problem
@@ -63,6 +59,11 @@ class DataSet:
     models: dict[str, Terms]
     usual: str
     efforts: tuple[str, ...] = ("tau",)
+
+    @property
+    def name(self) -> str:
+        """Its name, which is that of its folder."""
+        return next(name for name, data in SETS.items() if data is self)
 
 
 def wrist(width: float) -> Terms:
@@ -121,6 +122,16 @@ SETS = {
     ),
 }
 
+
+def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
+    """Yield name and folder of every set that is there, and say which are not."""
+    for name in dict.fromkeys(names):
+        if (data / name).is_dir():
+            yield name, data / name
+            continue
+        print(f"{name}: skipped, not in {data}; docs/evidence/data.md says where it comes from")
+
+
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 
 # What `sdpid.identify` takes for its prior: None is the default, False is none.
@@ -142,23 +153,8 @@ ROBOTS = dict(zip(SETS, ("UR10", "Panda", "LWR 4+", "TX40", "Gen3"), strict=True
 QUICK = ("panda_unisa",)
 
 HEADER = (
-    "set",
-    "trained_on",
-    "terms",
-    "consistency",
-    "prior",
-    "base_parameters",
-    "status",
-    "cost",
-    "gap",
-    "margin",
-    "heaviest_link",
-    "iterations",
-    "solver_ms",
-    "solve_ms",
-    "residual_trained",
-    "residual_held_out",
-    "message",
+    *("record", "terms", "consistency", "prior", "status", "gap", "margin", "heaviest_link"),
+    *("iterations", "trained", "held_out", "message"),
 )
 
 
@@ -201,163 +197,115 @@ def cases(
 def solved(problem: Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
     """Return the cells of a row from the status on."""
     message = ""
-    start = time.perf_counter()
     try:
         estimate: Estimate | None = sdpid.solve_sdp(problem)
     except sdpid.errors.SolverError as error:
         # What was found all the same is shown.
         estimate, message = error.found, str(error)
         status = type(error).__name__
-    seconds = time.perf_counter() - start
     if estimate is None:
-        return status, *(None,) * 6, 1e3 * seconds, None, None, message
+        return status, *(None,) * 6, message
     certificate = sdpid.certify(estimate)
     if not message:
         status = "certified" if certificate.passed else "not certified"
     assert estimate.theta is not None
     return (
         status,
-        estimate.cost,
         certificate.gap,
         estimate.worst_margin,
         float(estimate.theta[: 10 * problem.robot.n_links : 10].max()),
         estimate.iterations,
-        1e3 * estimate.solve_time,
-        1e3 * seconds,
-        sdpid.validate(estimate).relative,
-        None if fresh is None else sdpid.validate(estimate, fresh).relative,
+        100.0 * sdpid.validate(estimate).relative,
+        None if fresh is None else 100.0 * sdpid.validate(estimate, fresh).relative,
         message,
     )
 
 
 def rows(
-    name: str,
-    folder: Path,
-    models: Sequence[str],
-    kinds: Sequence[Consistency],
-    priors: dict[str, sdpid.Prior | bool | None],
+    data: DataSet, robot: sdpid.RobotModel, terms: str, trained: tuple[Any, ...], study: Study
 ) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a data set."""
-    data = SETS[name]
-    robot = sdpid.load_robot(folder / data.urdf)
-    warm = False
-    for trained, log, other in cases(folder, data):
-        # As the training data are: nothing is chosen by what is predicted.
-        alike = default_processing(log)
-        fresh = None if other is None else samples_of(robot, other, alike)
-        for terms in models:
-            for consistency in kinds:
-                for belief, prior in priors.items():
-                    known = (name, trained, terms, consistency, belief)
-                    count = None
-                    try:
-                        problem = formulate(
-                            robot,
-                            log,
-                            friction=(*data.models[terms], "viscous", "offset"),
-                            consistency=consistency,
-                            prior=prior,
-                        )
-                        count = problem.base.count
-                        if not warm:
-                            # The first solve loads libraries.
-                            sdpid.certify(sdpid.solve_sdp(problem))
-                            warm = True
-                        cells = solved(problem, fresh)
-                    except sdpid.errors.SdpidError as error:
-                        cells = (type(error).__name__, *(None,) * 9, str(error))
-                    yield *known, count, *cells
+    """Yield the rows of a record with a friction model."""
+    words, log, other = trained
+    # As the training data are: nothing is chosen by what is predicted.
+    fresh = None if other is None else samples_of(robot, other, default_processing(log))
+    for consistency in BOTH[: 1 if study.priors else None]:
+        for belief, prior in (COMPARED if study.priors else PLAIN).items():
+            try:
+                problem = formulate(
+                    robot,
+                    log,
+                    friction=(*data.models[terms], "viscous", "offset"),
+                    consistency=consistency,
+                    prior=prior,
+                )
+                cells = solved(problem, fresh)
+            except sdpid.errors.SdpidError as error:
+                cells = (type(error).__name__, *(None,) * 6, str(error))
+            yield f"{ROBOTS[data.name]}, {words}", terms, consistency, belief, *cells
 
 
-def markdown(done: Sequence[tuple[object, ...]]) -> str:
-    """Return one line a record and model: the worst, and the residuals, of both inequalities."""
+def of_both(rows: list[dict[str, Any]]) -> Iterator[list[object]]:
+    """Yield one line a record and model: the worst, and the residuals, of both inequalities."""
+    for key in dict.fromkeys((row["record"], row["terms"]) for row in rows):
+        line: list[object] = [*key]
+        for prior in PLAIN:
+            own = [
+                row for row in rows if (row["record"], row["terms"], row["prior"]) == (*key, prior)
+            ]
+            failed = dict.fromkeys(r["status"] for r in own if r["status"] != "certified")
+            for column, form in (("gap", ".0e"), ("heaviest_link", ".1f"), ("iterations", "d")):
+                values = [row[column] for row in own if row[column] is not None]
+                worst = f"{max(values):{form}}" if values else ""
+                words = failed if column == "gap" else ()
+                line.append(" ".join(filter(None, (", ".join(words), worst))))
+            held = [percent(row) for row in own]
+            line.append(" / ".join(held) if any(row["held_out"] for row in own) else "")
+        yield line
+
+
+def percent(row: Mapping[str, Any]) -> str:
+    """Return the residual on what was held out, or why there is none."""
+    if row["held_out"] is None:
+        return str(row["status"])
+    return f"{row['held_out']:#.3g}" if row["held_out"] < 100.0 else f"{row['held_out']:.0f}"
+
+
+def main() -> None:
+    """Run every set and write the table."""
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"sets": [*QUICK], "models": 1},
+        sets=[*SETS],
+        models=(max(len(data.models) for data in SETS.values()), "friction models of a set"),
+        priors=(False, "compare kinds and strengths of priors"),
+    )
+    sets = {name: (SETS[name], folder) for name, folder in folders(study.data, study.sets)}
+    robots = {name: sdpid.load_robot(folder / data.urdf) for name, (data, folder) in sets.items()}
+    trained = {
+        name: {case[0]: case for case in cases(folder, data)}
+        for name, (data, folder) in sets.items()
+    }
+    wanted = [
+        (name, words, terms)
+        for name, (data, _) in sets.items()
+        for words in trained[name]
+        if not (study.priors and words == "all")
+        for terms in ([data.usual] if study.priors else [*data.models][: study.models])
+    ]
+    found = study.rows(
+        "cells.csv",
+        HEADER,
+        wanted,
+        lambda c: rows(SETS[c[0]], robots[c[0]], c[2], trained[c[0]][c[1]], study),
+    )
+    if study.priors:
+        study.write("data_sets.csv", *pivot(found, "prior", "record", percent))
+        return
     shown = ("gap", "heaviest link, kg", "iterations", "held out, %")
     header = ("record", "terms", *(f"{what}, {prior}" for prior in PLAIN for what in shown))
-    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
-    for key in dict.fromkeys(row[:3] for row in done):
-        cells = [short(key), str(key[2])]
-        for prior in PLAIN:
-            found = [row for row in done if row[:3] == key and row[4] == prior]
-            failed = list(dict.fromkeys(str(row[6]) for row in found if row[6] != "certified"))
-            for column, form in ((8, ".0e"), (10, ".1f"), (11, "d")):
-                values = [value for row in found if isinstance(value := row[column], (int, float))]
-                cells.append(f"{max(values):{form}}" if values else "")
-            if failed:
-                cells[-3] = f"{', '.join(failed)} {cells[-3]}".strip()
-            if key[1] == "all" or all(row[15] is None for row in found):
-                cells.append("")
-            else:
-                cells.append(" / ".join(map(percent, found)))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def compared(done: Sequence[tuple[object, ...]]) -> str:
-    """Return one line a prior, the residual in % on what was held out of every record."""
-    keys = [key for key in dict.fromkeys(row[:3] for row in done) if key[1] != "all"]
-    lines = [
-        "| prior | " + " | ".join(map(short, keys)) + " |",
-        "|---|" + "---|" * len(keys),
-    ]
-    for prior in dict.fromkeys(row[4] for row in done):
-        cells = [percent(r) for key in keys for r in done if r[:3] == key and r[4] == prior]
-        lines.append(f"| {prior} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def short(key: Sequence[object]) -> str:
-    """Return a short name of a record."""
-    return f"{ROBOTS[str(key[0])]}, {key[1]}"
-
-
-def percent(row: Sequence[object]) -> str:
-    """Return the residual on what was held out, or why there is none."""
-    if not isinstance(row[15], float):
-        return str(row[6])
-    return f"{100.0 * row[15]:#.3g}" if row[15] < 1.0 else f"{100.0 * row[15]:.0f}"
-
-
-def main() -> int:
-    """Run every set and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--set", action="append", choices=tuple(SETS), help="a set (default all)")
-    parser.add_argument("--markdown", action="store_true", help="write data_sets.md too")
-    parser.add_argument("--priors", action="store_true", help="compare kinds and strengths")
-    parser.add_argument("--quick", action="store_true", help="one set, one model")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = options.set or (QUICK if options.quick else tuple(SETS))
-
-    done: list[tuple[object, ...]] = []
-    for name in names:
-        if options.data is None or not (options.data / name).is_dir():
-            where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
-            print(
-                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
-                flush=True,
-            )
-            continue
-        models = tuple(SETS[name].models)[: 1 if options.quick else None]
-        kinds, priors = BOTH, PLAIN
-        if options.priors:
-            models, kinds, priors = (SETS[name].usual,), BOTH[:1], COMPARED
-        for cells in rows(name, options.data / name, models, kinds, priors):
-            done.append(cells)
-            print(Table(HEADER[:-1], (cells[:-1],)).text(3).splitlines()[1], flush=True)
-            Table(HEADER, tuple(done)).write(options.out / "data_sets.csv")
-    Table(HEADER, tuple(done)).write(options.out / "data_sets.csv")
-    print("\n" + Table(HEADER[:-1], tuple(cells[:-1] for cells in done)).text(3))
-    if options.markdown:
-        text = compared(done) if options.priors else markdown(done)
-        atomic_write_text(options.out / "data_sets.md", text)
-    counts: dict[str, int] = {}
-    for cells in done:
-        counts[str(cells[6])] = counts.get(str(cells[6]), 0) + 1
-    print("\n" + (", ".join(f"{count} {status}" for status, count in counts.items()) or "nothing"))
-    return 0
+    study.write("data_sets.csv", header, of_both(found))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -10,30 +10,31 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from pathlib import Path
 
-from data_sets import ROBOTS, SETS
-from each_record import folders, parse
+from data_sets import QUICK, ROBOTS, SETS, folders
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 
 HEADER = ("robot", "record", "mass_kg", "lower_kg", "upper_kg", "shown")
 
 
-def main() -> int:
+def payloads(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
+    """Yield the payload that is found in each record of a set."""
+    name, folder = case
+    for run in SETS[name].records:
+        found = sdpid.identify_payload(folder / SETS[name].urdf, folder / f"{run}.npz")
+        shown = "yes" if found.shown else "no"
+        yield ROBOTS[name], run, found.mass, found.lower[0], found.upper[0], shown
+
+
+def main() -> None:
     """Find a payload in every record."""
-    options = parse(__doc__.splitlines()[0])
-    done: list[tuple[object, ...]] = []
-    for name, folder in folders(options):
-        for run in SETS[name].records:
-            found = sdpid.identify_payload(folder / SETS[name].urdf, folder / f"{run}.npz")
-            ends = float(found.lower[0]), float(found.upper[0])
-            done.append((ROBOTS[name], run, found.mass, *ends, "yes" if found.shown else "no"))
-            print(*done[-1], sep="  ", flush=True)
-    Table(HEADER, tuple(done)).write(options.out / "described_payloads.csv")
-    return 0
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
+    study.rows("described_payloads.csv", HEADER, folders(study.data, study.sets), payloads)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -13,19 +13,16 @@ Sixty logs take some eight minutes on one core.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from simulated_logs import Conditions, Truth, drawn, log_of, other_log
+from study import Study, grouped
 from truth import base_rows, ends_of
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.robot.inertia import theta_from_physical
 
 ROBOT = "ur10"
@@ -37,13 +34,7 @@ TRUE = 10.0
 MASS, COM, INERTIA = 2.8, (0.03, 0.02, 0.09), np.diag([0.012, 0.012, 0.008])
 LONGEST = 40.0
 
-HEADER = (
-    "quantity",
-    "intervals",
-    "held_percent",
-    "exact_held_percent",
-    "wider",
-)
+HEADER = ("quantity", "intervals", "held_percent", "exact_held_percent", "wider")
 MOSTLY = 0.5
 
 
@@ -141,39 +132,28 @@ def with_payload(truth: Truth) -> Truth:
     return replace(truth, inertias=inertias)
 
 
-def main() -> int:
-    """Run every log and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--seeds", type=int, default=60, help="simulated arms")
-    parser.add_argument("--quick", action="store_true", help="one short log")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    found: list[Found] = []
-    for seed in range(1 if options.quick else options.seeds):
+def main() -> None:
+    """Run every log and write the table: counts, shares that hold, and the median widening."""
+    study = Study(__doc__, quick={"seeds": 1}, seeds=(60, "simulated arms"))
+
+    def rows(seed: int) -> Iterator[tuple[object, ...]]:
         conditions = drawn(ROBOT, seed)
         rate = min(conditions.rate_hz, 200.0)
-        duration = 15.0 if options.quick else min(conditions.duration, LONGEST)
-        conditions = replace(conditions, rate_hz=rate, duration=duration)
+        duration = 15.0 if study.quick else min(conditions.duration, LONGEST)
         try:
-            found += run(seed, conditions)
+            for each in run(seed, replace(conditions, rate_hz=rate, duration=duration)):
+                yield each.kind, each.held, each.exact_held, each.wider
         except sdpid.errors.SdpidError as error:
             print(f"{seed}: {error}", flush=True)
-            continue
-        table = Table(HEADER, tuple(rows_of(found)))
-        table.write(options.out / "gains_used.csv")
-        print(f"{seed}", table.text(4), sep="\n", flush=True)
-    return 0
 
-
-def rows_of(found: list[Found]) -> Iterator[tuple[object, ...]]:
-    """Yield one row a kind: counts, shares that hold, and the median widening."""
-    for kind in dict.fromkeys(each.kind for each in found):
-        own = [each for each in found if each.kind == kind]
-        held = [100.0 * float(np.mean([each.held for each in own]))]
-        held += [100.0 * float(np.mean([each.exact_held for each in own]))]
-        yield kind, len(own), *held, float(np.median([each.wider for each in own]))
+    header = ("quantity", "held", "exact_held", "wider")
+    found = study.rows("each.csv", header, range(study.seeds), rows)
+    lines = []
+    for (kind,), own in grouped(found, "quantity"):
+        held = (100.0 * own[name].mean() for name in header[1:3])
+        lines.append((kind, len(own["held"]), *held, np.median(own["wider"])))
+    study.write("gains_used.csv", HEADER, lines)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -15,21 +15,17 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from data_sets import SETS, part
-from held_out import GAINS, KINDS, TITLES
+from data_sets import SETS, folders, part
+from held_out import GAINS, KINDS, QUICK, TITLES
+from study import Study, grouped
 
 import sdpid
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.experiment.preparation.prepare import prepare
@@ -53,37 +49,15 @@ MARGINS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
 # Share of grades that must be kept, and of rows within 95 % bands.
 KEPT, BANDS = 0.9, (0.90, 0.98)
 
-QUICK = ("panda_unisa", "ur10_unisa")
 
+# Of a joint: whether the default grade without other motion is "good", by r2 and nrmse of blocks
+# held out; whether the parameters leave room for other motion, a "good" error on random motion
+# within the recorded range; whether the other recording's grade is "good". Of its case: the share
+# of moving rows within the bands, and their width: the median over joints of the mean half-width
+# over the rms error there, 1.96 for normal errors that are known.
+CELL = ("robot", "case", "joint", "trusted", "r2", "nrmse", "room", "kept", "inside", "width")
 
-@dataclass(frozen=True)
-class Joint:
-    """What blocks said of a joint, and what another recording says.
-
-    Attributes
-    ----------
-    robot, case : str
-        Whose joint, and the two recordings.
-    trusted : bool
-        The default grade without other motion is "good".
-    r2, nrmse : float
-        On blocks held out.
-    room : bool
-        The parameters leave a "good" error on random motion within the recorded range.
-    kept : bool
-        The other recording's grade is "good".
-    """
-
-    robot: str
-    case: str
-    name: str
-    trusted: bool
-    r2: float
-    nrmse: float
-    room: bool
-    kept: bool
-
-
+Joint = Mapping[str, Any]
 Case = tuple[str, sdpid.RobotModel, sdpid.Recording, dict[str, sdpid.Recording]]
 
 
@@ -133,14 +107,9 @@ def _ur10e(folder: Path) -> Iterator[Case]:
         yield f"UR10e, {run[6:]}", robot, log, {k: v for k, v in logs.items() if k != run}
 
 
-def measure(robot_name: str, case: Case) -> tuple[list[Joint], list[tuple[str, str, float, float]]]:
-    """Return what became of every joint's grade, and (robot, case, share, width) of the bands.
-
-    The share is that of moving rows within the bands; the width is the median over joints of the
-    mean half-width over the rms error there, 1.96 for normal errors that are known.
-    """
+def measure(robot_name: str, case: Case) -> Iterator[tuple[object, ...]]:
+    """Yield what became of every joint's grade, and of the bands."""
     title, robot, log, others = case
-    joints, bands = [], []
     blind = sdpid.identify(robot, log, intervals=False)
     told = {each.joint: each for each in grades(blind.estimate, blind.training, blind.held_out)}
     room = left_room(blind.estimate)
@@ -150,35 +119,24 @@ def measure(robot_name: str, case: Case) -> tuple[list[Joint], list[tuple[str, s
         assert shown is not None
         fit, samples = shown.fit, shown.samples
         own = blind.training if blind.held_out is None else blind.held_out.fit
-        where = f"{title}{' → ' if label else ''}{label[6:]}"
-        for each in graded(samples, fit):
-            j = each.joint
-            joints.append(
-                Joint(
-                    robot_name,
-                    where,
-                    robot.joint_names[j],
-                    told[j].level == "good",
-                    float(own.moving.r2[j]),
-                    float(own.moving.nrmse[j]),
-                    room[j] == "good",
-                    each.level == "good",
-                )
-            )
-        moving = moving_rows(samples)
-        band = fit.effort_band
+        moving, band = moving_rows(samples), fit.effort_band
         assert band is not None
         inside = np.abs(samples.effort - fit.effort_predicted) <= band
         width = np.where(moving, band, 0.0).sum(axis=0) / np.maximum(moving.sum(axis=0), 1)
-        bands.append(
-            (
+        for each in graded(samples, fit):
+            j = each.joint
+            yield (
                 robot_name,
-                where,
-                float(inside[moving].mean()),
-                float(np.median(width / fit.moving.rmse)),
+                f"{title}{' → ' if label else ''}{label[6:]}",
+                robot.joint_names[j],
+                told[j].level == "good",
+                own.moving.r2[j],
+                own.moving.nrmse[j],
+                room[j] == "good",
+                each.level == "good",
+                inside[moving].mean(),
+                np.median(width / fit.moving.rmse),
             )
-        )
-    return joints, bands
 
 
 def kept(joints: Iterable[Joint], margin: float | None = None) -> dict[str, tuple[int, int]]:
@@ -188,57 +146,43 @@ def kept(joints: Iterable[Joint], margin: float | None = None) -> dict[str, tupl
     """
     found: dict[str, list[int]] = defaultdict(lambda: [0, 0])
     for each in joints:
-        trusted = each.trusted
+        trusted = each["trusted"]
         if margin is not None:
-            level = level_of(1.0 - margin**2 * (1.0 - each.r2), margin * each.nrmse)
-            trusted = level == "good" and (each.room or margin == 1.0)
-        found[each.robot][0] += trusted
-        found[each.robot][1] += trusted and each.kept
+            level = level_of(1.0 - margin**2 * (1.0 - each["r2"]), margin * each["nrmse"])
+            trusted = level == "good" and (each["room"] or margin == 1.0)
+        found[each["robot"]][0] += trusted
+        found[each["robot"]][1] += trusted and each["kept"]
     return {robot: (trusted, held) for robot, (trusted, held) in found.items()}
 
 
-def tables(joints: list[Joint], bands: list[tuple[str, str, float, float]]) -> str:
-    """Return the results as Markdown."""
-    robots = list(dict.fromkeys(each.robot for each in joints))
-    lines = [
-        "| trusted where | " + " | ".join(robots) + " | all |",
-        "|---|" + "---|" * (len(robots) + 1),
-    ]
-    rows = {"default": kept(joints)}
-    rows["by blocks alone"] = kept(joints, 1.0)
+def kept_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
+    """Yield how many grades are kept, by the default and by other margins."""
+    rows = {"default": kept(joints), "by blocks alone": kept(joints, 1.0)}
     rows |= {f"with a margin of {m:g}": kept(joints, m) for m in MARGINS[1:]}
     for label, found in rows.items():
-        every = tuple(sum(pair[k] for pair in found.values()) for k in (0, 1))
-        cells = [_share(*found[robot]) for robot in robots]
-        lines.append(f"| {label} | " + " | ".join((*cells, _share(*every))) + " |")
-    lines += ["", "| left out | margin that the others choose | it then keeps |", "|---|---|---|"]
-    for robot in robots:
-        chosen = _chosen(each for each in joints if each.robot != robot)
-        lines.append(f"| {robot} | {chosen:g} | {_share(*kept(joints, chosen)[robot])} |")
-    lines += [
-        "",
-        "| set | moving rows within 95 % bands | lowest | highest | width |",
-        "|---|" + "---|" * 4,
-    ]
-    for robot in robots:
-        own = [(share, width) for name, _, share, width in bands if name == robot]
-        shares = [share for share, _ in own]
-        inside = BANDS[0] <= float(np.mean(shares)) <= BANDS[1]
-        lines.append(
-            f"| {robot} | {np.mean(shares):.1%}{'' if inside else ' (outside the limits)'} | "
-            f"{min(shares):.1%} | {max(shares):.1%} | {np.median([w for _, w in own]):.2f} |"
-        )
-    lost = [each for each in joints if each.trusted and not each.kept]
-    lines += [
-        "",
-        "Trusted and not kept: " + ("; ".join(f"{e.case}: {e.name}" for e in lost) or "none"),
-    ]
-    return "\n".join(lines) + "\n"
+        every = (sum(pair[k] for pair in found.values()) for k in (0, 1))
+        yield [label, *(_share(*pair) for pair in found.values()), _share(*every)]
 
 
-def _chosen(joints: Iterable[Joint]) -> float:
+def chosen_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
+    """Yield the margin that the other robots choose for each, and what it then keeps."""
+    for robot in dict.fromkeys(each["robot"] for each in joints):
+        chosen = _chosen([each for each in joints if each["robot"] != robot])
+        yield [robot, chosen, _share(*kept(joints, chosen)[robot])]
+
+
+def band_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
+    """Yield the shares of moving rows within the bands."""
+    of_cases = {(each["robot"], each["case"]): each for each in joints}.values()
+    for (robot,), own in grouped(of_cases, "robot"):
+        mean, width = own["inside"].mean(), np.median(own["width"])
+        words = "" if BANDS[0] <= mean <= BANDS[1] else " (outside the limits)"
+        ends = (f"{end:.1%}" for end in (own["inside"].min(), own["inside"].max()))
+        yield [robot, f"{mean:.1%}{words}", *ends, f"{width:.2f}"]
+
+
+def _chosen(joints: Sequence[Joint]) -> float:
     """Return the smallest margin with which every robot keeps its share of grades."""
-    joints = list(joints)
     for margin in MARGINS:
         pairs = kept(joints, margin).values()
         if all(held >= KEPT * trusted for trusted, held in pairs):
@@ -251,38 +195,24 @@ def _share(trusted: int, held: int) -> str:
     return f"{held} of {trusted}" + (f" ({held / trusted:.0%})" if trusted else "")
 
 
-def main() -> int:
+def main() -> None:
     """Measure and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--set", action="append", choices=tuple(TITLES), help="a set (default all)")
-    parser.add_argument("--quick", action="store_true", help="two robots")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = [
-        name
-        for name in options.set or (QUICK if options.quick else TITLES)
-        if options.data is not None and (options.data / name).is_dir()
-    ]
-    text = "Nothing to show: no data.\n"
-    joints: list[Joint] = []
-    bands: list[tuple[str, str, float, float]] = []
-    for robot, case in cases(options.data, names) if names else ():
-        found = measure(robot, case)
-        joints += found[0]
-        bands += found[1]
-        for _, where, share, width in found[1]:
-            print(f"{where}: {share:.1%} within the bands, width {width:.2f}", flush=True)
-    if joints:
-        text = f"Margin in use: {MARGIN:g}.\n\n{tables(joints, bands)}"
-        header = tuple(Joint.__dataclass_fields__)
-        rows = tuple(tuple(vars(each).values()) for each in joints)
-        Table(header, rows).write(options.out / "grades.csv")
-    atomic_write_text(options.out / "grades.md", text)
-    print(f"\n{text}")
-    return 0
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
+    found = {
+        case[0]: (robot, case)
+        for name, _ in folders(study.data, study.sets)
+        for robot, case in cases(study.data, [name])
+    }
+    joints = study.rows("grades.csv", CELL, found, lambda title: measure(*found[title]))
+    robots = dict.fromkeys(each["robot"] for each in joints)
+    study.write("kept.csv", ("trusted where", *robots, "all"), kept_rows(joints))
+    header = ("left out", "margin that the others choose", "it then keeps")
+    study.write("chosen.csv", header, chosen_rows(joints))
+    header = ("set", "moving rows within 95 % bands", "lowest", "highest", "width")
+    study.write("bands.csv", header, band_rows(joints))
+    lost = [f"{e['case']}: {e['joint']}" for e in joints if e["trusted"] and not e["kept"]]
+    print(f"margin in use: {MARGIN:g}; trusted and not kept: {'; '.join(lost) or 'none'}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

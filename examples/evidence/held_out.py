@@ -16,24 +16,19 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TRAINED, part
+from data_sets import SETS, TRAINED, folders, part
 from real_robots import DRIVES
+from study import Study
 
 import sdpid
 from sdpid._common.arrays import Mask
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.prepare import chosen_processing, default_friction, samples_of
 
@@ -97,6 +92,9 @@ class Case:
             derivative="central4",
             velocity="measured" if measured else "differentiated",
         )
+
+    def __str__(self) -> str:
+        return self.name
 
     def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the arguments of `identify`, with the terms of a known drive."""
@@ -194,16 +192,8 @@ READERS: tuple[tuple[str, Callable[[Path], Iterator[Case]]], ...] = (
 QUICK = ("panda_unisa", "ur10_unisa")
 
 HEADER = (
-    "case",
-    "predicted",
-    "limit",
-    "own_rows",
-    "common_rows",
-    "moving",
-    "least_squares_moving",
-    "trained",
-    "seconds",
-    "message",
+    *("trained on", "predicted", "limit", "common rows, %", "moving", "least squares, moving"),
+    *("rows of `identify`", "trained"),
 )
 
 # A joint slower than this stands still, rad/s.
@@ -212,16 +202,9 @@ STILL = 0.01
 LEAST_SQUARES = ("coulomb", "square_root", "viscous", "offset")
 
 
-def cases(data: Path | None, names: Sequence[str]) -> Iterator[Case]:
+def cases(data: Path, names: Iterable[str]) -> Iterator[Case]:
     """Yield the cases of the sets that are there, and say which are not."""
-    for name in dict.fromkeys(names):
-        if data is None or not (data / name).is_dir():
-            where = "SDPID_DATA is not set" if data is None else f"not in {data}"
-            print(
-                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
-                flush=True,
-            )
-            continue
+    for name, _ in folders(data, names):
         for own, reader in READERS:
             if own == name:
                 yield from reader(data)
@@ -255,80 +238,37 @@ def least_squares(case: Case) -> Estimate:
     return sdpid.solve_wls(problem)
 
 
-def rows(case: Case, given: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
+def rows(case: Case) -> Iterator[tuple[object, ...]]:
     """Yield a row for every recording that is predicted."""
-    start = time.perf_counter()
     try:
-        result = sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(given))
+        result = sdpid.identify(case.robot, case.log, intervals=False, **case.arguments({}))
     except sdpid.errors.SdpidError as wrong:
-        yield case.name, "", *(None,) * 6, time.perf_counter() - start, str(wrong)
+        yield case.name, str(wrong), *(None,) * 6
         return
-    seconds = time.perf_counter() - start
     try:
         plain: Estimate | None = least_squares(case)
     except sdpid.errors.IdentifiabilityError:
         plain = None  # the run leaves base parameters open
-    own, _ = chosen_processing([case.log], given.get("processing"))
+    own, _ = chosen_processing([case.log])
     for label, other in case.others.items():
-        common = samples_of(case.robot, other, case.common)
-        estimate = result.estimate
+        common, estimate = samples_of(case.robot, other, case.common), result.estimate
         yield (
             case.name,
             label,
             case.limits.get(label),
-            error(estimate, samples_of(case.robot, other, own), case.after),
             error(estimate, common, case.after),
             error(estimate, common, case.after, only_moving=True),
-            None if plain is None else error(plain, common, case.after, only_moving=True),
+            plain and error(plain, common, case.after, only_moving=True),
+            error(estimate, samples_of(case.robot, other, own), case.after),
             100.0 * result.training.relative,
-            seconds,
-            "",
         )
 
 
-def markdown(done: Sequence[tuple[object, ...]]) -> str:
-    """Return one line for everything that was predicted."""
-    lines = [
-        "| trained on | predicted | limit | common rows, % | moving | least squares, moving | rows "
-        "of `identify` | trained |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, label, limit, own, common, moves, plain, trained, _, message in done:
-        if message:
-            lines.append(f"| {name} | {message} | | | | | | |")
-            continue
-        shown = [shown_number(value) for value in (limit, common, moves, plain, own, trained)]
-        lines.append(f"| {name} | {label} | " + " | ".join(shown) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def shown_number(value: object) -> str:
-    """Return a number to three digits, or nothing."""
-    return f"{value:.3g}" if isinstance(value, float) else ""
-
-
-def main() -> int:
+def main() -> None:
     """Run every case and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--set", action="append", choices=tuple(TITLES), help="default all")
-    parser.add_argument("--quick", action="store_true", help="two sets")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = options.set or (QUICK if options.quick else tuple(TITLES))
-    done: list[tuple[object, ...]] = []
-    Table(HEADER, ()).write(options.out / "held_out.csv")
-    for case in cases(options.data, names):
-        for cells in rows(case, {}):
-            done.append(cells)
-            print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
-        Table(HEADER, tuple(done)).write(options.out / "held_out.csv")
-    text = markdown(done)
-    atomic_write_text(options.out / "held_out.md", text)
-    print(f"\n{text}")
-    return 0
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
+    study.rows("held_out.csv", HEADER, cases(study.data, study.sets), rows, digits=3)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

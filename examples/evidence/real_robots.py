@@ -15,21 +15,18 @@ the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from data_sets import ROBOTS, SETS, TRAINED, part
+from data_sets import ROBOTS, SETS, TRAINED, folders, part
+from study import Study, pivot
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
@@ -57,17 +54,7 @@ DEFAULT = "SDP 4×4"
 ROUNDING = 1e-9
 
 HEADER = (
-    "set",
-    "method",
-    "trained_percent",
-    "held_out_percent",
-    "solve_s",
-    "least_margin_4x4",
-    "heaviest_link_kg",
-    "status",
-    "gap",
-    "held_out_rmse",
-    "message",
+    *("set", "method", "trained", "held_out", "seconds", "margin", "heaviest", "status", "gap"),
 )
 
 
@@ -120,6 +107,9 @@ class Case:
     rest: sdpid.Recording
     second_run: bool
 
+    def __str__(self) -> str:
+        return self.name
+
     @classmethod
     def read(cls, folder: Path, name: str) -> Case:
         """Read a set: two runs, or one record whose rest is predicted."""
@@ -169,109 +159,87 @@ def since(samples: sdpid.Samples, moment: float) -> sdpid.Samples:
     return samples.between(begin, samples.n_samples)
 
 
-def rows(case: Case, names: Iterable[str], said: list[str]) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a set, and say how it was prepared."""
-    processing = default_processing(case.log)
+def terms_of(case: Case) -> Terms:
+    """Return the friction terms that all methods of a set have."""
+    return (*default_friction(case.log), *DRIVES.get(case.name, ()))
+
+
+def prepared(case: Case) -> Iterator[tuple[object, ...]]:
+    """Yield what is trained on and predicted, and how long that takes to prepare."""
     start = time.perf_counter()
+    processing = default_processing(case.log)
     samples = case.trained(processing)
-    terms = (*default_friction(case.log), *DRIVES.get(case.name, ()))
-    # The speeds of friction are chosen once; all methods have the same terms.
-    closed = case.problem(samples, METHODS[DEFAULT], terms).friction.terms
+    case.problem(samples, METHODS[DEFAULT], terms_of(case))
     seconds = time.perf_counter() - start
-    fresh = case.held_out(processing)
-    said.append(
-        f"| {ROBOTS[case.name]} | {processing.cutoff_hz:.3g} | {processing.velocity} | "
-        f"{len(samples.effort)} | {len(fresh.effort)} | {seconds:.2g} |"
-    )
-    for name in names:
+    counts = len(samples.effort), len(case.held_out(processing).effort)
+    yield ROBOTS[case.name], processing.cutoff_hz, processing.velocity, *counts, seconds
+
+
+def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of a set."""
+    processing = default_processing(case.log)
+    samples, fresh = case.trained(processing), case.held_out(processing)
+    # The speeds of friction are chosen once; all methods have the same terms.
+    closed = case.problem(samples, METHODS[DEFAULT], terms_of(case)).friction.terms
+    for number, name in enumerate(names):
         method = METHODS[name]
-        message, gap = "", None
-        estimate: Estimate | None = None
-        seconds = 0.0
+        gap, estimate, start = None, None, time.perf_counter()
         try:
             problem = case.problem(samples, method, closed)
-            if name == next(iter(names)):
+            if number == 0:
                 method.solve(problem)  # the first solve loads libraries
             start = time.perf_counter()
             estimate = method.solve(problem)
             status = estimate.status
-        except sdpid.errors.SolverError as error:
-            estimate, message, status = error.found, str(error), type(error).__name__
         except sdpid.errors.SdpidError as error:
-            message, status = str(error), type(error).__name__
+            estimate, status = getattr(error, "found", None), type(error).__name__
         seconds = time.perf_counter() - start
         if estimate is None:
-            yield case.name, name, *(None,) * 5, status, gap, None, message
+            yield ROBOTS[case.name], name, *(None,) * 5, status, gap
             continue
         if estimate.method == "sdp":
             gap = sdpid.certify(estimate).gap
-        least = heaviest = None
+        least: str | float | None = None
+        heaviest = None
         if estimate.theta is not None:
             links = estimate.theta[: 10 * case.robot.n_links].reshape(-1, 10)
             margins = margin(links, "pseudo_inertia")
             # A link without a positive mass has no margin: it is no body at all.
-            least = -np.inf if np.any(np.isnan(margins)) else float(np.min(margins))
+            least = "no body" if np.any(np.isnan(margins)) else float(np.min(margins))
             heaviest = float(links[:, 0].max())
-        fit = sdpid.validate(estimate, fresh)
         yield (
-            case.name,
+            ROBOTS[case.name],
             name,
             100.0 * sdpid.validate(estimate).relative,
-            100.0 * fit.relative,
+            100.0 * sdpid.validate(estimate, fresh).relative,
             seconds,
             least,
             heaviest,
             status,
             gap,
-            " ".join(f"{value:.4g}" for value in fit.rmse),
-            message,
         )
 
 
-PREPARED = (
-    "What was trained on and predicted; preparing takes in processing and the speeds of friction:",
-    "",
-    "| set | cut-off, Hz | velocity | training samples | held-out samples | preparing, s |",
-    "|---|---|---|---|---|---|",
-)
+def residuals(row: Mapping[str, Any]) -> str:
+    """Return the error on what was held out, and that on what was trained on."""
+    if row["held_out"] is None:
+        return str(row["status"])
+    # Local solvers may stop before they are at an optimum.
+    mark = "" if row["status"] == "optimal" else " ¹"
+    return f"{row['held_out']:.4g} ({row['trained']:.3g}){mark}"
 
 
-def table(done: Sequence[tuple[object, ...]]) -> str:
-    """Return the results, one line a method and one column a set."""
-    names = list(dict.fromkeys(str(row[0]) for row in done))
-    cells = {(row[0], row[1]): row for row in done}
-    lines = []
-    titles = (
-        "Relative residual on what was held out (on the training rows), %",
-        "Seconds of the solver, whole call",
-        "Least 4×4 margin of any link, kg·m² (heaviest link, kg)",
-    )
-    for kind, title in enumerate(titles):
-        lines += [f"{title}:", "", "| method | " + " | ".join(ROBOTS[n] for n in names) + " |"]
-        lines.append("|---|" + "---|" * len(names))
-        for method in dict.fromkeys(str(row[1]) for row in done):
-            line = [shown(cells[name, method], kind) for name in names]
-            if any(line):
-                lines.append(f"| {method} | " + " | ".join(line) + " |")
-        lines.append("")
-    return "\n".join(lines)
+def seconds(row: Mapping[str, Any]) -> str:
+    """Return the time of the solver."""
+    return "" if row["held_out"] is None else f"{row['seconds']:.2g}"
 
 
-def shown(row: Sequence[object], kind: int) -> str:
-    """Return a cell of one of the three tables."""
-    trained, held, seconds, least, heaviest, status = row[2:8]
-    if not isinstance(held, float):
-        return str(status) if kind == 0 else ""
-    if kind == 0:
-        # Local solvers may stop before they are at an optimum.
-        mark = "" if status == "optimal" else " ¹"
-        return f"{held:.4g} ({trained:.3g}){mark}"
-    if kind == 1:
-        return f"{seconds:.2g}"
-    if not isinstance(least, float):
-        return ""
-    size = "0" if abs(least) < ROUNDING else f"{least:.0e}"
-    return f"{'no body' if least == -np.inf else size} ({heaviest:.3g})"
+def margins(row: Mapping[str, Any]) -> str:
+    """Return the least margin, and the heaviest link."""
+    least = row["margin"]
+    if isinstance(least, float):
+        least = "0" if abs(least) < ROUNDING else f"{least:.0e}"
+    return "" if least is None else f"{least} ({row['heaviest']:.3g})"
 
 
 # Published root mean square errors, N·m, and on what; see the sets' sources in
@@ -321,65 +289,53 @@ GAZ: dict[str, tuple[float, dict[tuple[int, int], float]]] = {
 }
 
 
-def comparison(folder: Path, names: Sequence[str]) -> str:
-    """Return published numbers beside those of the default estimate."""
-    lines = ["Root mean square error of each joint, N·m:", "", "| set | model | joints 1, 2, … |"]
-    lines.append("|---|---|---|")
-    gravity = ""
-    scored = [
-        "The default estimate on held-out rows that are filtered at other cut-offs, %:",
-        "",
-        "| set | " + " | ".join(f"{factor:g} × its own" for factor in SCORED) + " |",
-        "|---|" + "---|" * len(SCORED),
-    ]
-    for name in names:
-        case = Case.read(folder, name)
-        processing = default_processing(case.log)
-        terms = (*default_friction(case.log), *DRIVES.get(name, ()))
-        estimate = sdpid.solve_sdp(case.problem(case.trained(processing), METHODS[DEFAULT], terms))
-        cells = []
-        for factor in SCORED:
-            cutoff = factor * processing.cutoff_hz
-            if cutoff < HIGHEST * case.log.rate_hz:
-                fresh = case.held_out(replace(processing, cutoff_hz=cutoff))
-                cells.append(f"{100.0 * sdpid.validate(estimate, fresh).relative:.3g}")
-            else:
-                cells.append("")
-        scored.append(f"| {ROBOTS[name]} | " + " | ".join(cells) + " |")
-        if name in PUBLISHED:
-            words, numbers = PUBLISHED[name]
-            lines.append(f"| {ROBOTS[name]} | {words} | {joined(numbers)} |")
-            fit = sdpid.validate(estimate, case.held_out(processing))
-            lines.append(f"| {ROBOTS[name]} | default, held out | {joined(fit.rmse)} |")
-            if name in PUBLISHED_HZ:
-                alike = replace(processing, cutoff_hz=PUBLISHED_HZ[name])
-                fit = sdpid.validate(estimate, case.held_out(alike))
-                words = f"default, held out, filtered at {PUBLISHED_HZ[name]:g} Hz as there"
-                lines.append(f"| {ROBOTS[name]} | {words} | {joined(fit.rmse)} |")
-                for way in ("WLS", "SDP 4×4, no prior", DEFAULT):
-                    errors, overall = blocked(case, way, terms, PUBLISHED_HZ[name])
-                    words = f"{way}, {BLOCKS} blocks in time, at {PUBLISHED_HZ[name]:g} Hz"
-                    lines.append(
-                        f"| {ROBOTS[name]} | {words} | {joined(errors)} ({overall:.3g} %) |"
-                    )
-            everything = case.log if case.second_run else case.rest
-            samples = samples_of(case.robot, everything, processing)
-            whole = sdpid.solve_sdp(case.problem(samples, METHODS[DEFAULT], terms))
-            words = "default, trained on run 1" if case.second_run else "default, whole record"
-            lines.append(f"| {ROBOTS[name]} | {words} | {joined(sdpid.validate(whole).rmse)} |")
-            if name in ASYMMETRIC:
-                terms = (sdpid.friction.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
-                for words, rows in (("held out", case.trained(processing)), ("whole", samples)):
-                    shown = case.held_out(processing) if words == "held out" else rows
-                    own = sdpid.solve_sdp(case.problem(rows, METHODS[DEFAULT], terms))
-                    errors = joined(sdpid.validate(own, shown).rmse)
-                    lines.append(
-                        f"| {ROBOTS[name]} | Coulomb friction asymmetric, {words} | {errors} |"
-                    )
-        if name == "panda_unisa":
-            samples = samples_of(case.robot, case.rest, processing)
-            gravity = "\n\n" + gravities(case, samples, terms)
-    return "\n".join(scored) + "\n\n" + "\n".join(lines) + gravity
+def cutoffs(case: Case) -> Iterator[tuple[object, ...]]:
+    """Yield the errors of the default estimate on rows that are filtered at other cut-offs, %."""
+    processing = default_processing(case.log)
+    estimate = default(case, case.trained(processing), terms_of(case))
+    line: list[object] = [ROBOTS[case.name]]
+    for factor in SCORED:
+        changed = replace(processing, cutoff_hz=factor * processing.cutoff_hz)
+        fits = changed.cutoff_hz < HIGHEST * case.log.rate_hz
+        fresh = case.held_out(changed) if fits else None
+        line.append(fresh and 100.0 * sdpid.validate(estimate, fresh).relative)
+    yield tuple(line)
+
+
+def default(case: Case, samples: sdpid.Samples, terms: Terms) -> Estimate:
+    """Return the estimate that `identify` solves for."""
+    return sdpid.solve_sdp(case.problem(samples, METHODS[DEFAULT], terms))
+
+
+def published(case: Case) -> Iterator[tuple[object, ...]]:
+    """Yield errors of joints, N·m: published ones, and those of estimates beside them."""
+    name, processing, terms = case.name, default_processing(case.log), terms_of(case)
+    if name not in PUBLISHED:
+        return
+    words, numbers = PUBLISHED[name]
+    lines = [(words, joined(numbers))]
+    trained, fresh = case.trained(processing), case.held_out(processing)
+    estimate = default(case, trained, terms)
+    lines.append(("default, held out", joined(sdpid.validate(estimate, fresh).rmse)))
+    if name in PUBLISHED_HZ:
+        at = f"{PUBLISHED_HZ[name]:g} Hz"
+        alike = case.held_out(replace(processing, cutoff_hz=PUBLISHED_HZ[name]))
+        errors = joined(sdpid.validate(estimate, alike).rmse)
+        lines.append((f"default, held out, filtered at {at} as there", errors))
+        for way in ("WLS", "SDP 4×4, no prior", DEFAULT):
+            each, overall = blocked(case, way, terms, PUBLISHED_HZ[name])
+            words = f"{way}, {BLOCKS} blocks in time, at {at}"
+            lines.append((words, f"{joined(each)} ({overall:.3g} %)"))
+    everything = case.log if case.second_run else case.rest
+    samples = samples_of(case.robot, everything, processing)
+    words = "default, trained on run 1" if case.second_run else "default, whole record"
+    lines.append((words, joined(sdpid.validate(default(case, samples, terms)).rmse)))
+    if name in ASYMMETRIC:
+        terms = (sdpid.friction.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
+        for words, rows, shown in (("held out", trained, fresh), ("whole", samples, samples)):
+            errors = joined(sdpid.validate(default(case, rows, terms), shown).rmse)
+            lines.append((f"Coulomb friction asymmetric, {words}", errors))
+    yield from ((ROBOTS[name], *line) for line in lines)
 
 
 def blocked(case: Case, way: str, terms: Terms, scored_at: float) -> tuple[Array, float]:
@@ -409,69 +365,44 @@ def joined(numbers: Iterable[float]) -> str:
     return ", ".join(f"{number:.3g}" for number in numbers)
 
 
-def gravities(case: Case, samples: sdpid.Samples, terms: Terms) -> str:
-    """Return the Panda's gravity parameters beside those of Gaz et al."""
-    ways = ("SDP 4×4, no prior", DEFAULT)
-    lines = [
-        "Gravity parameters of the Panda, kg·m, from the whole record:",
-        "",
-        "| parameter | Gaz et al. | " + " | ".join(ways) + " |",
-        "|---|---|---|---|",
-    ]
-    found = [METHODS[way].solve(case.problem(samples, METHODS[way], terms)) for way in ways]
+WAYS = ("SDP 4×4, no prior", DEFAULT)
+
+
+def gravities(case: Case) -> Iterator[tuple[object, ...]]:
+    """Yield the Panda's gravity parameters, from the whole record, beside those of Gaz et al."""
+    samples = samples_of(case.robot, case.rest, default_processing(case.log))
+    problems = [(case.problem(samples, METHODS[way], terms_of(case)), way) for way in WAYS]
+    found = [METHODS[way].solve(problem).theta for problem, way in problems]
     for words, (published, weights) in GAZ.items():
         cells = []
-        for estimate in found:
-            assert estimate.theta is not None
-            theta = estimate.theta
+        for theta in found:
+            assert theta is not None
             value = sum(w * float(theta[10 * (i - 1) + k]) for (i, k), w in weights.items())
             cells.append(f"{value:.3f} ({100.0 * (value / published - 1.0):+.1f} %)")
-        lines.append(f"| {words} | {published} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        yield words, published, *cells
 
 
-def found(folder: Path | None, names: Iterable[str]) -> list[str]:
-    """Return the sets that are there, and say which are not."""
-    there = []
-    for name in names:
-        if folder is None or not (folder / name).is_dir():
-            where = "SDPID_DATA is not set" if folder is None else f"not in {folder}"
-            print(
-                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
-                flush=True,
-            )
-        else:
-            there.append(name)
-    return there
-
-
-def main() -> int:
+def main() -> None:
     """Run every set and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--set", action="append", choices=tuple(SETS), help="a set (default all)")
-    parser.add_argument("--quick", action="store_true", help="two sets, three methods")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = found(options.data, options.set or (QUICK if options.quick else tuple(SETS)))
-    done: list[tuple[object, ...]] = []
-    said: list[str] = []
-    start = time.perf_counter()
-    Table(HEADER, ()).write(options.out / "real_robots.csv")
-    for name in names:
-        methods = QUICK_METHODS if options.quick else tuple(METHODS)
-        for cells in rows(Case.read(options.data, name), methods, said):
-            done.append(cells)
-            print(Table(HEADER[:8], (cells[:8],)).text(3).splitlines()[1], flush=True)
-            Table(HEADER, tuple(done)).write(options.out / "real_robots.csv")
-    text = "Nothing to show: no data.\n"
-    if names:
-        text = "\n".join([*PREPARED, *said, "", table(done), comparison(options.data, names), ""])
-    atomic_write_text(options.out / "real_robots.md", text)
-    print(f"\n{text}\n{time.perf_counter() - start:.0f} s")
-    return 0
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"sets": [*QUICK], "methods": [*QUICK_METHODS]},
+        sets=[*SETS],
+        methods=[*METHODS],
+    )
+    found = [Case.read(study.data, name) for name, _ in folders(study.data, study.sets)]
+    header = ("set", "cut-off, Hz", "velocity", "training samples", "held-out samples")
+    study.rows("prepared.csv", (*header, "preparing, s"), found, prepared, digits=3)
+    done = study.rows("methods.csv", HEADER, found, lambda case: rows(case, study.methods))
+    for shown in (residuals, seconds, margins):
+        study.write(f"{shown.__name__}.csv", *pivot(done, "method", "set", shown))
+    header = ("set", *(f"{factor:g} × its own" for factor in SCORED))
+    study.rows("cutoffs.csv", header, found, cutoffs, digits=3)
+    study.rows("published.csv", ("set", "model", "joints 1, 2, …"), found, published)
+    pandas = [case for case in found if case.name == "panda_unisa"]
+    study.rows("panda_gravity.csv", ("parameter", "Gaz et al.", *WAYS), pandas, gravities)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -10,7 +10,6 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -20,12 +19,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from data_sets import ROBOTS, SETS
+from data_sets import QUICK, ROBOTS, SETS, folders
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 
-QUICK = ("panda_unisa",)
 HEADER = (
     *("log", "rows", "same", "other", "changed"),
     *("passed", "identify_cpu_s", "verify_cpu_s", "times"),
@@ -76,28 +74,16 @@ def row(robot: Path, path: Path, name: str) -> tuple[object, ...]:
     )
 
 
-def main() -> int:
-    """Print the table and write it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="one log")
-    options = parser.parse_args()
-    found = []
-    for name in QUICK if options.quick else tuple(SETS):
-        if options.data is None or not (options.data / name).is_dir():
-            where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
-            print(f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from")
-            continue
-        for record in SETS[name].records:
-            robot = options.data / name / SETS[name].urdf
-            log = options.data / name / f"{record}.npz"
-            found.append(row(robot, log, f"{ROBOTS[name]}, {record}"))
-            print(Table(HEADER, (found[-1],)).text(3).splitlines()[1], flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    Table(HEADER, tuple(found)).write(options.out / "replay.csv")
-    return 0
+def main() -> None:
+    """Write the table."""
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
+    cases = [
+        (folder / SETS[name].urdf, folder / f"{record}.npz", f"{ROBOTS[name]}, {record}")
+        for name, folder in folders(study.data, study.sets)
+        for record in SETS[name].records
+    ]
+    study.rows("replay.csv", HEADER, cases, lambda case: [row(*case)])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -12,38 +12,38 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
-from data_sets import ROBOTS, SETS
-from each_record import folders, parse
+from data_sets import QUICK, ROBOTS, SETS, folders
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.workflow.formulate import formulate
 
 HEADER = ("recording", "residual, % of the usual effort", "alike over, s")
 
 
-def main() -> int:
+def residual(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
+    """Yield the row of a set."""
+    name, folder = case
+    robot = sdpid.load_robot(folder / SETS[name].urdf)
+    problem = formulate(robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
+    noise = ExpectedNoise.of_residuals(problem, sdpid.solve_sdp(problem).theta)
+    samples = problem.require_rows("the residuals").samples
+    efforts = np.where(samples.used, samples.effort, 0.0)
+    rms = np.sqrt((efforts**2).sum(axis=0) / np.maximum(samples.used.sum(axis=0), 1))
+    share = np.median(100.0 * noise.deviation / usual_effort(rms))
+    yield ROBOTS[name], share, np.median(noise.density / noise.deviation**2)
+
+
+def main() -> None:
     """Measure and write the table."""
-    options = parse(__doc__.splitlines()[0])
-    rows: list[tuple[object, ...]] = []
-    for name, folder in folders(options):
-        robot = sdpid.load_robot(folder / SETS[name].urdf)
-        problem = formulate(robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
-        noise = ExpectedNoise.of_residuals(problem, sdpid.solve_sdp(problem).theta)
-        samples = problem.require_rows("the residuals").samples
-        efforts = np.where(samples.used, samples.effort, 0.0)
-        rms = np.sqrt((efforts**2).sum(axis=0) / np.maximum(samples.used.sum(axis=0), 1))
-        share = np.median(100.0 * noise.deviation / usual_effort(rms))
-        lasting = np.median(noise.density / noise.deviation**2)
-        rows.append((ROBOTS[name], float(share), float(lasting)))
-        print(*rows[-1], sep="  ", flush=True)
-    Table(HEADER, tuple(rows)).write(options.out / "residual_noise.csv")
-    return 0
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
+    study.rows("residual_noise.csv", HEADER, folders(study.data, study.sets), residual)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

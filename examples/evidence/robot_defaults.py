@@ -14,20 +14,17 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from held_out import QUICK, TITLES, Case, cases, error
 from simulated_logs import drawn, log_of, there
+from study import Study, grouped
 from truth import friction_rows
 
 import sdpid
-from sdpid._common.files import atomic_write_text
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.friction.term import FrictionTerm
@@ -110,94 +107,78 @@ def held_out(case: Case, arguments: Arguments) -> float:
     return float(np.exp(np.mean(np.log(errors))))
 
 
-def friction_error(arguments: Arguments, seeds: int, data: Path | None) -> tuple[float, float]:
-    """Return median and 90th percentile of the errors of simulated friction curves, %."""
-    errors = []
-    for robot in there(data):
-        for seed in range(seeds):
-            log, truth = log_of(drawn(robot, seed), seed, data)
-            try:
-                result = sdpid.identify(truth.robot, log, intervals=False, **arguments(log))
-            except sdpid.errors.SdpidError:
-                errors.append(float("inf"))
-                continue
-            rows = friction_rows(("none", robot, seed), truth, result.estimate)
-            errors += [abs(row.estimate / row.truth - 1.0) for row in rows]
-    middle, tail = np.quantile(errors, [0.5, 0.9]) if errors else (np.nan, np.nan)
-    return 100.0 * float(middle), 100.0 * float(tail)
+def friction_errors(arguments: Arguments, robot: str, seed: int) -> list[float]:
+    """Return errors of the friction curves of a simulated log, %; infinite without an estimate."""
+    log, truth = log_of(drawn(robot, seed), seed)
+    try:
+        result = sdpid.identify(truth.robot, log, intervals=False, **arguments(log))
+    except sdpid.errors.SdpidError:
+        return [float("inf")]
+    rows = friction_rows(("none", robot, seed), truth, result.estimate)
+    return [100.0 * abs(row.estimate / row.truth - 1.0) for row in rows]
 
 
-def by_robot(scores: Mapping[str, float], found: Sequence[Case]) -> dict[str, float]:
-    """Return the geometric mean of the cases' errors of each robot."""
-    robots = dict.fromkeys(case.robot_name for case in found)
-    return {
-        robot: float(
-            np.exp(np.mean([np.log(scores[c.name]) for c in found if c.robot_name == robot]))
-        )
-        for robot in robots
-    }
+def means(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """Return of each candidate the geometric mean of the cases' errors of each robot."""
+    found: dict[str, dict[str, float]] = {}
+    for (label, robot), own in grouped(rows, "candidate", "robot"):
+        found.setdefault(label, {})[robot] = float(np.exp(np.mean(np.log(own["error"]))))
+    return found
 
 
-def compared(
-    title: str, candidates: Mapping[str, Arguments], found: Sequence[Case], seeds: int, data: Path
-) -> str:
-    """Return the table of candidates, and of each robot what the others would have chosen."""
-    lines = [
-        f"| {title} | " + " | ".join(case.name for case in found) + " | robots' mean | truth |"
-    ]
-    lines.append("|---|" + "---|" * (len(found) + 2))
-    robots: dict[str, dict[str, float]] = {}
-    for label, arguments in candidates.items():
-        scores = {case.name: held_out(case, arguments) for case in found}
-        robots[label] = by_robot(scores, found)
-        mean = float(np.exp(np.mean(np.log(list(robots[label].values())))))
-        cells = [f"{scores[case.name]:.3g}" for case in found]
-        middle, tail = friction_error(arguments, seeds, data)
-        cells += [f"{mean:.4g}", f"{middle:.2g}, {tail:.2g}" if np.isfinite(middle) else ""]
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
-        print(lines[-1], flush=True)
-    default = next(iter(candidates))
-    lines += [
-        "",
-        "| left out | the others choose | it then has, % | default, % |",
-        "|---|---|---|---|",
-    ]
+def chosen(robots: dict[str, dict[str, float]]) -> Iterator[tuple[object, ...]]:
+    """Yield of each robot what the others would have chosen."""
+    default = next(iter(robots))
     for name in robots[default]:
-        others = [other for other in robots[default] if other != name]
         mean = {
-            label: float(np.mean(np.log([own[other] for other in others])))
+            label: float(np.mean([np.log(own[other]) for other in own if other != name]))
             for label, own in robots.items()
         }
         best = min(mean, key=mean.__getitem__)
         if mean[best] > mean[default] - float(np.log(BETTER)):
             best = default
-        cells = [name, best, f"{robots[best][name]:.3g}", f"{robots[default][name]:.3g}"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        yield name, best, robots[best][name], robots[default][name]
 
 
-def main() -> int:
+def main() -> None:
     """Compare and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--only", action="append", choices=tuple(CANDIDATES), help="default all")
-    parser.add_argument("--seeds", type=int, default=3, help="simulated logs of each robot")
-    parser.add_argument("--quick", action="store_true", help="one set, one candidate")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    found = list(cases(options.data, QUICK[:1] if options.quick else tuple(TITLES)))
-    tables = []
-    for title, candidates in CANDIDATES.items():
-        if found and (options.only is None or title in options.only):
-            chosen = dict(list(candidates.items())[: 1 if options.quick else None])
-            seeds = 0 if options.quick else options.seeds
-            tables.append(compared(title, chosen, found, seeds, options.data))
-    text = "\n\n".join(tables) + "\n" if tables else "Nothing to show: no data.\n"
-    atomic_write_text(options.out / "robot_defaults.md", text)
-    print(f"\n{text}")
-    return 0
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"sets": [*QUICK[:1]], "candidates": 1, "seeds": 0},
+        only=([*CANDIDATES], "what is chosen"),
+        sets=[*TITLES],
+        candidates=max(map(len, CANDIDATES.values())),
+        seeds=(3, "simulated logs of each robot"),
+    )
+    found = {case.name: case for case in cases(study.data, study.sets)}
+    for title in study.only:
+        candidates = dict([*CANDIDATES[title].items()][: study.candidates])
+
+        def scored(
+            case: tuple[str, str], candidates: dict[str, Arguments] = candidates
+        ) -> Iterator[tuple[object, ...]]:
+            label, name = case
+            yield label, found[name].robot_name, name, held_out(found[name], candidates[label])
+
+        header = ("candidate", "robot", "case", "error")
+        every = itertools.product(candidates, found)
+        errors = study.rows(f"{title}.cases.csv", header, every, scored)
+        robots, seeds = means(errors), range(study.seeds)
+        lines = []
+        for label, arguments in candidates.items():
+            of_cases = [row["error"] for row in errors if row["candidate"] == label]
+            mean = float(np.exp(np.mean(np.log(list(robots[label].values())))))
+            true = [
+                e for r in there() for seed in seeds for e in friction_errors(arguments, r, seed)
+            ]
+            ends = [float(each) for each in np.quantile(true, [0.5, 0.9])] if true else [None] * 2
+            lines.append([label, *of_cases, mean, *ends])
+        header = (title, *found, "robots' mean", "truth, median", "truth, 90 %")
+        study.write(f"{title}.csv", header, lines, digits=3)
+        header = ("left out", "the others choose", "it then has, %", "default, %")
+        study.write(f"{title}.chosen.csv", header, chosen(robots), digits=3)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -13,19 +13,19 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
+from typing import Any
 
 import numpy as np
+from data_sets import part
 from held_out import QUICK, TITLES, Case, cases
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.assurance.diagnostics.light_joints import light_joints
 from sdpid.assurance.diagnostics.validation import validate
+from sdpid.experiment.processing.choose import default_processing
 from sdpid.workflow.result import Identification
 
 HORIZONS = (0.1, 0.5, 2.0)
@@ -63,8 +63,6 @@ def chosen(case: Case) -> sdpid.Recording:
     log = case.others.get(PREDICTED.get(case.robot_name, ""), next(iter(case.others.values())))
     if case.after is None:
         return log
-    from data_sets import part
-
     first = int(np.searchsorted(log.time, case.after, side="right"))
     return part(log, first, log.n_samples)
 
@@ -79,118 +77,87 @@ def identified(case: Case, **options: object) -> Identification:
     return sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(options))  # type: ignore[arg-type]
 
 
-def simulated(
-    case: Case, result: Identification, every: float
-) -> Iterator[tuple[tuple[object, ...], list[tuple[object, ...]]]]:
-    """Yield rows of models, and of joints, of each way to free the joints."""
-    log = chosen(case)
+def models(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
+    """Yield rows of models of each way to free the joints."""
+    result = identified(case)
     for free in ("all", "each"):
-        moved = sdpid.rollout(
-            result.estimate, log, HORIZONS, free=free, start_every=every, processing=how(case)
-        )
+        moved = rolled(case, result, starts, free=free)
         for name, errors in moved.models.items():
-            cells: list[object] = [case.robot_name, free, name, len(moved.start)]
             columns = errors.quantile(0.5), errors.quantile(0.9), errors.tips(), errors.diverged
-            found = list(zip(*(each.tolist() for each in columns), strict=True))
-            for k in range(len(HORIZONS)):
-                if k < len(found):
-                    middle, high, tip, gone = found[k]
-                    cells += [1e3 * middle, 1e3 * high, 1e3 * tip, 100.0 * gone]
-                else:
-                    cells += [None] * 4
-            joints: list[tuple[object, ...]] = []
-            if free == "each" and name == moved.own:
-                joints = list(of_joints(case, result, log, errors.joints()))
-            yield tuple(cells), joints
+            found = np.array(columns).T * [1e3, 1e3, 1e3, 100.0]
+            cells = np.full((len(HORIZONS), 4), np.nan)
+            cells[: len(found)] = found
+            yield case.robot_name, free, name, len(moved.start), *cells.ravel()
 
 
-def how(case: Case) -> sdpid.Processing:
-    """Return the processing of the training part."""
-    from sdpid.experiment.processing.choose import default_processing
+def rolled(
+    case: Case,
+    result: Identification,
+    starts: int,
+    horizons: tuple[float, ...] = HORIZONS,
+    **how: Any,
+) -> sdpid.Rollout:
+    """Return the recording that was not trained on, simulated."""
+    return sdpid.rollout(
+        result.estimate,
+        chosen(case),
+        start_every=spacing(case, starts),
+        # The processing of the training part.
+        processing=default_processing(case.log),
+        **{"horizons": HORIZONS, **how},
+    )
 
-    return default_processing(case.log)
 
-
-def of_joints(
-    case: Case, result: Identification, log: sdpid.Recording, medians: np.ndarray
-) -> Iterator[tuple[object, ...]]:
+def joints(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
     """Yield a row a joint: its drift, and how it moves alone."""
-    samples = result.problem.samples
+    result = identified(case)
+    moved = rolled(case, result, starts, free="each")
+    medians = 1e3 * moved.models[moved.own].joints()
     errors = validate(result.estimate).moving
-    every = light_joints(result.estimate.model(), samples, errors, limit=0.0)
-    for each in every:
+    samples = result.problem.samples
+    for each in light_joints(result.estimate.model(), samples, errors, limit=0.0):
         j = case.robot.joint_names.index(each.joint)
-        yield (
-            case.robot_name,
-            j + 1,
-            each.inertia,
-            each.error,
-            each.inertia * each.acceleration,
-            each.ratio,
-            1e3 * float(medians[0, j]),
-            1e3 * float(medians[1, j]),
-            1e2 * each.velocity,
-        )
+        needed, motion = each.inertia * each.acceleration, 1e2 * each.velocity
+        sizes = each.inertia, each.error, needed, each.ratio
+        yield case.robot_name, j + 1, *sizes, *medians[:2, j], motion
 
 
-def bounded(case: Case, every: float) -> Iterator[tuple[object, ...]]:
+def bounded(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
     """Yield what bounds a light wrist: its inertia, held-out error and motion."""
-    log = chosen(case)
     wrist = case.robot.joint_names[WRIST]
     for name, options in BOUNDS.items():
         result = identified(case, **options)
+        how = {"horizons": HORIZONS[:2], "free": wrist, "baselines": False}
+        moved = rolled(case, result, starts, **how)
+        samples = sdpid.process(chosen(case), default_processing(case.log))
+        fresh = 100.0 * sdpid.validate(result.estimate, samples).moving.relative
         samples = result.problem.samples
-        moved = sdpid.rollout(
-            result.estimate,
-            log,
-            HORIZONS[:2],
-            free=wrist,
-            start_every=every,
-            processing=how(case),
-            baselines=False,
-        )
-        fresh = sdpid.validate(result.estimate, sdpid.process(log, how(case)))
         position = samples.position[:: max(1, samples.n_samples // 50)]
         inertia = np.median(result.estimate.model().mass_matrix(position)[:, WRIST, WRIST])
-        medians = 1e3 * moved.median
-        yield name, float(inertia), 100.0 * fresh.moving.relative, *medians.tolist()
+        yield name, inertia, fresh, *(1e3 * moved.median)
 
 
-def main() -> int:
+def main() -> None:
     """Run every case and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--set", action="append", choices=tuple(TITLES), help="default all")
-    parser.add_argument("--starts", type=int, default=STARTS, help="of a record, at most")
-    parser.add_argument("--quick", action="store_true", help="two sets, few starts")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = options.set or (QUICK if options.quick else tuple(TITLES))
-    count = 2 if options.quick else options.starts
-    models: list[tuple[object, ...]] = []
-    joints: list[tuple[object, ...]] = []
-    lights: list[tuple[object, ...]] = []
-    seen: set[str] = set()
-    for case in cases(options.data, names):
-        # The first case of an arm: without terms that are known of its drive, and joint torques.
-        if case.robot_name in seen:
-            continue
-        seen.add(case.robot_name)
-        result = identified(case)
-        for cells, own in simulated(case, result, spacing(case, count)):
-            models.append(cells)
-            joints += own
-            print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
-        Table(HEADER, tuple(models)).write(options.out / "rollouts.csv")
-        Table(JOINTS, tuple(joints)).write(options.out / "joints.csv")
-        if case.robot_name == LIGHT:
-            lights = list(bounded(case, spacing(case, count)))
-            Table(LIGHTS, tuple(lights)).write(options.out / "bounds.csv")
-            print(Table(LIGHTS, tuple(lights)).text(3), flush=True)
-    print(Table(JOINTS, tuple(joints)).text(3))
-    return 0
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"sets": [*QUICK], "starts": 2},
+        sets=[*TITLES],
+        starts=(STARTS, "of a record, at most"),
+    )
+    # The first case of an arm: without terms that are known of its drive, and joint torques.
+    arms: dict[str, Case] = {}
+    for case in cases(study.data, study.sets):
+        arms.setdefault(case.robot_name, case)
+    light = [case for name, case in arms.items() if name == LIGHT]
+    for file, header, wanted, rows_of in (
+        ("rollouts.csv", HEADER, arms.values(), models),
+        ("joints.csv", JOINTS, arms.values(), joints),
+        ("bounds.csv", LIGHTS, light, bounded),
+    ):
+        study.rows(file, header, wanted, partial(rows_of, starts=study.starts))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

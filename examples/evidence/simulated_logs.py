@@ -6,26 +6,21 @@ plus friction, offsets and noise; positions are measured by encoders. On request
 tilted, friction grows with load or falls with speed, and rotors add inertia. The same seed gives
 the same log.
 
-    python examples/evidence/simulated_logs.py --out results --seeds 2
-
 UR10, Panda and Denso come with the package's dependencies; the LWR 4+ is read from the folder
-of docs/evidence/data.md, named by --data or the environment variable SDPID_DATA.
+of docs/evidence/data.md, named by the environment variable SDPID_DATA.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
-import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.consistent import raise_second_moments
@@ -182,14 +177,8 @@ class Truth:
         return np.concatenate([self.inertias.ravel(), tail])
 
 
-def described(robot: str, data: Path | None) -> sdpid.RobotModel:
-    """Return a robot as its user loads it.
-
-    Raises
-    ------
-    DataError
-        When its description is in the folder of the data, and that is not given.
-    """
+def described(robot: str) -> sdpid.RobotModel:
+    """Return a robot as its user loads it."""
     if robot == "ur10":
         return sdpid.load_robot("ur10_robot")
     if robot == "denso":
@@ -202,13 +191,7 @@ def described(robot: str, data: Path | None) -> sdpid.RobotModel:
         return sdpid.RobotModel.from_pinocchio(
             pin.buildReducedModel(whole, fingers, pin.neutral(whole))
         )
-    path = Path() if data is None else data / "kuka_lwr4plus" / "kuka_lwr4.urdf"
-    if not path.is_file():
-        raise sdpid.errors.DataError(
-            f"the description of the LWR 4+ is not at {path}; docs/evidence/data.md says where "
-            "it comes "
-            "from; name the folder by --data or SDPID_DATA."
-        )
+    path = Path(os.environ["SDPID_DATA"]) / "kuka_lwr4plus" / "kuka_lwr4.urdf"
     return sdpid.load_robot(path)
 
 
@@ -217,16 +200,14 @@ def with_gravity(robot: sdpid.RobotModel, gravity: Array) -> sdpid.RobotModel:
     return sdpid.RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
 
 
-def log_of(
-    conditions: Conditions, seed: int, data: Path | None = None
-) -> tuple[sdpid.Recording, Truth]:
+def log_of(conditions: Conditions, seed: int) -> tuple[sdpid.Recording, Truth]:
     """Simulate a log, and return it with the parameters behind it.
 
     Two seeds differ in the robot's parameters, its motion and its noise. `other_log` repeats the
     robot with another motion.
     """
     rng = np.random.default_rng([seed, ROBOTS.index(conditions.robot), 1])
-    robot = described(conditions.robot, data)
+    robot = described(conditions.robot)
     inertias = perturbed(_described_inertias(conditions.robot, robot), conditions.perturbed, rng)
     time, q, v, a = motion(robot, conditions, rng)
     rigid = robot.inverse_dynamics(inertias, q, v, a)
@@ -341,48 +322,9 @@ def turned(gravity: Array, angles: Array) -> Array:
     return np.asarray(Rotation.from_rotvec([*angles, 0.0]).apply(gravity))
 
 
-def there(data: Path | None) -> tuple[str, ...]:
+def there() -> tuple[str, ...]:
     """Return the robots whose descriptions are there, and say which are not."""
-    found = []
-    for name in ROBOTS:
-        try:
-            described(name, data)
-        except sdpid.errors.SdpidError as error:
-            print(f"{name}: skipped, {error}", flush=True)
-        else:
-            found.append(name)
-    return tuple(found)
-
-
-def main() -> int:
-    """Write logs, and what they were simulated with."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
-    parser.add_argument("--seeds", type=int, default=2, help="logs of each robot")
-    parser.add_argument("--quick", action="store_true", help="one short log of one robot")
-    for field in fields(Conditions)[1:]:
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=float, help="default: drawn")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    given = {f.name: getattr(options, f.name) for f in fields(Conditions)[1:]}
-    given = {name: value for name, value in given.items() if value is not None}
-    names = ("ur10",) if options.quick else options.robot or there(options.data)
-    if options.quick:
-        given = {"duration": 10.0, "rate_hz": 100.0, **given}
-    for name in names:
-        for seed in range(1 if options.quick else options.seeds):
-            log, truth = log_of(replace(drawn(name, seed), **given), seed, options.data)
-            log.to_parquet(options.out / f"{name}_{seed}.parquet")
-            columns = {k: getattr(truth, k) for k in ("coulomb", "viscous", "offset", "rotor")}
-            table = {"joint": list(log.joint_names or ())}
-            table |= {key: column.tolist() for key, column in columns.items()}
-            Table.of_columns(table).write(options.out / f"{name}_{seed}_friction.csv")
-            np.savetxt(options.out / f"{name}_{seed}_inertias.csv", truth.inertias, delimiter=",")
-            print(f"{name} {seed}: {log!r}, {truth.conditions}", flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    if "SDPID_DATA" in os.environ:
+        return ROBOTS
+    print("lwr4: skipped, SDPID_DATA is not set; docs/evidence/data.md says where it comes from")
+    return tuple(name for name in ROBOTS if name != "lwr4")

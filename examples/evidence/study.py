@@ -87,6 +87,7 @@ class Study:
         cases: Iterable[Case],
         rows_of: Callable[[Case], Iterable[Row]],
         *,
+        digits: int | None = None,
         jobs: int = 1,
     ) -> list[dict[str, Any]]:
         """Write the rows of all cases as a table, and return them by the names of columns.
@@ -101,6 +102,8 @@ class Study:
             What is run one after the other; known again by their text.
         rows_of : callable
             Yields the rows of a case.
+        digits : int, optional
+            To which numbers are rounded; by default to none.
         jobs : int, optional
             How many run at a time.
         """
@@ -123,14 +126,22 @@ class Study:
                     print(*row, flush=True)
                 advance(1)
         rows = [row for case in wanted for row in done[str(case)]]
-        self.write(file, columns, rows)
+        self.write(file, columns, rows, digits=digits)
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
-    def write(self, file: str, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    def write(
+        self, file: str, columns: Sequence[str], rows: Iterable[Row], digits: int | None = None
+    ) -> None:
         """Write a table and print it."""
-        table = Table(tuple(columns), tuple(map(tuple, rows)))
+        cells = (map(_rounded(digits), plain(list(row))) for row in rows)
+        table = Table(tuple(columns), tuple(map(tuple, cells)))
         table.write(self.out / file)
         print(f"\n{file}\n{table.text()}", flush=True)
+
+
+def _rounded(digits: int | None) -> Callable[[object], object]:
+    """Return what rounds numbers to so many digits."""
+    return lambda cell: float(f"{cell:.{digits}g}") if digits and isinstance(cell, float) else cell
 
 
 def _rows(rows_of: Callable[[Case], Iterable[Row]], case: Case) -> list[Row]:
@@ -149,6 +160,19 @@ def grouped(
         groups.setdefault(tuple(row[name] for name in names), []).append(row)
     for key, own in groups.items():
         yield key, {name: np.array([_number(row[name]) for row in own]) for name in own[0]}
+
+
+def pivot(
+    rows: Iterable[Mapping[str, Any]], line: str, column: str, cell: Callable[..., object]
+) -> tuple[list[str], list[list[object]]]:
+    """Return header and rows of a table with a line and a column for each value of two columns.
+
+    A cell is made of its row, and empty where there is none.
+    """
+    found = {(row[line], row[column]): cell(row) for row in rows}
+    columns = [*dict.fromkeys(each for _, each in found)]
+    lines = [*dict.fromkeys(each for each, _ in found)]
+    return [line, *columns], [[each, *(found.get((each, c)) for c in columns)] for each in lines]
 
 
 def _number(value: object) -> object:

@@ -12,22 +12,17 @@ Forty logs with profile intervals take some ten minutes on one core.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
+import itertools
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
-from simulated_logs import ROBOTS, Conditions, Truth, drawn, log_of, there
+from simulated_logs import Conditions, Truth, drawn, log_of, there
+from study import Study
 
 import sdpid
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
-from sdpid._common.threads import parallel
 from sdpid.assurance.intervals.delta_method import friction_curve
 
 # Speeds at which friction curves are compared, rad/s, on joints that reach them and whose Coulomb
@@ -73,48 +68,35 @@ class Row:
     profile_upper: float | None = None
 
 
-@dataclass(frozen=True)
-class Run:
-    """What became of one log."""
-
-    rows: list[Row]
-    intervals: int
-    outside: int
-    seconds: float
-    chosen: tuple[str, ...] = ()
-    message: str = ""
+# Of a quantity without a value the row tells of the log: what was chosen, and how it went.
+COLUMNS = (*Row.__dataclass_fields__, "chosen", "intervals", "outside", "seconds")
 
 
-def run(
-    effect: str, conditions: Conditions, seed: int, data: Path | None, profile: bool, **given: Any
-) -> Run:
-    """Simulate a log, identify from it and compare."""
-    log, truth = log_of(conditions, seed, data)
-    known = effect, conditions.robot, seed
+def run(effect: str, conditions: Conditions, seed: int, profile: bool) -> Iterator[tuple[Any, ...]]:
+    """Simulate a log, identify from it and compare: yield a row of the log, and its quantities."""
+    log, truth = log_of(conditions, seed)
+    known, none = (effect, conditions.robot, seed), (None,) * 7
     start = time.perf_counter()
     try:
-        result = sdpid.identify(truth.robot, log, **given)
+        result = sdpid.identify(truth.robot, log)
     except sdpid.errors.SdpidError as error:
-        return Run([], 0, 0, time.perf_counter() - start, (), f"{known}: {error}")
+        yield (*known, "refused", str(error), *none, [], 0, 0, time.perf_counter() - start)
+        return
     seconds = time.perf_counter() - start
-    rows = friction_rows(known, truth, result.estimate)
     found, outside = ends_of(result.intervals), 0
-    count = 0 if result.intervals is None else len(result.intervals)
     if result.intervals is not None:
-        names = result.intervals.names
         values = result.estimate.named() | (result.estimate.named_theta() or {})
-        own = [values[name] for name in names]
+        own = [values[name] for name in result.intervals.names]
         outside = int(np.count_nonzero(~result.intervals.contains(own)))
     exact: dict[str, tuple[float, float]] = {}
     if profile:
-        exact = ends_of(
-            sdpid.confidence_intervals(
-                result.estimate, parameters=result.problem.base.names, n_jobs=1
-            )
-        )
-    rows += base_rows(known, truth, result.estimate, found, exact)
-    chosen = tuple(each.name for each in result.problem.origin.effects if each.chosen)
-    return Run(rows, count, outside, seconds, chosen)
+        names = result.problem.base.names
+        exact = ends_of(sdpid.confidence_intervals(result.estimate, parameters=names, n_jobs=1))
+    chosen = [each.name for each in result.problem.origin.effects if each.chosen]
+    yield (*known, "log", "", *none, chosen, len(found), outside, seconds)
+    rows = friction_rows(known, truth, result.estimate)
+    for row in (*rows, *base_rows(known, truth, result.estimate, found, exact)):
+        yield (*astuple(row), None, None, None, None)
 
 
 def ends_of(intervals: Any) -> dict[str, tuple[float, float]]:
@@ -184,58 +166,36 @@ def held(rows: Iterable[Row], profile: bool = False) -> list[bool]:
     return out
 
 
-def share(values: Sequence[bool]) -> str:
+def percent(values: Sequence[bool]) -> float | None:
     """Return a share in percent, or nothing."""
-    return f"{100.0 * float(np.mean(values)):.1f}" if values else ""
+    return 100.0 * float(np.mean(values)) if len(values) else None
 
 
-def summary(runs: Sequence[Run]) -> str:
-    """Return the tables of one effect."""
-    rows = [row for each in runs for row in each.rows]
-    lines = [
-        "| friction at, rad/s | joints | error, median, % | 90th percentile, % | bias, % |",
-        "|---|---|---|---|---|",
-    ]
+def friction_table(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+    """Yield the errors of friction at each speed."""
     for speed in SPEEDS:
-        errors = np.array(
-            [r.estimate / r.truth - 1.0 for r in rows if r.kind == f"friction at {speed:g}"]
-        )
+        own = [r for r in rows if r.kind == f"friction at {speed:g}"]
+        errors = np.array([r.estimate / r.truth - 1.0 for r in own])
         if errors.size:
             middle, tail = 100.0 * np.quantile(np.abs(errors), [0.5, 0.9])
-            bias = 100.0 * float(np.median(errors))
-            lines.append(f"| {speed:g} | {errors.size} | {middle:.2f} | {tail:.2f} | {bias:+.2f} |")
-    lines += [
-        "",
-        "| kind | parameters | error in stated errors, median, 90th percentile | intervals that "
-        "hold the truth, % | profile, % | worst parameter, default, profile, % |",
-        "|---|---|---|---|---|---|",
-    ]
+            yield f"{speed:g}", errors.size, middle, tail, 100.0 * np.median(errors)
+
+
+def interval_table(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+    """Yield errors in stated errors, and how often intervals hold, of each kind of quantity."""
     for kind in dict.fromkeys(row.kind for row in rows):
         own = [row for row in rows if row.kind == kind]
         z = np.abs([(r.estimate - r.truth) / r.error for r in own])
-        middle, tail = np.quantile(z, [0.5, 0.9])
         names = dict.fromkeys((row.robot, row.name) for row in own)
         groups = [[row for row in own if (row.robot, row.name) == name] for name in names]
         worst = []
         for profile in (False, True):
-            shares = [np.mean(h) for g in groups if (h := held(g, profile))]
-            worst.append(f"{100.0 * min(shares):.0f}" if shares else "")
-        lines.append(
-            f"| {kind} | {len(own)} | {middle:.2f}, {tail:.2f} | {share(held(own))} | "
-            f"{share(held(own, True))} | {', '.join(worst)} |"
+            shares = [percent(h) for g in groups if (h := held(g, profile))]
+            worst.append(f"{min(shares):.0f}" if shares else "")
+        yield (
+            *(kind, len(own), ", ".join(f"{each:.2f}" for each in np.quantile(z, [0.5, 0.9]))),
+            *(percent(held(own)), percent(held(own, True)), ", ".join(worst)),
         )
-    lines += ["", "| effect | chosen, % of the logs |", "|---|---|"]
-    for effect in dict.fromkeys(name for each in runs for name in each.chosen):
-        lines.append(f"| {effect} | {share([effect in each.chosen for each in runs])} |")
-    seconds = np.array([each.seconds for each in runs])
-    count, outside = sum(e.intervals for e in runs), sum(e.outside for e in runs)
-    lines += [
-        "",
-        f"{len(runs)} logs, {sum(bool(each.message) for each in runs)} refused; {outside} of "
-        f"{count} estimates outside their own interval; {np.median(seconds):.2g} s a log (median).",
-        *[each.message for each in runs if each.message],
-    ]
-    return "\n".join(lines)
 
 
 # What the parameters of an effect are, and its name among those that `identify` chooses.
@@ -245,79 +205,85 @@ OF_EFFECT = {
     "rotor": ("rotor inertia", "rotor_inertia"),
 }
 FOUND = (
-    "effect",
-    "logs",
-    "chosen_percent",
-    "another_chosen_percent",
-    "intervals",
-    "held_percent",
+    *("effect", "logs", "chosen_percent", "another_chosen_percent", "intervals", "held_percent"),
     "friction_error_percent",
 )
 
 
-def found_row(effect: str, runs: Sequence[Run]) -> tuple[object, ...]:
+def found_row(
+    effect: str, logs: Sequence[Mapping[str, Any]], rows: Sequence[Row]
+) -> tuple[object, ...]:
     """Return how often an effect was chosen, and how right its parameters are."""
     kind, name = OF_EFFECT[effect]
-    rows = [row for each in runs for row in each.rows]
     inside = held([row for row in rows if row.kind == kind])
     errors = [abs(r.estimate / r.truth - 1.0) for r in rows if r.kind == "friction at 0.3"]
-    own = [name in each.chosen for each in runs]
-    others = [any(each != name for each in run.chosen) for run in runs]
-    shares = (100.0 * float(np.mean(each)) if each else None for each in (own, others))
+    own = [name in each["chosen"] for each in logs]
+    others = [any(each != name for each in log["chosen"]) for log in logs]
     middle = 100.0 * float(np.median(errors)) if errors else None
-    kept = 100.0 * float(np.mean(inside)) if inside else None
-    return effect, len(runs), *shares, len(inside), kept, middle
+    shares = percent(own), percent(others), len(inside), percent(inside)
+    return effect, len(logs), *shares, middle
 
 
-def main() -> int:
+def main() -> None:
     """Run every log and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
-    parser.add_argument("--effect", action="append", choices=tuple(EFFECTS), help="default: none")
-    parser.add_argument("--seeds", type=int, default=10, help="logs of each robot")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--no-profile", action="store_true", help="without profile intervals")
-    parser.add_argument("--quick", action="store_true", help="one short log")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    robots = ("ur10",) if options.quick else there(options.data)
-    robots = tuple(name for name in robots if options.robot is None or name in options.robot)
-    effects = options.effect or ["none"]
-    done: list[Row] = []
-    text = []
-    chosen: list[tuple[object, ...]] = []
-    for effect in effects:
-        tasks = []
-        for robot in robots:
-            for seed in range(
-                options.first, options.first + (1 if options.quick else options.seeds)
-            ):
-                conditions = replace(drawn(robot, seed), **EFFECTS[effect])
-                if options.quick:
-                    conditions = replace(conditions, duration=15.0, rate_hz=100.0)
-                tasks.append((effect, conditions, seed))
-        profile = not (options.no_profile or options.quick)
-        runs = parallel(options.jobs)(_delayed(*task, options.data, profile) for task in tasks)
-        done += [row for each in runs for row in each.rows]
-        table = Table(tuple(f.name for f in fields(Row)), tuple(astuple(row) for row in done))
-        table.write(options.out / "truth.csv")
+    study = Study(
+        __doc__,
+        quick={"robots": ["ur10"], "seeds": 1, "no_profile": True},
+        robots=[*there()],
+        effects=["none"],
+        seeds=(10, "logs of each robot"),
+        first=(0, "the first seed"),
+        jobs=1,
+        no_profile=(False, "without profile intervals"),
+    )
+    seeds = range(study.first, study.first + study.seeds)
+
+    def rows_of(case: tuple[str, str, int]) -> Iterator[tuple[object, ...]]:
+        effect, robot, seed = case
+        conditions = replace(drawn(robot, seed), **EFFECTS[effect])
+        if study.quick:
+            conditions = replace(conditions, duration=15.0, rate_hz=100.0)
+        return run(effect, conditions, seed, not study.no_profile)
+
+    cases = itertools.product(study.effects, study.robots, seeds)
+    done = study.rows("truth.csv", COLUMNS, cases, rows_of, jobs=study.jobs)
+    effects: list[tuple[object, ...]] = []
+    for effect in study.effects:
+        own = [row for row in done if row["effect"] == effect]
+        logs = [row for row in own if row["kind"] in ("log", "refused")]
+        names = Row.__dataclass_fields__
+        rows = [Row(**{k: row[k] for k in names}) for row in own if row["truth"] is not None]
         if effect in OF_EFFECT:
-            chosen.append(found_row(effect, runs))
-            Table(FOUND, tuple(chosen)).write(options.out / "truth_effects.csv")
-        text += [f"## {effect}", "", summary(runs), ""]
-        print("\n".join(text[-3:]), flush=True)
-    atomic_write_text(options.out / "truth.md", "\n".join(text))
-    return 0
-
-
-def _delayed(*task: Any) -> Any:
-    from joblib import delayed
-
-    return delayed(run)(*task)
+            effects.append(found_row(effect, logs, rows))
+        suffix = "" if effect == "none" else f"_{effect}"
+        header = (
+            "friction at, rad/s",
+            "joints",
+            "error, median, %",
+            "90th percentile, %",
+            "bias, %",
+        )
+        study.write(f"friction{suffix}.csv", header, friction_table(rows), digits=3)
+        header = (
+            *("kind", "parameters", "error in stated errors, median, 90th percentile"),
+            *("intervals that hold the truth, %", "profile, %"),
+            "worst parameter, default, profile, %",
+        )
+        study.write(f"intervals{suffix}.csv", header, interval_table(rows), digits=3)
+        names = dict.fromkeys(name for each in logs for name in each["chosen"])
+        chosen = ((name, percent([name in each["chosen"] for each in logs])) for name in names)
+        study.write(f"chosen{suffix}.csv", ("effect", "chosen, % of the logs"), chosen, digits=3)
+        count, outside, seconds = (
+            [each[name] for each in logs] for name in ("intervals", "outside", "seconds")
+        )
+        print(
+            f"{len(logs)} logs, {sum(each['kind'] == 'refused' for each in logs)} refused; "
+            f"{sum(outside)} of {sum(count)} estimates outside their own interval; "
+            f"{np.median(seconds):.2g} s a log (median)"
+        )
+    if effects:
+        study.write("truth_effects.csv", FOUND, effects)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,24 +11,17 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import tempfile
-from pathlib import Path
 
-from held_out import QUICK, TITLES, Case, cases, part
+from data_sets import part
+from held_out import QUICK, TITLES, Case, cases
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.output.robots.export_report import ExportReport
 
 HEADER = (
-    "trained_on",
-    "predicted",
-    "estimate_percent",
-    "urdf_percent",
-    "mjcf_percent",
+    *("trained_on", "predicted", "estimate_percent", "urdf_percent", "mjcf_percent"),
     "left_out_of_the_mjcf",
 )
 
@@ -56,22 +49,12 @@ def row(case: Case) -> tuple[object, ...]:
     return case.name, label, 100.0 * own.estimate, *missed, lost
 
 
-def main() -> int:
+def main() -> None:
     """Identify, write, predict."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--quick", action="store_true", help="two sets")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    done: list[tuple[object, ...]] = []
-    Table(HEADER, ()).write(options.out / "written_files.csv")
-    for case in cases(options.data, QUICK if options.quick else tuple(TITLES)):
-        done.append(row(case))
-        Table(HEADER, tuple(done)).write(options.out / "written_files.csv")
-        print(*done[-1], sep="  ", flush=True)
-    return 0
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
+    wanted = cases(study.data, study.sets)
+    study.rows("written_files.csv", HEADER, wanted, lambda case: [row(case)])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
