@@ -16,20 +16,19 @@ Simulated arms under a PD controller with known parameters. Three tables:
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import stdtrit
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.errors import SolverError
 from sdpid.estimation.closed_loop.instruments import paired, products
 from sdpid.estimation.compression.rows import RowSource
@@ -207,6 +206,12 @@ class Arm:
         )
 
 
+@cache
+def sized(*arguments: Any) -> Arm:
+    """Return an arm, which keeps what was simulated once."""
+    return Arm(*arguments)
+
+
 def arm_of(joints: int) -> sdpid.RobotModel:
     """Return an arm of some joints, with axes that cross in turn, of rods of 2 kg."""
     right = np.pi / 2.0
@@ -250,114 +255,106 @@ def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
     return float(fdtrc(r, freedom, statistic))
 
 
-def size_rows(runs: int, cases: int = len(SIZE)) -> Iterator[list[object]]:
+def size_rows(number: int, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield p of a log that nothing biases, by each test."""
+    name, seconds, rate, cutoff, friction, settings, correlation = SIZE[number]
+    arm = sized(name, rate, friction, seconds, correlation)
+    processing = processing_of(rate, cutoff, settings)
+    log = arm.log(seed)
+    problem = arm.problem(log, processing)
+    # What was commanded is the same in every log.
+    twin = Twin.of(problem.robot, log, processing, measured=problem.samples)
+    commanded = twin.samples(log.reference)
+    test = sdpid.check_bias(problem, instruments=commanded)
+    own = None
+    if seed % SIMULATED == 0:
+        how = {"processing": processing, "controller": arm.controller}
+        own = sdpid.check_bias(problem, log, **how).p
+    yield number, test.p, own, textbook(problem, commanded), sum(test.freedom)
+
+
+def sizes(found: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
     """Yield the rows of the table of sizes."""
-    every = {}
-    for name, seconds, rate, cutoff, friction, settings, correlation in SIZE[:cases]:
-        arm = Arm(name, rate, friction, seconds, correlation)
-        processing = processing_of(rate, cutoff, settings)
-        commanded = None
-        found: dict[str, list[float]] = {"commanded": [], "simulated": [], "textbook": []}
-        blocks = 0
-        for seed in range(runs):
-            log = arm.log(seed)
-            problem = arm.problem(log, processing)
-            if commanded is None:
-                twin = Twin.of(problem.robot, log, processing, measured=problem.samples)
-                commanded = twin.samples(log.reference)
-            test = sdpid.check_bias(problem, instruments=commanded)
-            found["commanded"].append(test.p)
-            found["textbook"].append(textbook(problem, commanded))
-            blocks = sum(test.freedom)
-            if seed % SIMULATED == 0:
-                own = sdpid.check_bias(
-                    problem, log, processing=processing, controller=arm.controller
-                )
-                found["simulated"].append(own.p)
-        told = "masked" if settings is MASKED else "filtered"
-        yield [
-            arm.model.robot.name, arm.model.robot.n, seconds, rate, told, cutoff,
-            " and ".join(friction), correlation, blocks, *_shares(found),
-        ]  # fmt: skip
-        for key, values in found.items():
-            every.setdefault(key, []).extend(values)
-    yield ["all", *[None] * 8, *_shares(every)]
+    for (number,), own in grouped(found, "case"):
+        name, seconds, rate, cutoff, friction, settings, correlation = SIZE[number]
+        robot = sized(name, rate, friction, seconds, correlation).model.robot
+        told, terms = "masked" if settings is MASKED else "filtered", " and ".join(friction)
+        logs = seconds, rate, told, cutoff, terms, correlation, int(own["blocks"][-1])
+        yield [robot.name, robot.n, *logs, *_shares(own)]
+    for _, own in grouped(found):
+        yield ["all", *[None] * 8, *_shares(own)]
 
 
-def _shares(found: dict[str, list[float]]) -> list[object]:
+def _shares(own: Mapping[str, Array]) -> list[object]:
     """Return runs and rejections in per cent."""
     out: list[object] = []
     for key in ("commanded", "simulated", "textbook"):
-        out += [len(found[key])] if key != "textbook" else []
-        out.append(100.0 * float(np.mean(np.array(found[key]) < LEVEL)))
+        p = own[key].astype(float)
+        p = p[~np.isnan(p)]
+        out += [len(p)] if key != "textbook" else []
+        out.append(100.0 * np.mean(p < LEVEL))
     return out
 
 
-def power_rows(runs: int, cases: int = len(POWER)) -> Iterator[list[object]]:
+def power_rows(number: int, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield what noisy encoders do to a log: rejected, biased, shift, and true errors."""
+    name, noise, cutoff, settings = POWER[number]
+    arm = sized(name, 1000.0, ("coulomb", "viscous"))
+    processing = processing_of(arm.rate_hz, cutoff, settings)
+    log = arm.log(seed, noise)
+    problem = arm.problem(log, processing)
+    how = {"processing": processing, "controller": arm.controller}
+    test = sdpid.check_bias(problem, log, **how)
+    estimate = sdpid.solve_instrumental(problem, log, solver=solved, **how)
+    errors = (_error(arm, problem, each.base, processing) for each in (solved(problem), estimate))
+    yield number, test.p < LEVEL, test.biased, test.shift, *errors
+
+
+def powers(found: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
     """Yield the rows of the table of powers."""
-    for name, noise, cutoff, settings in POWER[:cases]:
-        rate = 1000.0
-        arm = Arm(name, rate, ("coulomb", "viscous"))
-        processing = processing_of(rate, cutoff, settings)
-        rejected, shifts, least, second, biased = [], [], [], [], []
-        for seed in range(runs):
-            log = arm.log(seed, noise)
-            problem = arm.problem(log, processing)
-            test = sdpid.check_bias(problem, log, processing=processing, controller=arm.controller)
-            estimate = sdpid.solve_instrumental(
-                problem,
-                log,
-                processing=processing,
-                controller=arm.controller,
-                solver=solved,
-            )
-            rejected.append(test.p < LEVEL)
-            biased.append(test.biased)
-            shifts.append(test.shift)
-            least.append(_error(arm, problem, solved(problem).base, processing))
-            second.append(_error(arm, problem, estimate.base, processing))
+    for (number,), own in grouped(found, "case"):
+        _, noise, cutoff, settings = POWER[number]
+        shares = (100.0 * own[name].mean() for name in ("rejected", "biased"))
+        medians = (100.0 * np.median(own[name]) for name in ("shift", "least", "second"))
         told = "masked" if settings is MASKED else "filtered"
-        yield [
-            noise, cutoff, told, runs, 100.0 * np.mean(rejected), 100.0 * np.mean(biased),
-            *(100.0 * np.median(each) for each in (shifts, least, second)),
-        ]  # fmt: skip
+        yield [noise, cutoff, told, len(own["shift"]), *shares, *medians]
 
 
-def coverage_rows(runs: int, cases: int = len(COVERED)) -> Iterator[list[object]]:
-    """Yield the rows of the table of coverages: encoders have noise that the loop does not see."""
-    for name, seconds, rate, cutoff, noise in COVERED[:cases]:
-        arm, processing = (
-            Arm(name, rate, ("viscous",), seconds),
-            processing_of(rate, cutoff, FILTERED),
-        )
-        held: dict[str, list[Array]] = {key: [] for key in COVERAGES[-3:]}
-        blocks = 0
-        for seed in range(runs):
-            log, rng = arm.log(seed), np.random.default_rng((seed, 2))
-            log = replace(
-                log, position=log.position + noise * rng.standard_normal(log.effort.shape)
-            )
-            problem = arm.problem(log, processing)
-            truth = problem.base_of(arm.model.theta)
-            second = sdpid.solve_instrumental(
-                problem, log, processing=processing, instruments="reference", solver=sdpid.solve_wls
-            )
-            for key, estimate, groups in zip(
-                COVERAGES[-3:],
-                (sdpid.solve_wls(problem), second, second),
-                ("frequencies", "frequencies", "blocks"),
-                strict=True,
-            ):
-                errors = fit_errors(estimate, groups)
-                T = errors.root
-                deviation = np.sqrt(np.diag(T @ errors.scores @ T.T))
-                half = stdtrit(errors.freedom(T), 0.975) * deviation
-                held[key].append(np.abs(estimate.base - truth) <= half)
-            blocks = -(-problem.samples.n_samples // problem.samples.block)
-        yield [
-            arm.model.robot.name, seconds, cutoff, noise, blocks, runs,
-            *(100.0 * float(np.mean(each)) for each in held.values()),
-        ]  # fmt: skip
+def coverage_rows(number: int, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield shares of intervals that hold: encoders have noise that the loop does not see."""
+    name, seconds, rate, cutoff, noise = COVERED[number]
+    arm, processing = (
+        sized(name, rate, ("viscous",), seconds),
+        processing_of(rate, cutoff, FILTERED),
+    )
+    log, rng = arm.log(seed), np.random.default_rng((seed, 2))
+    log = replace(log, position=log.position + noise * rng.standard_normal(log.effort.shape))
+    problem = arm.problem(log, processing)
+    truth = problem.base_of(arm.model.theta)
+    second = sdpid.solve_instrumental(
+        problem, log, processing=processing, instruments="reference", solver=sdpid.solve_wls
+    )
+    held = []
+    for estimate, groups in (
+        (sdpid.solve_wls(problem), "frequencies"),
+        (second, "frequencies"),
+        (second, "blocks"),
+    ):
+        errors = fit_errors(estimate, groups)
+        T = errors.root
+        deviation = np.sqrt(np.diag(T @ errors.scores @ T.T))
+        half = stdtrit(errors.freedom(T), 0.975) * deviation
+        held.append(np.mean(np.abs(estimate.base - truth) <= half))
+    yield number, -(-problem.samples.n_samples // problem.samples.block), *held
+
+
+def coverages(found: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
+    """Yield the rows of the table of coverages."""
+    for (number,), own in grouped(found, "case"):
+        name, seconds, rate, cutoff, noise = COVERED[number]
+        robot = sized(name, rate, ("viscous",), seconds).model.robot.name
+        shares = (100.0 * own[each].mean() for each in ("least", "second", "second, blocks"))
+        yield [robot, seconds, cutoff, noise, int(own["blocks"][-1]), len(own["least"]), *shares]
 
 
 def _error(arm: Arm, problem: Problem, base: Array, processing: sdpid.Processing) -> float:
@@ -385,40 +382,39 @@ COVERAGES = (
 )  # fmt: skip
 
 
+PARTS: dict[str, tuple[Any, ...]] = {
+    "size": (
+        *(SIZES, SIZE, size_rows, sizes),
+        ("case", "commanded", "simulated", "textbook", "blocks"),
+    ),
+    "power": (
+        *(POWERS, POWER, power_rows, powers),
+        ("case", "rejected", "biased", "shift", "least", "second"),
+    ),
+    "coverage": (
+        *(COVERAGES, COVERED, coverage_rows, coverages),
+        ("case", "blocks", "least", "second", "second, blocks"),
+    ),
+}
+
+
 def main() -> None:
     """Write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=36)
-    parser.add_argument("--power-runs", type=int, default=4)
-    parser.add_argument("--coverage-runs", type=int, default=60)
-    parser.add_argument("--only", choices=("size", "power", "coverage"), help="one of the tables")
-    parser.add_argument("--quick", action="store_true", help="one case of each table, two logs")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    sizes, powers, covered = len(SIZE), len(POWER), len(COVERED)
-    if chosen.quick:
-        chosen.runs, chosen.power_runs, chosen.coverage_runs = 2, 1, 1
-        sizes, powers, covered = 1, 1, 1
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    for file, header, rows, count in (
-        ("bias_size.csv", SIZES, size_rows(chosen.runs, sizes), sizes + 1),
-        ("bias_power.csv", POWERS, power_rows(chosen.power_runs, powers), powers),
-        (
-            "bias_coverage.csv",
-            COVERAGES,
-            coverage_rows(chosen.coverage_runs, covered),
-            covered,
-        ),
-    ):
-        if chosen.only is not None and chosen.only not in file:
-            continue
-        kept = []
-        with progress(count, file) as advance:
-            for row in rows:
-                kept.append(tuple(row))
-                print(*row, flush=True)
-                advance(1)
-        Table(header, tuple(kept)).write(chosen.out / file)
+    study = Study(
+        __doc__,
+        quick={"runs": 2, "power_runs": 1, "coverage_runs": 1, "most": 1},
+        runs=36,
+        power_runs=4,
+        coverage_runs=60,
+        parts=[*PARTS],
+        most=(len(SIZE), "cases of each table"),
+    )
+    for part in study.parts:
+        header, cases, rows_of, table, columns = PARTS[part]
+        runs = study.runs if part == "size" else getattr(study, f"{part}_runs")
+        every = itertools.product(range(min(len(cases), study.most)), range(runs))
+        found = study.rows(f"{part}.csv", columns, every, lambda case, of=rows_of: of(*case))
+        study.write(f"bias_{part}.csv", header, table(found))
 
 
 if __name__ == "__main__":

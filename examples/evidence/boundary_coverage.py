@@ -9,18 +9,15 @@ case, beside the average.
 
 from __future__ import annotations
 
-import argparse
-import sys
+import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
+from study import Study, grouped
 
 import sdpid
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.inertia import (
     Consistency,
@@ -121,69 +118,6 @@ CASES: dict[str, Callable[[], Case]] = {
 }
 
 
-def main() -> int:
-    """Run the draws and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
-    parser.add_argument("--cases", nargs="*", choices=list(CASES), default=list(CASES))
-    parser.add_argument(
-        "--method", choices=("profile", "gauss_markov", "bootstrap"), default="profile"
-    )
-    parser.add_argument("--parameters", nargs="*", help="by default all")
-    parser.add_argument("--base", action="store_true", help="base parameters only")
-    parser.add_argument("--quick", action="store_true", help="one draw of one case")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    draws = 1 if options.quick else options.draws
-    seeds = range(options.first, options.first + draws)
-    rows = [run(case, seeds, options) for case in options.cases[: 1 if options.quick else None]]
-    names = ("case", "draws", "held_least_percent", "mean_percent", "width_of_first", "seconds")
-    table = Table(names, tuple(rows))
-    table.write(options.out / "boundary_coverage.csv")
-    print(table.text(4))
-    return 0
-
-
-def run(name: str, seeds: range, options: argparse.Namespace) -> tuple[object, ...]:
-    """Return one case's parameters that are held least often."""
-    case = CASES[name]()
-    motion, exact, base = measured(case)
-    names = (*base.names, *base.theta_names)
-    truth = dict(zip(names, [*(base.matrix @ case.theta), *case.theta], strict=True))
-    held, widths, seconds = [], [], 0.0
-    with progress(len(seeds), name) as advance:
-        for seed in seeds:
-            noise = case.noise * np.random.default_rng(seed).standard_normal(exact.shape)
-            problem = sdpid.build_problem(
-                case.robot,
-                sdpid.Samples(**motion, effort=exact + noise, block=4),
-                base=base,
-                constraints=case.constraints,
-                consistency=case.consistency,
-            )
-            estimate = sdpid.solve_sdp(problem)
-            begin = time.perf_counter()
-            found = sdpid.confidence_intervals(
-                estimate,
-                method=options.method,
-                parameters=base.names if options.base else options.parameters,
-                n_jobs=1,
-            )
-            seconds += time.perf_counter() - begin
-            held.append(found.contains([truth[each] for each in found.names]))
-            widths.append(found.width)
-            advance(1)
-    file = options.out / f"{name.replace(' ', '_')}_{seeds.start}.npz"
-    np.savez(file, names=found.names, held=held, widths=widths)
-    share = 100.0 * np.mean(held, axis=0)
-    order = np.argsort(share)
-    listed = ", ".join(f"{found.names[i]} {share[i]:.1f}" for i in order[:6])
-    mean, width = float(share.mean()), float(np.median(widths, axis=0)[order[0]])
-    return name, len(seeds), listed, mean, width, seconds / len(seeds)
-
-
 def measured(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray, BaseParameters]:
     """Return the motion of a case, its exact efforts (K, n), and the base parameters."""
     rng = np.random.default_rng(20)
@@ -196,5 +130,58 @@ def measured(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray, BaseParamet
     return motion, problem.predict(problem.base_of(case.theta)), problem.base
 
 
+def drawn(name: str, seed: int, method: str) -> Iterator[tuple[object, ...]]:
+    """Yield of each parameter whether its interval holds the truth, and its width."""
+    case = CASES[name]()
+    motion, exact, base = measured(case)
+    names = (*base.names, *base.theta_names)
+    truth = dict(zip(names, [*(base.matrix @ case.theta), *case.theta], strict=True))
+    noise = case.noise * np.random.default_rng(seed).standard_normal(exact.shape)
+    problem = sdpid.build_problem(
+        case.robot,
+        sdpid.Samples(**motion, effort=exact + noise, block=4),
+        base=base,
+        constraints=case.constraints,
+        consistency=case.consistency,
+    )
+    estimate = sdpid.solve_sdp(problem)
+    begin = time.perf_counter()
+    found = sdpid.confidence_intervals(estimate, method=method, n_jobs=1)  # type: ignore[arg-type]
+    seconds = time.perf_counter() - begin
+    held = found.contains([truth[each] for each in found.names])
+    for parameter, inside, width in zip(found.names, held, found.width, strict=True):
+        yield name, parameter, inside, width, seconds
+
+
+def main() -> None:
+    """Run the draws, and list of each case the parameters that are held least often."""
+    study = Study(
+        __doc__,
+        quick={"draws": 1, "cases": ["inside"]},
+        draws=200,
+        first=(0, "seed of the first draw"),
+        cases=[*CASES],
+        method=("profile", "of the intervals"),
+    )
+    seeds = range(study.first, study.first + study.draws)
+    found = study.rows(
+        "draws.csv",
+        ("case", "parameter", "held", "width", "seconds"),
+        itertools.product(study.cases, seeds),
+        lambda case: drawn(*case, study.method),
+    )
+    rows = []
+    for (name,), own in grouped(found, "case"):
+        parameters = list(dict.fromkeys(own["parameter"]))
+        of = [own["parameter"] == each for each in parameters]
+        share = np.array([100.0 * own["held"][each].mean() for each in of])
+        order = np.argsort(share, kind="stable")
+        listed = ", ".join(f"{parameters[i]} {share[i]:.1f}" for i in order[:6])
+        width = np.median(own["width"][of[order[0]]])
+        rows.append((name, len(seeds), listed, share.mean(), width, own["seconds"].mean()))
+    header = ("case", "draws", "held_least_percent", "mean_percent", "width_of_first", "seconds")
+    study.write("boundary_coverage.csv", header, rows)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

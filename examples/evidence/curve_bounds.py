@@ -9,14 +9,12 @@ times, and the bound of `enclose` over short cells, beside the largest value on 
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable
-from pathlib import Path
+import itertools
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from study import Study, grouped
 
-from sdpid._common.tables import Table
 from sdpid.experiment.trajectory.curve import Curve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
 
@@ -52,8 +50,7 @@ def enclosed(curve: Curve, order: int, cell: float) -> np.ndarray:
 
 def controlled(curve: Spline, order: int, halvings: int) -> np.ndarray:
     """Return the size (n,) of the largest control point of a derivative."""
-    matrix = Spline.control_matrix(len(curve.control_points), DURATION, order, halvings)
-    return np.asarray(np.abs(matrix @ curve.control_points).max(axis=0))
+    return np.asarray(np.abs(curve.control(order, halvings)).max(axis=0))
 
 
 WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] = {
@@ -66,30 +63,27 @@ WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] =
 }
 
 
-def main() -> int:
+def excess(name: str, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield by how much the bounds of a curve exceed what it reaches, %."""
+    make, bound, size = WAYS[name]
+    curve = make(np.random.default_rng(seed))
+    reached = [np.abs(curve.evaluate(TIME, derivative=k)).max(axis=0) for k in ORDERS]
+    shares = np.array([bound(curve, k, size) for k in ORDERS]) / np.array(reached) - 1.0
+    yield name, *(100.0 * shares.mean(axis=1))
+
+
+def main() -> None:
     """Measure and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--curves", type=int, default=20)
-    parser.add_argument("--quick", action="store_true", help="two curves")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    seeds = range(2 if options.quick else options.curves)
-    excess: dict[str, list[list[float]]] = {name: [] for name in WAYS}
-    for make in (random_spline, random_series):
-        for curve in (make(np.random.default_rng(seed)) for seed in seeds):
-            reached = [np.abs(curve.evaluate(TIME, derivative=k)).max(axis=0) for k in ORDERS]
-            for name, (of, bound, size) in WAYS.items():
-                if of is make:
-                    bounds = [bound(curve, k, size) for k in ORDERS]
-                    shares = np.array(bounds) / np.array(reached) - 1.0
-                    excess[name].append((100.0 * shares.mean(axis=1)).tolist())
-    rows = [(name, *np.mean(found, axis=0).tolist()) for name, found in excess.items()]
-    table = Table(("excess over the true extreme, %", *DERIVATIVES), tuple(rows))
-    table.write(options.out / "curve_bounds.csv")
-    print(table.text(2))
-    return 0
+    study = Study(__doc__, quick={"curves": 2}, curves=20)
+    header = ("excess over the true extreme, %", *DERIVATIVES)
+    cases = itertools.product(WAYS, range(study.curves))
+    found = study.rows("curves.csv", header, cases, lambda case: excess(*case))
+    rows = (
+        (name, *(own[each].mean() for each in DERIVATIVES))
+        for (name,), own in grouped(found, header[0])
+    )
+    study.write("curve_bounds.csv", header, rows)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

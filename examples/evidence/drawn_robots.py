@@ -14,21 +14,17 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import shutil
-import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from data_sets import ROBOTS, SETS
+from data_sets import ROBOTS, SETS, folders
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
-from sdpid.errors import SdpidError
 from sdpid.output.samples.ranges import changes
 from sdpid.workflow.sample import ParameterSamples
 
@@ -41,11 +37,7 @@ FILES = (
     "not passed", "audit, CPU s", "loaded by MuJoCo", "load, CPU s",
 )  # fmt: skip
 RANGES = (
-    "arm",
-    "share in each",
-    "share in all",
-    "efforts widened",
-    "shear, mean",
+    *("arm", "share in each", "share in all", "efforts widened", "shear, mean"),
     "shear, identified",
 )
 
@@ -88,49 +80,31 @@ def ranged(arm: str, samples: ParameterSamples) -> Iterator[tuple[object, ...]]:
 
 
 def main() -> None:
-    """Draw, write, check, and print two tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
-    parser.add_argument("--quick", action="store_true", help="ten draws of one arm")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    count, arms = (10, ARMS[:1]) if options.quick else (options.count, options.arms)
-    files, ranges = [], []
-    for name in arms:
-        if options.data is None or not (Path(options.data) / name).is_dir():
-            where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
-            print(
-                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
-                flush=True,
-            )
-            continue
-        source = Path(options.data) / name
-        run = source / f"{SETS[name].records[0]}.npz"
-        try:
-            result = sdpid.identify(source / SETS[name].urdf, run, intervals=False)
-        except SdpidError as error:
-            sys.exit(f"drawn_robots: {name}: {error}")
-        arm, folder = ROBOTS[name], options.out / name
+    """Draw, write, check, and write two tables."""
+    study = Study(
+        __doc__, data=True, quick={"arms": [*ARMS[:1]], "count": 10}, count=1000, arms=[*ARMS]
+    )
+
+    def drawn(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
+        name, source = case
+        run, arm = source / f"{SETS[name].records[0]}.npz", ROBOTS[name]
+        result = sdpid.identify(source / SETS[name].urdf, run, intervals=False)
         start = time.process_time()
-        samples = sdpid.sample_parameters(result, count, SEED)
-        drawn = time.process_time()
-        samples.save(folder, ("urdf", "mjcf"))
-        written = time.process_time()
+        samples = sdpid.sample_parameters(result, study.count, SEED)
+        made = time.process_time()
+        with tempfile.TemporaryDirectory() as folder:
+            samples.save(folder, ("urdf", "mjcf"))
+            seconds = made - start, time.process_time() - made
+            found = checked(Path(folder))
         mixed = samples.diagnostics
-        cells = (mixed["least_effective_size"], mixed["largest_r_hat"])
-        files.append((arm, count, *cells, drawn - start, written - drawn, *checked(folder)))
-        ranges += ranged(arm, samples)
-        if not options.quick:
-            shutil.rmtree(folder)
-    for title, table in (
-        ("files", Table(FILES, tuple(files))),
-        ("ranges", Table(RANGES, tuple(ranges))),
-    ):
-        table.write(options.out / f"{title}.csv")
-        print(f"{table.text(3)}\n")
+        cells = mixed["least_effective_size"], mixed["largest_r_hat"]
+        ranges = [each[1:] for each in ranged(arm, samples)]
+        yield arm, study.count, *cells, *seconds, *found, ranges
+
+    found = study.rows("arms.csv", (*FILES, "ranges"), folders(study.data, study.arms), drawn)
+    study.write("files.csv", FILES, ([row[name] for name in FILES] for row in found))
+    ranges = ((row["arm"], *each) for row in found for each in row["ranges"])
+    study.write("ranges.csv", RANGES, ranges)
 
 
 if __name__ == "__main__":

@@ -11,17 +11,17 @@ Where the data leave base parameters undetermined, an estimate without a prior m
 
 from __future__ import annotations
 
-import argparse
-import sys
+import itertools
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.estimation.prior.prior import repaired
 from sdpid.robot.description.catalog import example_robots
 from sdpid.robot.friction.model import FrictionModel
@@ -46,22 +46,9 @@ NOISE = 0.01
 BASES = ("fixed", "floating", "floating, base effort hidden")
 
 HEADER = (
-    "robot",
-    "base",
-    "prior",
-    "joints",
-    "links",
-    "base_parameters",
-    "samples",
-    "condition_number",
-    "status",
-    "gap",
-    "margin",
-    "iterations",
-    "solver_seconds",
-    "seconds",
-    "largest_mass",
-    "relative_residual",
+    *("robot", "base", "prior", "joints", "links", "base_parameters", "samples"),
+    *("condition_number", "status", "gap", "margin", "iterations", "solver_seconds", "seconds"),
+    *("largest_mass", "relative_residual"),
 )
 
 
@@ -197,79 +184,52 @@ def row(
     )
 
 
-def rows(names: Sequence[str], seed: int, priors: Sequence[bool]) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of every robot, base and prior."""
-    for name in names:
-        for base in BASES:
-            try:
-                robot = sdpid.load_robot(name, root=None if base == "fixed" else "free_flyer")
-            except sdpid.errors.ModelError:
-                nothing = (None,) * (len(HEADER) - 9)
-                yield name, base, *(None,) * 6, "cannot be loaded", *nothing
-                continue
-            if base == BASES[-1] and robot.n == robot.n_base:
-                continue  # a rigid body with nothing measured
-            samples = measure(robot, base, seed)
-            for believe in priors:
-                yield row(name, base, robot, samples, believe)
+def rows(name: str, base: str, prior: str, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield the row of a robot, base and prior."""
+    try:
+        robot = sdpid.load_robot(name, root=None if base == "fixed" else "free_flyer")
+    except sdpid.errors.ModelError:
+        nothing = (None,) * (len(HEADER) - 9)
+        yield name, base, *(None,) * 6, "cannot be loaded", *nothing
+        return
+    if base != BASES[-1] or robot.n > robot.n_base:  # a rigid body with nothing measured
+        yield row(name, base, robot, measure(robot, base, seed), prior == "default")
 
 
 # How a status reads in the short table.
 SHORT = {"IdentifiabilityError": "not identifiable", "SolverError": "no proof"}
 
 
-def markdown(done: Sequence[tuple[object, ...]]) -> str:
-    """Return a line a robot: the proven gap, or what happened, by prior and base."""
-    used = dict.fromkeys(str(cells[2]) for cells in done if cells[2])
-    head = [f"{prior}, {base}" for prior in sorted(used) for base in BASES]
-    lines = ["| robot | joints | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|"]
-    for name in dict.fromkeys(str(cells[0]) for cells in done):
-        own = [dict(zip(HEADER, cells, strict=True)) for cells in done if cells[0] == name]
-        found = {f"{cells['prior']}, {cells['base']}": cells for cells in own}
-        joints = next((cells["joints"] for cells in own if cells["joints"]), "")
-        row = [found.get(column) for column in head]
-        lines.append(f"| {name} | {joints} | " + " | ".join(map(_short, row)) + " |")
-    return "\n".join(lines)
+def short(found: Sequence[dict[str, Any]], bases: Sequence[str]) -> Iterator[list[object]]:
+    """Yield a line a robot: the proven gap, or what happened, by prior and base."""
+    for (name,), own in grouped(found, "robot"):
+        joints = next((each for each in own["joints"] if each is not None), "")
+        kinds = zip(own["prior"], own["base"], own["status"], own["gap"], strict=True)
+        shown = {
+            f"{prior}, {base}": f"{max(gap, 0.0):.0e}"
+            if status == "certified"
+            else SHORT.get(status, status)
+            for prior, base, status, gap in kinds
+        }
+        yield [name, joints, *(shown.get(base, "–") for base in bases)]
 
 
-def _short(cells: dict[str, object] | None) -> str:
-    if cells is None:
-        return "–"
-    status = str(cells["status"])
-    if status == "certified":
-        return f"{max(float(str(cells['gap'])), 0.0):.0e}"
-    return SHORT.get(status, status)
-
-
-def main() -> int:
+def main() -> None:
     """Run every robot and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--robot", action="append", help="a robot (default all)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--prior", choices=("default", "none", "both"), default="both", help="which prior"
+    study = Study(
+        __doc__,
+        quick={"robots": [*QUICK]},
+        robots=([*example_robots()], "those of example-robot-data"),
+        seed=0,
+        priors=["default", "none"],
     )
-    parser.add_argument("--quick", action="store_true", help="a handful of small robots")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    names = options.robot or (QUICK if options.quick else tuple(example_robots()))
-
-    priors = {"default": (True,), "none": (False,), "both": (False, True)}[options.prior]
-    done: list[tuple[object, ...]] = []
-    for cells in rows(names, options.seed, priors):
-        done.append(cells)
-        print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
-        # Written as it goes: all robots take a while.
-        Table(HEADER, tuple(done)).write(options.out / "every_robot.csv")
-    counts: dict[str, int] = {}
-    for cells in done:
-        counts[str(cells[8])] = counts.get(str(cells[8]), 0) + 1
-    print("\n" + Table(HEADER, tuple(done)).text(3))
-    (options.out / "every_robot.md").write_text(markdown(done) + "\n", encoding="utf-8")
-    print("\n" + ", ".join(f"{count} {status}" for status, count in counts.items()))
-    return 0
+    cases = itertools.product(study.robots, BASES, study.priors)
+    found = study.rows("every_robot.csv", HEADER, cases, lambda case: rows(*case, study.seed))
+    bases = [f"{prior}, {base}" for prior in study.priors for base in BASES]
+    study.write("gaps.csv", ("robot", "joints", *bases), short(found, bases))
+    counts = Counter(row["status"] for row in found)
+    print(", ".join(f"{count} {status}" for status, count in counts.items()))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

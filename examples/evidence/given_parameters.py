@@ -11,14 +11,13 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from data_sets import folders
+from study import Study
+
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.workflow.certify_parameters import GivenParameters, certify_parameters, read_given
@@ -26,14 +25,8 @@ from sdpid.workflow.formulate import formulate
 
 DENSO = Path(__file__).resolve().parents[2] / "models" / "denso_vp6242"
 HEADER = (
-    "parameters",
-    "consistency",
-    "bodies",
-    "cost",
-    "bound",
-    "over_the_bound",
-    "residual_percent",
-    "optimum_percent",
+    *("parameters", "consistency", "bodies", "cost", "bound", "over_the_bound"),
+    *("residual_percent", "optimum_percent"),
 )
 
 
@@ -79,25 +72,15 @@ def tx40(folder: Path) -> tuple[object, ...]:
     return judged("TX40, links of its URDF", problem, GivenParameters(source="urdf", values=links))
 
 
-def main() -> int:
+def main() -> None:
     """Judge all and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--quick", action="store_true", help="a shorter log")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    rows = list(denso(8, 19.0 if options.quick else 76.0))
-    folder = options.data and Path(options.data) / "staubli_tx40"
-    if folder is None or not folder.is_dir():
-        print("staubli_tx40: skipped; docs/evidence/data.md says where it comes from", flush=True)
-    else:
-        rows.append(tx40(folder))
-    table = Table(HEADER, tuple(rows))
-    table.write(options.out / "given_parameters.csv")
-    print(table.text())
-    return 0
+    study = Study(__doc__, data=True, quick={"period": 19.0}, period=(76.0, "of the log, s"))
+    found = [*folders(study.data, ["staubli_tx40"])]
+    parts = {"denso": lambda: denso(8, study.period), "tx40": lambda: [tx40(found[0][1])]}
+    study.rows(
+        "given_parameters.csv", HEADER, [*parts][: 1 + len(found)], lambda part: parts[part]()
+    )
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

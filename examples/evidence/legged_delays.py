@@ -14,17 +14,15 @@ Flags are also made by a threshold of a fifth of the weight, at which the feet c
 
 from __future__ import annotations
 
-import argparse
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+import itertools
+from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 from legged import THREE, Walker, identified, without_imu
+from study import Study, grouped
 
 import sdpid
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.experiment.inspection.delays import channel_delays, is_significant
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged.sensors import Sensors, record
@@ -34,6 +32,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.legs import find_legs
 
 CHANNELS = ("effort", "imu", "base", "contacts")
+ROBOTS = ("go1", "a1", "solo12")
 MOTIONS = (*THREE, "walk")
 DELAYS_MS = (-1.0, 0.0, 1.0, 2.0, 4.0)
 # Delays that count as told or missed, ms.
@@ -86,91 +85,72 @@ def recorded(
     )
 
 
-def found_rows(
-    robots: Sequence[str], seeds: int, seconds: float, draws: int
-) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table of delays."""
-    rng = np.random.default_rng(0)
-    found: dict[tuple[str, str, str], list[tuple[float, float, float, bool]]] = defaultdict(list)
-    with progress(len(robots) * seeds * len(MOTIONS), "legged_delays") as advance:
-        for name in robots:
-            for seed in range(seeds):
-                walker = Walker(name, seed, seconds)
-                for motion in MOTIONS:
-                    run = walker.run(motion)
-                    for draw in range(draws):
-                        values = rng.choice(DELAYS_MS, len(CHANNELS)) if draw else np.zeros(4)
-                        true = dict(zip(CHANNELS, values.tolist(), strict=True))
-                        log = recorded(walker, run, true, seed=draw)
-                        sensors = [("IMU", log), ("pose", without_imu(log))]
-                        if motion in LIFTING:
-                            log = recorded(walker, run, true, seed=draw, threshold=THRESHOLD)
-                            sensors.append(("IMU, flags with a threshold", log))
-                        for sensor, each in sensors:
-                            for channel, delay in channel_delays(walker.robot, each).items():
-                                off = 1e3 * delay.value - true[channel]
-                                told = is_significant(channel, delay)
-                                found[motion, sensor, channel].append(
-                                    (off, 1e3 * delay.error, true[channel], told)
-                                )
-                                if abs(off) > 1.0:
-                                    print("off:", name, seed, motion, sensor, channel, true, off)
-                    advance(1)
-    for (motion, sensor, channel), values in found.items():
-        off, error, true_ms = (np.array([each[i] for each in values]) for i in range(3))
-        told = np.array([each[3] for each in values])
-        long, none = np.abs(true_ms) >= LONG_MS[channel], true_ms == 0.0
-        yield (
-            motion, sensor, channel, len(values), float(np.median(np.abs(off))),
-            float(np.abs(off).max()), float(np.median(error)), int(long.sum()),
-            int((told & long).sum()), int(none.sum()), int((told & none).sum()),
-        )  # fmt: skip
+def found_rows(walker: Walker, motion: str, draws: int) -> Iterator[tuple[object, ...]]:
+    """Yield what is found of each channel of each log of a motion."""
+    rng = np.random.default_rng([walker.seed, ROBOTS.index(walker.name), MOTIONS.index(motion)])
+    run = walker.run(motion)
+    for draw in range(draws):
+        values = rng.choice(DELAYS_MS, len(CHANNELS)) if draw else np.zeros(4)
+        true = dict(zip(CHANNELS, values.tolist(), strict=True))
+        log = recorded(walker, run, true, seed=draw)
+        sensors = {"IMU": log, "pose": without_imu(log)}
+        if motion in LIFTING:
+            low = recorded(walker, run, true, seed=draw, threshold=THRESHOLD)
+            sensors["IMU, flags with a threshold"] = low
+        for sensor, each in sensors.items():
+            for channel, delay in channel_delays(walker.robot, each).items():
+                off, error = 1e3 * delay.value - true[channel], 1e3 * delay.error
+                yield motion, sensor, channel, off, error, true[channel], is_significant(channel, delay)
 
 
-def late_rows(name: str, seconds: float, cases: int) -> Iterator[tuple[object, ...]]:
+def late_rows(walker: Walker, words: str) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table of errors."""
-    walker = Walker(name, 0, seconds)
-    for words, delays in list(LATE.items())[:cases]:
-        logs = [
-            recorded(walker, walker.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
-            for i, motion in enumerate(THREE)
-        ]
-        taken = with_delays([Subject.of(log, walker.robot) for log in logs], Processing())
-        on_time = [
-            1e3 * getattr(taken, f"{each}_delay_s") for each in ("effort", "imu", "contacts")
-        ]
+    delays = LATE[words]
+    logs = [
+        recorded(walker, walker.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
+        for i, motion in enumerate(THREE)
+    ]
+    taken = with_delays([Subject.of(log, walker.robot) for log in logs], Processing())
+    on_time = [1e3 * getattr(taken, f"{each}_delay_s") for each in ("effort", "imu", "contacts")]
+    ways = {"on time": ({}, on_time)}
+    if delays:
         as_they_are = {f"{each}_delay_s": 0.0 for each in CHANNELS}
-        for how, changes in (("on time", {}), ("as recorded", as_they_are)):
-            if not delays and how == "as recorded":
-                continue
-            row = identified(walker, logs, intervals=False, processing=changes)
-            shown = on_time if how == "on time" else [0.0] * 3
-            yield (words, how, row[0], row[1], row[3], *shown)
+        ways["as recorded"] = (as_they_are, [0.0] * 3)
+    for how, (changes, shown) in ways.items():
+        row = identified(walker, logs, intervals=False, processing=changes)
+        yield words, how, row[0], row[1], row[3], *shown
 
 
 def main() -> None:
     """Write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--only", choices=("delays", "late"), help="one table")
-    parser.add_argument("--quick", action="store_true", help="one robot, one seed, two cases")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    robots, draws, cases = ("go1", "a1", "solo12"), 5, len(LATE)
-    if chosen.quick:
-        robots, draws, cases = ("solo12",), 2, 2
-        chosen.seeds, chosen.seconds = 1, 3.0
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    if chosen.only != "late":
-        rows = list(found_rows(robots, chosen.seeds, chosen.seconds, draws))
-        Table(COLUMNS, tuple(sorted(rows, key=str))).write(chosen.out / "legged_delays.csv")
-    if chosen.only != "delays":
-        late = []
-        for row in late_rows(robots[-1], chosen.seconds, cases):
-            print(*row, flush=True)
-            late.append(row)
-        Table(LATE_COLUMNS, tuple(late)).write(chosen.out / "legged_late.csv")
+    study = Study(
+        __doc__,
+        quick={"robots": ["solo12"], "seeds": 1, "seconds": 3.0, "draws": 2, "late": 2},
+        seeds=2,
+        seconds=5.0,
+        robots=[*ROBOTS],
+        draws=(5, "logs of each motion"),
+        late=(len(LATE), "rows of the second table"),
+    )
+    walker = cache(lambda name, seed: Walker(name, seed, study.seconds))
+    found = study.rows(
+        "logs.csv",
+        ("motion", "base_motion", "channel", "off", "error", "true", "told"),
+        itertools.product(study.robots, range(study.seeds), MOTIONS),
+        lambda case: found_rows(walker(*case[:2]), case[2], study.draws),
+    )
+    rows = []
+    for key, own in grouped(found, *COLUMNS[:3]):
+        off, told = np.abs(own["off"]), own["told"]
+        long, none = np.abs(own["true"]) >= LONG_MS[key[2]], own["true"] == 0.0
+        counts = long.sum(), (told & long).sum(), none.sum(), (told & none).sum()
+        rows.append((*key, len(off), np.median(off), off.max(), np.median(own["error"]), *counts))
+    study.write("legged_delays.csv", COLUMNS, sorted(rows, key=str))
+    last = study.robots[-1]
+    words = [*LATE][: study.late]
+    study.rows(
+        "legged_late.csv", LATE_COLUMNS, words, lambda each: late_rows(walker(last, 0), each)
+    )
 
 
 if __name__ == "__main__":

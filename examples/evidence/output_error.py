@@ -12,18 +12,16 @@ positions. Two tables:
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bias_test import CONTROL_HZ, MASKED, Arm, processing_of, solved
+from bias_test import CONTROL_HZ, MASKED, processing_of, sized, solved
+from study import Study, grouped
 
 import sdpid
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.errors import DataError
 from sdpid.estimation.closed_loop.loop import ClosedLoop, ControllerCheck
 from sdpid.estimation.closed_loop.solve import CONTROLLER
@@ -77,101 +75,99 @@ def cases(robots: tuple[str, ...], gains: tuple[float, ...]) -> list[Case]:
     return found
 
 
-def rows(wanted: list[Case], runs: int) -> Iterator[tuple[Any, ...]]:
-    """Yield the medians over runs of each case."""
+def rows(case: Case, seed: int) -> Iterator[tuple[Any, ...]]:
+    """Yield error, number of linear problems, and seconds of a case on a log."""
+    robot, method, gain, spread = case
     processing = processing_of(RATE_HZ, CUTOFF_HZ, MASKED)
-    for robot in dict.fromkeys(case[0] for case in wanted):
-        arm = Arm(robot, RATE_HZ, ("coulomb", "viscous"))
-        logs = [arm.log(seed, NOISE) for seed in range(runs)]
-        problems = [arm.problem(log, processing) for log in logs]
-        truth = arm.model.theta
-        for _, method, gain, spread in (case for case in wanted if case[0] == robot):
-            law = sdpid.controllers.PD(gain * arm.controller.kp, gain * arm.controller.kd)
-            found, refused = [], 0
-            for seed, (log, problem) in enumerate(zip(logs, problems, strict=True)):
-                rng = np.random.default_rng((seed, 2))
-                start = truth * (1.0 + spread * rng.uniform(-1.0, 1.0, len(truth)))
-                common = {"controller": law, "processing": processing, "solver": solved}
-                closed = {"method": method, "control_hz": CONTROL_HZ, **common}
-                if spread:
-                    closed["start"] = start
-                begin = time.process_time()
-                if method == "least squares":
-                    estimate = solved(problem)
-                elif method == "instruments":
-                    estimate = sdpid.solve_instrumental(problem, log, **common)
-                else:
-                    try:
-                        estimate = sdpid.solve_output_error(problem, log, **closed)
-                    except DataError:
-                        refused += 1
-                        begin = time.process_time()
-                        closed["controller_tolerance"] = np.inf
-                        estimate = sdpid.solve_output_error(problem, log, **closed)
-                seconds = time.process_time() - begin
-                right = problem.A @ problem.base_of(truth)
-                error = np.linalg.norm(problem.A @ estimate.base - right) / np.linalg.norm(right)
-                # Linear problems that were solved.
-                own = 1 if method == "least squares" else estimate.iterations
-                count = getattr(estimate, "rounds", own)
-                found.append((100.0 * float(error), count, seconds))
-            medians = [float(each) for each in np.median(np.array(found), axis=0)]
-            yield robot.rpartition("/")[2], method, gain, 100.0 * spread, runs, refused, *medians
+    arm = sized(robot, RATE_HZ, ("coulomb", "viscous"))
+    truth, log = arm.model.theta, arm.log(seed, NOISE)
+    problem = arm.problem(log, processing)
+    law = sdpid.controllers.PD(gain * arm.controller.kp, gain * arm.controller.kd)
+    start = truth * (1.0 + spread * np.random.default_rng((seed, 2)).uniform(-1.0, 1.0, len(truth)))
+    common = {"controller": law, "processing": processing, "solver": solved}
+    closed = {"method": method, "control_hz": CONTROL_HZ, **common}
+    if spread:
+        closed["start"] = start
+    refused, begin = False, time.process_time()
+    if method == "least squares":
+        estimate = solved(problem)
+    elif method == "instruments":
+        estimate = sdpid.solve_instrumental(problem, log, **common)
+    else:
+        try:
+            estimate = sdpid.solve_output_error(problem, log, **closed)
+        except DataError:
+            refused, begin = True, time.process_time()
+            closed["controller_tolerance"] = np.inf
+            estimate = sdpid.solve_output_error(problem, log, **closed)
+    seconds = time.process_time() - begin
+    right = problem.A @ problem.base_of(truth)
+    error = np.linalg.norm(problem.A @ estimate.base - right) / np.linalg.norm(right)
+    # Linear problems that were solved.
+    own = 1 if method == "least squares" else estimate.iterations
+    count = getattr(estimate, "rounds", own)
+    name = robot.rpartition("/")[2]
+    yield name, method, gain, 100.0 * spread, refused, 100.0 * error, count, seconds
 
 
-def check_rows(robots: tuple[str, ...], runs: int) -> Iterator[tuple[Any, ...]]:
-    """Yield how often controllers are refused, at each noise.
+def check_rows(robot: str, noise: float, seed: int) -> Iterator[tuple[Any, ...]]:
+    """Yield which controllers are refused on a log.
 
-    The misfit of the right one's efforts and the standard error of their ratio are medians of the
+    The misfit of the right one's efforts and the standard error of their ratio are those of the
     joint that has most.
     """
     processing = processing_of(RATE_HZ, CUTOFF_HZ, MASKED)
-    for robot in robots:
-        arm = Arm(robot, RATE_HZ, ("coulomb", "viscous"))
-        right = arm.controller
-        for noise in NOISES:
-            refused, size = np.zeros(len(CHECKED)), []
-            for seed in range(runs):
-                twin = Twin.of(arm.model.robot, arm.log(seed, noise), processing)
-                for k, gain in enumerate(CHECKED):
-                    law = sdpid.controllers.PD(gain * right.kp, gain * right.kd)
-                    check = ControllerCheck(ClosedLoop(twin, law, control_hz=CONTROL_HZ))
-                    if gain == 1.0:
-                        size.append((check.misfit.max(), check.error.max()))
-                    try:
-                        check.require(CONTROLLER)
-                    except DataError:
-                        refused[k] += 1
-            medians = 100.0 * np.median(np.array(size), axis=0)
-            shares = 100.0 * refused / runs
-            yield robot.rpartition("/")[2], noise, runs, *medians.tolist(), *shares.tolist()
+    arm = sized(robot, RATE_HZ, ("coulomb", "viscous"))
+    right, size, refused = arm.controller, (0.0, 0.0), []
+    twin = Twin.of(arm.model.robot, arm.log(seed, noise), processing)
+    for gain in CHECKED:
+        law = sdpid.controllers.PD(gain * right.kp, gain * right.kd)
+        check = ControllerCheck(ClosedLoop(twin, law, control_hz=CONTROL_HZ))
+        if gain == 1.0:
+            size = float(check.misfit.max()), float(check.error.max())
+        try:
+            check.require(CONTROLLER)
+            refused.append(False)
+        except DataError:
+            refused.append(True)
+    yield robot.rpartition("/")[2], noise, *size, *refused
 
 
 def main() -> None:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--quick", action="store_true", help="one robot and log, the right gains")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    chosen = parser.parse_args()
-    runs, robots, wanted = chosen.runs, (*ROBOTS, *MORE), cases(ROBOTS, GAINS)
-    if chosen.quick:
-        runs, robots, wanted = 1, ROBOTS[:1], cases(ROBOTS[:1], GAINS[:1])
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    checked = []
-    with progress(len(robots) * len(NOISES), "controller_check.csv") as advance:
-        for row in check_rows(robots, LOGS * runs):
-            checked.append(row)
-            print(*row, flush=True)
-            advance(1)
-    Table(CHECK, tuple(checked)).write(chosen.out / "controller_check.csv")
-    kept = []
-    with progress(len(wanted), "output_error.csv") as advance:
-        for row in rows(wanted, runs):
-            kept.append(row)
-            print(*row, flush=True)
-            advance(1)
-    Table(HEADER, tuple(kept)).write(chosen.out / "output_error.csv")
+    """Write the tables: medians over runs."""
+    study = Study(
+        __doc__,
+        quick={"runs": 1, "robots": [ROBOTS[0]], "gains": [GAINS[0]], "more": 0},
+        runs=3,
+        robots=[*ROBOTS],
+        gains=[*GAINS],
+        more=(len(MORE), "robots that only the check is measured on"),
+    )
+    robots = (*study.robots, *MORE[: study.more])
+    refused = CHECK[5:]
+    found = study.rows(
+        "checks.csv",
+        ("robot", "noise_rad", "misfit", "error", *refused),
+        itertools.product(robots, NOISES, range(LOGS * study.runs)),
+        lambda case: check_rows(*case),
+    )
+    lines = []
+    for key, own in grouped(found, "robot", "noise_rad"):
+        medians = (100.0 * np.median(own[name]) for name in ("misfit", "error"))
+        shares = (100.0 * own[name].mean() for name in refused)
+        lines.append((*key, len(own["misfit"]), *medians, *shares))
+    study.write("controller_check.csv", CHECK, lines)
+    found = study.rows(
+        "runs.csv",
+        (*HEADER[:4], *HEADER[5:]),
+        itertools.product(cases(tuple(study.robots), tuple(study.gains)), range(study.runs)),
+        lambda case: rows(*case),
+    )
+    lines = []
+    for key, own in grouped(found, *HEADER[:4]):
+        medians = (np.median(own[name]) for name in HEADER[6:])
+        lines.append((*key, study.runs, int(own["refused"].sum()), *medians))
+    study.write("output_error.csv", HEADER, lines)
 
 
 if __name__ == "__main__":

@@ -11,27 +11,22 @@ Of each run 1000 robots are drawn, and the central 95 % of the draws of each par
 with the truth: of base parameters, and with a prior of standard ones. Reported is the worst
 parameter beside the average, the least effective sample size, the largest R-hat, and the time.
 
-    python examples/evidence/sample_coverage.py --data /path/to/data --out results
+    python examples/evidence/sample_coverage.py --out results
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
+import itertools
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 from boundary_coverage import CASES, measured
 from simulated_logs import RADIUS, drawn, log_of, perturbed, there
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.consistent import raise_second_moments
 
@@ -40,47 +35,24 @@ LEVEL = 0.95
 # Arms whose truth is inside, and on the boundary.
 ARMS = ("rod on the axis", "inside", "plate", "point")
 
+ARM = "arm, "
+
 # Standard deviation of the logarithms by which a prior's bodies differ from the truth, as those of
 # simulated robots differ from their description.
 DIFFERENT = 0.15
 
 HEADER = (
-    "case",
-    "parameters",
-    "runs",
-    "intervals",
-    "held_percent",
-    "held_least_percent",
-    "widths_outside_most",
-    "least_effective_size",
-    "largest_r_hat",
-    "seconds",
+    *("case", "parameters", "runs", "intervals", "held_percent", "held_least_percent"),
+    *("widths_outside_most", "least_effective_size", "largest_r_hat", "seconds"),
 )
+# Of a parameter with a known truth: how far outside of its range the truth is, in widths of it.
+# Of a run: least effective sample size, largest R-hat, seconds of one core.
+CELL = ("case", "run", "parameters", "parameter", "outside", "size", "r_hat", "seconds")
 
 
-@dataclass(frozen=True)
-class Run:
-    """One estimate's draws, compared with the truth.
-
-    Attributes
-    ----------
-    names : sequence of str
-        The parameters, base ones first.
-    outside : ndarray
-        How far the truth of each is outside of its range, in widths of the range; NaN where there
-        is none.
-    size, r_hat, seconds : float
-        Least effective sample size, largest R-hat, seconds of one core.
-    """
-
-    names: Sequence[str]
-    outside: Array
-    size: float
-    r_hat: float
-    seconds: float
-
-
-def compared(estimate: Estimate, truth: Array, count: int, seed: int) -> Run:
+def compared(
+    case: str, seed: int, estimate: Estimate, truth: Array, count: int, *, standard: bool = True
+) -> Iterator[tuple[object, ...]]:
     """Draw, and compare with the true standard parameters; NaN are unknown."""
     start = time.process_time()
     samples = sdpid.sample_parameters(estimate, count, seed)
@@ -89,125 +61,86 @@ def compared(estimate: Estimate, truth: Array, count: int, seed: int) -> Run:
     unknown = np.isnan(truth)
     true_base = base.matrix @ np.where(unknown, 0.0, truth)
     true_base[np.any(base.matrix[:, unknown] != 0.0, axis=1)] = np.nan
-    values = np.hstack([samples.base, samples.theta])
-    true = np.concatenate([true_base, truth])
-    lower, upper = np.quantile(values, [0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)], axis=0)
-    width = upper - lower
-    # A parameter that the constraints fix is known, and has no range to speak of.
-    outside = np.maximum(np.maximum(lower - true, true - upper), 0.0) / np.where(
-        width > 0.0, width, np.nan
-    )
-    draws = samples.draws
-    names = (*base.names, *base.theta_names)
-    sizes = float(draws.effective_sizes.min()), float(draws.r_hat.max())
-    return Run(names, outside, *sizes, seconds)
+    sizes = samples.draws.effective_sizes.min(), samples.draws.r_hat.max()
+    kinds = [("base", base.names, samples.base, true_base)]
+    if standard:
+        kinds.append(("standard", base.theta_names, samples.theta, truth))
+    for kind, names, values, true in kinds:
+        ends = 0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)
+        lower, upper = np.quantile(values, ends, axis=0)
+        # A parameter that the constraints fix is known, and has no range to speak of.
+        width = np.where(upper > lower, upper - lower, np.nan)
+        outside = np.maximum(np.maximum(lower - true, true - upper), 0.0) / width
+        for name, each in zip(names, outside, strict=True):
+            if not np.isnan(each):
+                yield case, seed, kind, name, each, *sizes, seconds
 
 
-def of_arm(name: str, seeds: range, count: int, *, prior: bool) -> Iterator[Run]:
-    """Yield the runs of an arm, each with noise and a prior of its own."""
-    case = CASES[name]()
+def of_arm(name: str, seed: int, count: int) -> Iterator[tuple[object, ...]]:
+    """Yield a run of an arm, with noise and a prior of its own."""
+    prior = not name.endswith(", no prior")
+    label = name.removeprefix(ARM).removesuffix(", no prior")
+    case = CASES[label]()
     motion, exact, base = measured(case)
     links = case.theta[: 10 * case.robot.n_links].reshape(-1, 10)
     thick = np.asarray(raise_second_moments(links, RADIUS**2 * links[:, 0]))
-    for seed in seeds:
-        rng = np.random.default_rng(seed)
-        noise = case.noise * rng.standard_normal(exact.shape)
-        bodies = perturbed(thick, DIFFERENT, rng)
-        problem = sdpid.build_problem(
-            case.robot,
-            sdpid.Samples(**motion, effort=exact + noise, block=4),
-            base=base,
-            weighting="residual",
-            constraints=case.constraints,
-            consistency=case.consistency,
-            prior=sdpid.Prior(bodies=bodies) if prior else None,
-        )
-        run = compared(sdpid.solve_sdp(problem), case.theta, count, seed)
-        if not prior:
-            # What the data leave open has no other range than the possible ones.
-            run = replace(
-                run,
-                outside=np.where(np.arange(len(run.names)) < base.count, 1.0, np.nan) * run.outside,
-            )
-        yield run
+    rng = np.random.default_rng(seed)
+    noise = case.noise * rng.standard_normal(exact.shape)
+    bodies = perturbed(thick, DIFFERENT, rng)
+    problem = sdpid.build_problem(
+        case.robot,
+        sdpid.Samples(**motion, effort=exact + noise, block=4),
+        base=base,
+        weighting="residual",
+        constraints=case.constraints,
+        consistency=case.consistency,
+        prior=sdpid.Prior(bodies=bodies) if prior else None,
+    )
+    # Without a prior, what the data leave open has no other range than the possible ones.
+    estimate = sdpid.solve_sdp(problem)
+    yield from compared(name, seed, estimate, case.theta, count, standard=prior)
 
 
-def of_robot(
-    name: str, seeds: range, count: int, data: Path | None, duration: float | None
-) -> Iterator[Run]:
-    """Yield the runs of a robot's logs through `identify`."""
-    for seed in seeds:
-        conditions = drawn(name, seed)
-        if duration is not None:
-            conditions = replace(conditions, duration=duration, rate_hz=100.0)
-        log, truth = log_of(conditions, seed, data)
-        result = sdpid.identify(truth.robot, log)
-        yield compared(result.estimate, truth.theta(result.problem), count, seed)
+def of_robot(name: str, seed: int, count: int) -> Iterator[tuple[object, ...]]:
+    """Yield a run of a robot's log through `identify`."""
+    log, truth = log_of(drawn(name, seed), seed)
+    result = sdpid.identify(truth.robot, log)
+    yield from compared(name, seed, result.estimate, truth.theta(result.problem), count)
 
 
-def rows_of(name: str, runs: Sequence[Run]) -> Iterator[tuple[object, ...]]:
-    """Yield a row for the base parameters of a case, and one for the standard ones."""
-    every = dict.fromkeys(each for run in runs for each in run.names)
-    sizes = min(run.size for run in runs), max(run.r_hat for run in runs)
-    seconds = float(np.median([run.seconds for run in runs]))
-    for kind in ("base", "standard"):
-        shares: dict[str, float] = {}
-        far: list[float] = []
-        held: list[bool] = []
-        for parameter in every:
-            # Base parameters are numbered, of standard ones links with an underscore.
-            if ("_" in parameter) != (kind == "standard"):
-                continue
-            own = [
-                run.outside[k]
-                for run in runs
-                for k in [list(run.names).index(parameter)]
-                if parameter in run.names and not np.isnan(run.outside[k])
-            ]
-            if own:
-                shares[parameter] = 100.0 * float(np.mean(np.array(own) == 0.0))
-                held += [each == 0.0 for each in own]
-                far += own
-        if held:
-            worst = sorted(shares, key=lambda each: shares[each])[:3]
-            listed = ", ".join(f"{each} {shares[each]:.0f}" for each in worst)
-            mean = 100.0 * float(np.mean(held))
-            yield name, kind, len(runs), len(held), mean, listed, max(far), *sizes, seconds
-
-
-def main() -> int:
+def main() -> None:
     """Run everything and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--logs", type=int, default=6, help="logs of each robot")
-    parser.add_argument("--runs", type=int, default=40, help="runs of each arm")
-    parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--count", type=int, default=1000, help="draws of each run")
-    parser.add_argument("--arms", nargs="*", choices=list(CASES), default=list(ARMS))
-    parser.add_argument("--quick", action="store_true", help="one arm, one run")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    logs = range(options.first, options.first + options.logs)
-    seeds = range(options.first, options.first + (1 if options.quick else options.runs))
-    count = 100 if options.quick else options.count
-    cases: dict[str, Iterator[Run]] = {}
-    if logs and not options.quick:
-        for name in there(options.data):
-            cases[name] = of_robot(name, logs, count, options.data, None)
-    for name in options.arms[:1] if options.quick else options.arms:
-        cases[f"arm, {name}"] = of_arm(name, seeds, count, prior=True)
-        if not options.quick:
-            cases[f"arm, {name}, no prior"] = of_arm(name, seeds, count, prior=False)
-    rows: list[tuple[object, ...]] = []
-    with progress(len(cases), "cases") as advance:
-        for name, runs in cases.items():
-            rows += rows_of(name, list(runs))
-            Table(HEADER, tuple(rows)).write(options.out / "sample_coverage.csv")
-            advance(1)
-    print(Table(HEADER, tuple(rows)).text(3))
-    return 0
+    study = Study(
+        __doc__,
+        quick={"arms": [ARMS[0]], "runs": 1, "count": 100, "logs": 0},
+        logs=(6, "logs of each robot"),
+        runs=(40, "runs of each arm"),
+        first=(0, "the first seed"),
+        count=(1000, "draws of each run"),
+        arms=[*ARMS],
+    )
+    arms = (f"{ARM}{name}{prior}" for name in study.arms for prior in ("", ", no prior"))
+    cases = [
+        *itertools.product(there() if study.logs else (), range(study.logs)),
+        *itertools.product(arms, range(study.runs)),
+    ]
+
+    def run(case: tuple[str, int]) -> Iterator[tuple[object, ...]]:
+        of = of_arm if case[0].startswith(ARM) else of_robot
+        yield from of(case[0], study.first + case[1], study.count)
+
+    found = study.rows("runs.csv", CELL, cases, run)
+    rows = []
+    for key, own in grouped(found, "case", "parameters"):
+        parameters, held = own["parameter"], own["outside"] == 0.0
+        shares = {each: 100.0 * held[parameters == each].mean() for each in np.unique(parameters)}
+        worst = sorted(shares, key=lambda each: shares[each])[:3]
+        listed = ", ".join(f"{each} {shares[each]:.0f}" for each in worst)
+        mean, far = 100.0 * held.mean(), own["outside"].max()
+        ends = own["size"].min(), own["r_hat"].max(), np.median(own["seconds"])
+        rows.append((*key, len(np.unique(own["run"])), len(held), mean, listed, far, *ends))
+    study.write("sample_coverage.csv", HEADER, rows)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
