@@ -10,34 +10,29 @@ repeats a first run, or runs a plan made from the first run's estimate.
     python examples/evidence/excitation_expected.py --out results
 
 It takes some twenty minutes on one core. The LWR 4+ is read from the folder of
-docs/evidence/data.md, named by --data or the environment variable SDPID_DATA.
+docs/evidence/data.md, named by the environment variable SDPID_DATA.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
+import itertools
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields, replace
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
-from simulated_logs import described, perturbed
+from simulated_logs import described, perturbed, there
+from study import Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
-from sdpid._common.threads import parallel
 from sdpid.assurance.intervals.delta_method import friction_curve
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect
-from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts
@@ -75,17 +70,9 @@ SEARCH, QUICK_SEARCH = 15.0, 4.0
 LEAST, MOST = 0.8, 1.25
 
 
-@dataclass(frozen=True)
-class Row:
-    """One parameter of one run: its interval, its error, and what was expected."""
-
-    robot: str
-    reading: str
-    seed: int
-    name: str
-    expected: float
-    simulated: float
-    error: float
+# Of one parameter of one run: half its interval as expected and as simulated, and its error.
+ROW = ("robot", "reading", "seed", "name", "expected", "simulated", "error")
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -163,56 +150,48 @@ def truth(base: sdpid.robot.model.base_parameters.BaseParameters, twin: Twin, n:
     return np.asarray(base.matrix @ np.concatenate([links, [known.get(x, 0.0) for x in names]]))
 
 
+@cache
+def planned(name: str, reading: str, duration: float, quick: bool) -> tuple[Any, ...]:
+    """Return a robot, its plan, the noise and what is expected."""
+    robot = described(name)
+    trajectory = plan_of(robot, 0, duration, quick).with_periods(PERIODS[reading])
+    noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
+    expected = expect(robot, trajectory, noise=noise, reading=reading)
+    if reading == "record":
+        print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
+    return robot, trajectory, noise, expected
+
+
 def run(
-    name: str,
-    reading: str,
-    seed: int,
-    trajectory: Trajectory,
-    data: Path | None,
-    expected: Expected,
-    exact: bool,
-) -> list[Row]:
+    name: str, reading: str, seed: int, duration: float, quick: bool, exact: bool
+) -> Iterator[tuple[object, ...]]:
     """Simulate a run, identify, and compare with what was expected."""
-    robot = described(name, data)
+    robot, trajectory, _, expected = planned(name, reading, duration, quick)
     twin = twin_of(robot, trajectory, seed)
     log = log_of(robot, trajectory, twin, seed, reading, exact)
     try:
         result = sdpid.identify(robot, log, effects="none")
     except sdpid.errors.SdpidError as error:
         print(f"{name} {reading} {seed}: {error}", flush=True)
-        return []
+        return
     if result.intervals is None:
         print(f"{name} {reading} {seed}: {result.intervals_note}", flush=True)
-        return []
+        return
     half = dict(zip(result.intervals.names, 0.5 * result.intervals.width, strict=True))
     base = result.problem.base
-    errors = dict(
-        zip(base.names, np.abs(result.estimate.base - truth(base, twin, robot.n)), strict=True)
-    )
+    wrong = np.abs(result.estimate.base - truth(base, twin, robot.n))
+    errors = dict(zip(base.names, wrong, strict=True))
     widths = 0.5 * (expected.upper - expected.lower)
-    pairs = zip(expected.names, widths.tolist(), strict=True)
-    rows = [
-        Row(name, reading, seed, each, own, float(half[each]), float(errors[each]))
-        for each, own in pairs
-        if each in half
-    ]
+    for each, own in zip(expected.names, widths, strict=True):
+        if each in half:
+            yield name, reading, seed, each, own, half[each], errors[each]
     friction, half_widths = friction_curve(result.estimate, expected.speeds)
     coulomb, viscous = twin.theta[-2 * robot.n :].reshape(2, robot.n)
     for k, speed in enumerate(expected.speeds.tolist()):
         wrong = np.abs(friction[k] - coulomb - viscous * speed)
         for j in range(robot.n):
-            rows.append(
-                Row(
-                    name,
-                    reading,
-                    seed,
-                    f"friction {j + 1} at {speed:g}",
-                    float(expected.friction_half_widths[k, j]),
-                    float(half_widths[k, j]),
-                    float(wrong[j]),
-                )
-            )
-    return rows
+            widths = expected.friction_half_widths[k, j], half_widths[k, j]
+            yield name, reading, seed, f"friction {j + 1} at {speed:g}", *widths, wrong[j]
 
 
 def traded(row: Row) -> bool:
@@ -221,56 +200,34 @@ def traded(row: Row) -> bool:
     Coulomb friction, a sigmoid and viscous friction beside each other are a curve: that is told,
     and its coefficients are not.
     """
-    return row.reading == "record" and row.name.rstrip("0123456789") in TRADED
+    return row["reading"] == "record" and row["name"].rstrip("0123456789") in TRADED
 
 
-def summary(rows: Sequence[Row]) -> list[str]:
-    """Return the table of ratios."""
-    lines = [
-        "| robot | read as | of | runs | number | simulated / expected, median | 10 to 90 % of "
-        f"all | medians within {LEAST} to {MOST}, % | errors within the expected interval, % |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    kinds = {
-        "base parameters": lambda row: not traded(row) and "friction" not in row.name,
-        "friction curves": lambda row: "friction" in row.name,
-    }
-    for robot, reading in dict.fromkeys((row.robot, row.reading) for row in rows):
-        for kind, counts in kinds.items():
-            own = [r for r in rows if (r.robot, r.reading) == (robot, reading) and counts(r)]
-            by_name: dict[str, list[float]] = defaultdict(list)
-            for row in own:
-                by_name[row.name].append(row.simulated / row.expected)
-            medians = np.array([np.median(each) for each in by_name.values()])
-            inside = 100.0 * np.mean((medians >= LEAST) & (medians <= MOST))
-            held = 100.0 * np.mean([row.error <= row.expected for row in own])
-            low, middle, high = np.quantile(np.concatenate(list(by_name.values())), [0.1, 0.5, 0.9])
-            lines.append(
-                f"| {robot} | {reading} | {kind} | {len({row.seed for row in own})} | "
-                f"{len(by_name)} | {middle:.2f} | {low:.2f} to {high:.2f} | {inside:.0f} | "
-                f"{held:.0f} |"
-            )
-    return lines
+def summary(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+    """Yield the table of ratios."""
+    curves = [{**row, "of": "friction curves"} for row in rows if "friction" in row["name"]]
+    base = [row for row in rows if not traded(row) and "friction" not in row["name"]]
+    parameters = [{**row, "of": "base parameters"} for row in base]
+    for key, own in grouped((*parameters, *curves), "robot", "reading", "of"):
+        ratio, names = own["simulated"] / own["expected"], own["name"]
+        medians = np.array([np.median(ratio[names == name]) for name in np.unique(names)])
+        inside = 100.0 * np.mean((medians >= LEAST) & (medians <= MOST))
+        held = 100.0 * np.mean(own["error"] <= own["expected"])
+        low, middle, high = np.quantile(ratio, [0.1, 0.5, 0.9])
+        counts, ends = (len(np.unique(own["seed"])), len(medians)), f"{low:.2f} to {high:.2f}"
+        yield *key, *counts, middle, ends, inside, held
 
 
-@dataclass(frozen=True)
-class Next:
-    """A run after a first one: the widest interval of the first, and the widest of all after it."""
-
-    robot: str
-    first: str
-    seed: int
-    widest: str
-    before: float
-    repeated: float
-    planned: float
-    all_repeated: float
-    all_planned: float
+# A run after a first one: the widest interval of the first, and the widest of all after it.
+NEXT = (
+    *("robot", "first", "seed", "widest", "before", "repeated", "planned", "all_repeated"),
+    "all_planned",
+)
 
 
-def next_run(name: str, first: str, seed: int, data: Path | None, quick: bool) -> Next:
+def next_run(name: str, first: str, seed: int, quick: bool) -> Iterator[tuple[object, ...]]:
     """Run a first motion, then the same again, or a plan made from the first run's estimate."""
-    robot = described(name, data)
+    robot = described(name)
     if first == "plan":
         motion = plan_of(robot, 0, SHORT, quick)
     else:
@@ -294,14 +251,8 @@ def next_run(name: str, first: str, seed: int, data: Path | None, quick: bool) -
         pairs = zip(result.intervals.names, result.intervals.width.tolist(), strict=True)
         widths.append({each: width * sizes[each] for each, width in pairs if each in sizes})
     widest = max(widths[0], key=lambda each: widths[0][each])
-    return Next(
-        name,
-        first,
-        seed,
-        widest,
-        *(each[widest] for each in widths),
-        *(max(each.values()) for each in widths[1:]),
-    )
+    of_widest = (each[widest] for each in widths)
+    yield name, first, seed, widest, *of_widest, *(max(each.values()) for each in widths[1:])
 
 
 def effort_sizes(
@@ -323,26 +274,13 @@ def effort_sizes(
     }
 
 
-def next_summary(rows: Sequence[Next]) -> list[str]:
-    """Return the table of second runs."""
-    lines = [
-        "| robot | first run | runs | its widest interval after repeating it, of before | after a "
-        "plan from its estimate | widest of all, plan / repeated | plan is better, % |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for robot, first in dict.fromkeys((row.robot, row.first) for row in rows):
-        own = [row for row in rows if (row.robot, row.first) == (robot, first)]
-        again, planned = (
-            float(np.median([getattr(row, which) / row.before for row in own]))
-            for which in ("repeated", "planned")
-        )
-        ratio = float(np.median([row.all_planned / row.all_repeated for row in own]))
-        better = 100.0 * float(np.mean([row.planned < row.repeated for row in own]))
-        lines.append(
-            f"| {robot} | {first} | {len(own)} | {again:.2f} | {planned:.2f} | {ratio:.2f} | "
-            f"{better:.0f} |"
-        )
-    return lines
+def next_summary(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+    """Yield the table of second runs."""
+    for key, own in grouped(rows, "robot", "first"):
+        again, planned = (np.median(own[each] / own["before"]) for each in ("repeated", "planned"))
+        ratio = np.median(own["all_planned"] / own["all_repeated"])
+        better = 100.0 * np.mean(own["planned"] < own["repeated"])
+        yield *key, len(own["seed"]), again, planned, ratio, better
 
 
 def left_out(
@@ -356,8 +294,8 @@ def left_out(
     problem = run.problem
     stated: dict[str, list[float]] = defaultdict(list)
     for row in rows:
-        if row.reading == "record" and row.robot == rows[-1].robot and not traded(row):
-            stated[row.name].append(row.simulated)
+        if row["reading"] == "record" and not traded(row):
+            stated[row["name"]].append(row["simulated"])
     q, v, a = trajectory.sample()
     every = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=np.zeros_like(v))
     terms = (*(term for term in problem.friction.terms if "Sigmoid" not in type(term).__name__),)
@@ -390,74 +328,53 @@ def left_out(
     }
 
 
-def main() -> int:
+def main() -> None:
     """Run everything and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
-    parser.add_argument("--seeds", type=int, default=20, help="runs of each robot")
-    parser.add_argument("--next", type=int, default=3, help="second runs of each robot")
-    parser.add_argument("--duration", type=float, default=20.0, help="of a period, s")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--exact", action="store_true", help="robots that follow the plan exactly")
-    parser.add_argument("--quick", action="store_true", help="one short run")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    if options.quick:
-        options.robot, options.seeds, options.next, options.duration = ["ur10"], 1, 1, SHORT
-    from joblib import delayed
-
-    rows: list[Row] = []
-    lost: dict[str, dict[str, float]] = {}
-    for name in options.robot or ROBOTS:
-        try:
-            robot = described(name, options.data)
-        except sdpid.errors.SdpidError as error:
-            print(f"{name}: skipped, {error}", flush=True)
-            continue
-        plan = plan_of(robot, 0, options.duration, options.quick)
-        for reading, periods in PERIODS.items():
-            trajectory = plan.with_periods(periods)
-            noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
-            expected = expect(robot, trajectory, noise=noise, reading=reading)
-            if reading == "record":
-                print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
-            found = parallel(options.jobs)(
-                delayed(run)(name, reading, seed, trajectory, options.data, expected, options.exact)
-                for seed in range(options.seeds)
-            )
-            rows += [row for each in found for row in each]
-            if reading == "record" and found:
-                lost[name] = left_out(robot, trajectory, noise, rows)
-        print("\n".join(summary(rows)), flush=True)
-    seconds = parallel(options.jobs)(
-        delayed(next_run)(name, first, seed, options.data, options.quick)
-        for name in dict.fromkeys(row.robot for row in rows)
-        for first in (("plan",) if options.quick else ("random", "plan"))
-        for seed in range(options.next)
+    study = Study(
+        __doc__,
+        quick={"robots": ["ur10"], "seeds": 1, "next": 1, "duration": SHORT, "firsts": ["plan"]},
+        robots=[name for name in ROBOTS if name in there()],
+        seeds=(20, "runs of each robot"),
+        next=(3, "second runs of each robot"),
+        firsts=["random", "plan"],
+        duration=(20.0, "of a period, s"),
+        jobs=1,
+        exact=(False, "robots that follow the plan exactly"),
     )
-    columns = tuple(field.name for field in fields(Row))
-    Table(columns, tuple(astuple(row) for row in rows)).write(
-        options.out / "excitation_expected.csv"
+    asked = study.duration, study.quick
+    rows = study.rows(
+        "runs.csv",
+        ROW,
+        itertools.product(study.robots, PERIODS, range(study.seeds)),
+        lambda case: run(*case, *asked, study.exact),
+        jobs=study.jobs,
     )
-    text = [
-        *summary(rows),
-        "",
-        f"| predicted from | {' | '.join(lost)} |",
-        "|---" * (len(lost) + 1) + "|",
-    ]
-    for what in next(iter(lost.values()), {}):
-        text.append(f"| {what} | {' | '.join(f'{each[what]:.2f}' for each in lost.values())} |")
-    text += ["", *next_summary(seconds)]
-    print("\n".join(text))
-    columns = tuple(field.name for field in fields(Next))
-    Table(columns, tuple(astuple(row) for row in seconds)).write(
-        options.out / "excitation_next.csv"
+    header = (
+        *("robot", "read as", "of", "runs", "number", "simulated / expected, median"),
+        *("10 to 90 % of all", f"medians within {LEAST} to {MOST}, %"),
+        "errors within the expected interval, %",
     )
-    atomic_write_text(options.out / "excitation_expected.md", "\n".join(text) + "\n")
-    return 0
+    study.write("excitation_expected.csv", header, summary(rows), digits=3)
+    lost = {}
+    for name in study.robots:
+        own = [row for row in rows if row["robot"] == name]
+        lost[name] = left_out(*planned(name, "record", *asked)[:3], own)
+    every = ([what, *(each[what] for each in lost.values())] for what in lost[study.robots[0]])
+    study.write("left_out.csv", ("predicted from", *lost), every, digits=3)
+    seconds = study.rows(
+        "seconds.csv",
+        NEXT,
+        itertools.product(study.robots, study.firsts, range(study.next)),
+        lambda case: next_run(*case, study.quick),
+        jobs=study.jobs,
+    )
+    header = (
+        *("robot", "first run", "runs"),
+        *("its widest interval after repeating it, of before", "after a plan from its estimate"),
+        *("widest of all, plan / repeated", "plan is better, %"),
+    )
+    study.write("next_run.csv", header, next_summary(seconds), digits=3)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

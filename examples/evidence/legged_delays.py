@@ -100,7 +100,15 @@ def found_rows(walker: Walker, motion: str, draws: int) -> Iterator[tuple[object
         for sensor, each in sensors.items():
             for channel, delay in channel_delays(walker.robot, each).items():
                 off, error = 1e3 * delay.value - true[channel], 1e3 * delay.error
-                yield motion, sensor, channel, off, error, true[channel], is_significant(channel, delay)
+                yield (
+                    motion,
+                    sensor,
+                    channel,
+                    off,
+                    error,
+                    true[channel],
+                    is_significant(channel, delay),
+                )
 
 
 def late_rows(walker: Walker, words: str) -> Iterator[tuple[object, ...]]:

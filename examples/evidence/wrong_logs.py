@@ -13,22 +13,21 @@ simulated robots that come with the package's dependencies are looked at.
 
 from __future__ import annotations
 
-import argparse
-import os
+import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from data_sets import SETS
+from data_sets import SETS, folders
 from simulated_logs import drawn, log_of, there, with_gravity
+from study import Study, grouped, pivot
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.plant.simulate import true_parameters
@@ -351,25 +350,22 @@ def good(name: str, robot: sdpid.RobotModel, log: sdpid.Recording) -> Good:
     return Good(name=name, robot=robot, log=log, joint=int(np.argmax(gravity.std(axis=0))))
 
 
-def simulated(seeds: int, data: Path | None) -> Iterator[Good]:
+def simulated(seeds: int) -> Iterator[Good]:
     """Yield simulated logs of every robot that is there."""
-    for robot in there(data):
-        for seed in range(seeds):
-            log, truth = log_of(drawn(robot, seed), seed, data)
-            described = truth.robot
-            if robot == "denso":  # its description gives no masses
-                bodies = true_parameters("denso_vp6242")[: 10 * described.n_links]
-                described = replace(described, prior=bodies.reshape(-1, 10))
-            yield good(f"{robot}, simulated", described, log)
+    for robot, seed in itertools.product(there(), range(seeds)):
+        log, truth = log_of(drawn(robot, seed), seed)
+        described = truth.robot
+        if robot == "denso":  # its description gives no masses
+            bodies = true_parameters("denso_vp6242")[: 10 * described.n_links]
+            described = replace(described, prior=bodies.reshape(-1, 10))
+        yield good(f"{robot}, simulated", described, log)
 
 
-def recorded(data: Path | None) -> Iterator[Good]:
+def recorded(data: Path) -> Iterator[Good]:
     """Yield the first recording of every real arm."""
-    if data is None:
-        return
-    for name, each in SETS.items():
-        robot = sdpid.load_robot(data / name / each.urdf)
-        yield good(name, robot, sdpid.read_recording(data / name / f"{each.records[0]}.npz"))
+    for name, folder in folders(data, SETS):
+        robot = sdpid.load_robot(folder / SETS[name].urdf)
+        yield good(name, robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
 
 
 def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
@@ -390,45 +386,37 @@ def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
 
 
 def main() -> int:
-    """Inspect, and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--seeds", type=int, default=3, help="simulated logs of each robot")
-    parser.add_argument("--good", type=int, default=20, help="of these, to count false alarms")
-    parser.add_argument("--quick", action="store_true", help="one log of one robot")
-    given = parser.parse_args()
-    data = None if given.data is None else Path(given.data)
-    seeds, counted = (1, 1) if given.quick else (given.seeds, given.good)
-    logs = list(islice(chain(simulated(seeds, data), recorded(data)), 1 if given.quick else None))
-    names = list(dict.fromkeys(log.name for log in logs))
-    rows, missed = [], []
-    total = Counter(log.name for log in logs)
-    for wrong in KINDS:
-        found: Counter[str] = Counter()
-        for log in logs:
-            spoiled, robot = wrong.spoiled(log)
-            findings = inspect_recordings(spoiled, robot)
-            if named(wrong, log, findings):
-                found[log.name] += 1
-            else:
-                kinds = ", ".join(f"{f.kind} {f.joint or ''}".strip() for f in findings)
-                missed.append(f"{wrong.words}: {log.name}: {kinds or 'nothing'}")
-        print(f"{wrong.words}: {sum(found.values())} of {len(logs)}", file=sys.stderr, flush=True)
-        rows.append((wrong.words, *(f"{found[name]}/{total[name]}" for name in names)))
-    given.out.mkdir(parents=True, exist_ok=True)
-    table = Table(("what is wrong", *names), tuple(rows))
-    table.write(given.out / "wrong_logs.csv")
-    print(table.text())
-    print("\nnot named, and what was found:", *(missed or ["none"]), sep="\n  ")
+    """Inspect, and write the tables."""
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"seeds": 1, "good": 1, "most": 1},
+        seeds=(3, "simulated logs of each robot"),
+        good=(20, "of these, to count false alarms"),
+        most=(0, "logs that are spoiled; 0 for all"),
+    )
+    every = [*simulated(study.seeds), *recorded(study.data)]
+    logs = every[: study.most or None]
+
+    def spoiled(case: tuple[int, int]) -> Iterator[tuple[object, ...]]:
+        wrong, log = KINDS[case[0]], logs[case[1]]
+        findings = inspect_recordings(*wrong.spoiled(log))
+        kinds = ", ".join(f"{f.kind} {f.joint or ''}".strip() for f in findings)
+        yield wrong.words, log.name, named(wrong, log, findings), kinds or "nothing"
+
+    cases = itertools.product(range(len(KINDS)), range(len(logs)))
+    found = study.rows("spoiled.csv", ("what is wrong", "log", "named", "found"), cases, spoiled)
+    cells = [
+        {"what is wrong": words, "log": name, "share": f"{own['named'].sum()}/{len(own['named'])}"}
+        for (words, name), own in grouped(found, "what is wrong", "log")
+    ]
+    shares = pivot(cells, "what is wrong", "log", itemgetter("share"))
+    study.write("wrong_logs.csv", *shares)
     alarms: Counter[str] = Counter()
-    looked_at = 0
-    for log in (*simulated(counted, data), *recorded(data)):
-        looked_at += 1
+    for log in (*simulated(study.good), *recorded(study.data)):
         for finding in inspect_recordings([log.log], log.robot):
             alarms[f"{finding.severity} {finding.kind}: {log.name}"] += 1
-    print(f"\nfindings on {looked_at} logs as they are:")
-    print(*(f"  {count} × {what}" for what, count in sorted(alarms.items())), sep="\n")
+    study.write("alarms.csv", ("finding on logs as they are", "logs"), sorted(alarms.items()))
     return int(any(what.startswith("refuse") for what in alarms))
 
 
