@@ -50,7 +50,8 @@ def enclosed(curve: Curve, order: int, cell: float) -> np.ndarray:
 
 def controlled(curve: Spline, order: int, halvings: int) -> np.ndarray:
     """Return the size (n,) of the largest control point of a derivative."""
-    return np.asarray(np.abs(curve.control(order, halvings)).max(axis=0))
+    matrix = Spline.control_matrix(len(curve.control_points), DURATION, order, halvings)
+    return np.asarray(np.abs(matrix @ curve.control_points).max(axis=0))
 
 
 WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] = {
