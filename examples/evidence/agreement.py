@@ -15,7 +15,7 @@ from study import Study, grouped
 
 import sdpid
 from sdpid.estimation.estimate import Estimate
-from sdpid.experiment.simulation.drives import default_parameters
+from sdpid.experiment.plant.simulate import default_parameters
 from sdpid.workflow.formulate import formulate
 
 ROBOT = "ur5_robot"
