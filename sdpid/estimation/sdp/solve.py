@@ -26,8 +26,8 @@ from sdpid.estimation.wls import solve_wls
 # links of the robot's description; and a weight of ‖x‖² beside a cost of order one (measured from
 # what was found, what it costs vanishes from one attempt to the next). Without the second or the
 # last, small problems stay unproven (tests/estimation/test_sdp.py); without the third or the
-# fourth, some robots of example-robot-data with weak data (examples/evidence/every_robot.py: Baxter,
-# Centauro, iCub).
+# fourth, some robots of example-robot-data with weak data (examples/evidence/every_robot.py:
+# Baxter, Centauro, iCub).
 _ATTEMPTS = (
     # Most problems.
     (1e-10, False, 0.0),
