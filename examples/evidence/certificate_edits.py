@@ -2,21 +2,12 @@
 
 Numbers are changed by a digit, a sign or a scale, lists lose their order, numbers become something
 else. A mutation changes the data in place and returns whether it found something to change.
-
-    python examples/evidence/certificate_edits.py --out results
-
-writes one forgery of each kind.
 """
 
 from __future__ import annotations
 
-import argparse
-import copy
-import json
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from random import Random
 from typing import Any
 
@@ -174,27 +165,3 @@ EDITS: dict[str, Mutation] = {
     "odd type": odd_type,
     "odd key": odd_key,
 }
-
-
-def write_each(mutations: Mapping[str, Mutation]) -> None:
-    """Write one forgery of each kind."""
-    from certificate_zoo import made
-
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="of small robots only")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    zoo, rng = made(arguments.quick), Random(arguments.seed)
-    for name, mutate in mutations.items():
-        for _ in range(100):
-            data = copy.deepcopy(rng.choice(list(zoo.values())))
-            if mutate(rng, data, zoo):
-                path = arguments.out / f"{name.replace(' ', '_')}.json"
-                path.write_text(json.dumps(data), encoding="utf-8")
-                break
-
-
-if __name__ == "__main__":
-    sys.exit(write_each(EDITS))

@@ -9,17 +9,12 @@ A claim is *false* only where numbers with 50 digits show it: a parameter outsid
 negative eigenvalue, a cost that is higher, or feasible parameters that cost less than the bound. It
 is *true* where the same numbers, or the optimum to within `BOUND`, agree. What lies in
 between is *undecided*, and said to be.
-
-    python examples/evidence/certificate_judge.py certificate.json --out results
-
-Without a file, those of certificate_zoo.py are judged.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import sys
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -273,23 +268,3 @@ def witness(data: dict[str, Any], theta: np.ndarray, claimed: float) -> str | No
         if cost < claimed:
             return str(mp.nstr(cost, 17))
     return None
-
-
-def main() -> int:
-    """Judge files, with status 1 where a claim is false, or those that certificate_zoo.py makes."""
-    from certificate_zoo import asked
-
-    certificates, options = asked(__doc__.splitlines()[0])
-    judge, lines, wrong = Judge(), list[str](), 0
-    for name, data in certificates.items():
-        for claim, (verdict, why) in judge(data).items():
-            wrong += verdict == "false"
-            lines.append(f"{name:16} {claim:12} {verdict:10} {why}")
-            print(lines[-1])
-    options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "judged.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return 1 if wrong and options.files else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

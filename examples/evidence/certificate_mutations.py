@@ -1,8 +1,6 @@
 """Ways to change the meaning of a certificate: what forgeries.py is made of.
 
-    python examples/evidence/certificate_mutations.py --out results
-
-writes one forgery of each kind. A mutation changes the data in place and returns whether it found
+A mutation changes the data in place and returns whether it found
 something to change.
 """
 
@@ -10,11 +8,10 @@ from __future__ import annotations
 
 import copy
 import math
-import sys
 from random import Random
 
 import numpy as np
-from certificate_edits import EDITS, SECTIONS, Data, Mutation, lists_of, write_each
+from certificate_edits import EDITS, SECTIONS, Data, Mutation, lists_of
 from certificate_optimum import second_moments
 
 CLAIMS = ("lower_bound", "cost", "gap", "violation")
@@ -379,7 +376,3 @@ MUTATIONS: dict[str, Mutation] = {
     "another robot's part": transplant,
     "name": rename,
 }
-
-
-if __name__ == "__main__":
-    sys.exit(write_each(MUTATIONS))

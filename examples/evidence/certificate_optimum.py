@@ -1,18 +1,12 @@
 """The least cost of a certificate's problem, by another model of it (CVXPY) and other solvers.
 
 Written from docs/theory and the table of fields in docs/guides/certificate.md, without a look at
-the
-verifier: link matrices by their definition as sums over point masses. Clarabel is tried in three
-ways, then SCS.
-
-    python examples/evidence/certificate_optimum.py certificate.json --out results
-
-Without a file, those of certificate_zoo.py are solved, by both solvers.
+the verifier: link matrices by their definition as sums over point masses. Clarabel is tried in
+three ways, then SCS.
 """
 
 from __future__ import annotations
 
-import sys
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +14,6 @@ from typing import Any
 import cvxpy as cp
 import mpmath as mp
 import numpy as np
-
-from sdpid._common.tables import Table
 
 # Bounds on parameters beyond this size (SI units) are not put to a solver.
 FAR = 1e6
@@ -93,43 +85,55 @@ def model(data: dict[str, Any]) -> tuple[Any, list[Any], Any]:
     # As many rows as columns say the same, and the rest is a constant.
     R = np.linalg.qr(np.column_stack([np.vstack(matrices), np.concatenate(sides)]), mode="r")
     cost = cp.sum_squares(R[:, :-1] @ x - R[:, -1])
-    lower, upper = np.array(problem["lower"]), np.array(problem["upper"])
-    # Without bounds that no solver can work with, the optimum is the same or lower.
-    far = (lower > -FAR, upper < FAR)
-    demands = [x[far[0]] >= lower[far[0]], x[far[1]] <= upper[far[1]]]
-    kind = problem["consistency"]
-    bodies = [x[10 * i : 10 * i + 10] for i in range(problem["links"])]
-    if kind != "none":
-        size = UNITS[kind].shape[1]
-        flat = UNITS[kind].reshape(10, -1).T
-        corner = np.diag([1.0] * 3 + [0.0] * (size - 3))
-        for body in bodies:
-            M = cp.reshape(flat @ body, (size, size), order="C")
-            demands.append(M - problem["margin"] * corner >> 0)
-    for row in problem["rows"]:
-        value = np.array(row["coefficients"])
-        size = float(np.linalg.norm(value)) or 1.0
-        if row["lower"] is not None and row["lower"] == row["upper"]:
-            demands.append(value / size @ x == row["lower"] / size)
-            continue
-        if row["lower"] is not None:
-            demands.append(value / size @ x >= row["lower"] / size)
-        if row["upper"] is not None:
-            demands.append(value / size @ x <= row["upper"] / size)
-    for cone in problem["cones"]:
-        body = bodies[cone["link"]]
-        axis, vectors = np.array(cone["axis"]), np.array(cone["vectors"])
-        size = max(np.abs(axis).max(), np.abs(vectors).max()) or 1.0
-        demands.append(cp.SOC(axis / size @ body, vectors / size @ body))
     if entropic := problem["entropic_prior"]:
         for link, inverse in zip(entropic["links"], entropic["inverses"], strict=True):
-            P = cp.reshape(
-                UNITS["pseudo_inertia"].reshape(10, -1).T @ bodies[link], (4, 4), order="C"
-            )
+            P = link_matrix(x, link, "pseudo_inertia")
             known = np.linalg.slogdet(np.array(inverse))[1]
             divergence = cp.trace(np.array(inverse) @ P) - 4.0 - cp.log_det(P) - known
             cost = cost + 2.0 * entropic["strength"] * divergence
-    return cost, demands, x
+    return cost, constraints(problem, x), x
+
+
+def link_matrix(x: Any, link: int, kind: str) -> Any:
+    """Return the matrix of a link of parameters that are looked for."""
+    units = UNITS[kind]
+    body = x[10 * link : 10 * link + 10]
+    return cp.reshape(units.reshape(10, -1).T @ body, units.shape[1:], order="C")
+
+
+def constraints(problem: dict[str, Any], x: Any, depth: Any = 0.0) -> list[Any]:
+    """Return the constraints, inequalities with some room: `depth` times a thousandth."""
+    room = 1e-3 * depth
+    lower, upper = np.array(problem["lower"]), np.array(problem["upper"])
+    narrow = np.minimum(upper - lower, 1e-3)
+    # Without bounds that no solver can work with, the optimum is the same or lower.
+    low, high = lower > -FAR, upper < FAR
+    demands = [
+        x[low] - lower[low] >= depth * narrow[low],
+        upper[high] - x[high] >= depth * narrow[high],
+    ]
+    if (kind := problem["consistency"]) != "none":
+        size = UNITS[kind].shape[1]
+        corner = np.diag([1.0] * 3 + [0.0] * (size - 3)) * problem["margin"]
+        for link in range(problem["links"]):
+            demands.append(link_matrix(x, link, kind) - corner - room * np.eye(size) >> 0)
+    for row in problem["rows"]:
+        value = np.array(row["coefficients"])
+        size = float(np.linalg.norm(value)) or 1.0
+        least, most = row["lower"], row["upper"]
+        if least is not None and least == most:
+            demands.append(value / size @ x == least / size)
+            continue
+        if least is not None:
+            demands.append(value / size @ x - least / size >= room)
+        if most is not None:
+            demands.append(most / size - value / size @ x >= room)
+    for cone in problem["cones"]:
+        body = x[10 * cone["link"] : 10 * cone["link"] + 10]
+        axis, vectors = np.array(cone["axis"]), np.array(cone["vectors"])
+        size = max(np.abs(axis).max(), np.abs(vectors).max()) or 1.0
+        demands.append(cp.SOC(axis / size @ body - room, vectors / size @ body))
+    return demands
 
 
 # One solver in three ways, and another one for what it cannot do.
@@ -177,34 +181,9 @@ def solved(program: Any, x: Any, solver: str, options: dict[str, Any]) -> Optimu
 
 def interior(data: dict[str, Any]) -> np.ndarray | None:
     """Return parameters far inside all constraints that are no equations."""
-    problem = data["problem"]
-    _, demands, x = model({**data, "problem": {**problem, "entropic_prior": None}})
-    depth = cp.Variable()
-    widths = np.array(problem["upper"]) - np.array(problem["lower"])
-    demands += [x - np.array(problem["lower"]) >= depth * np.minimum(widths, 1e-3)]
-    demands += [np.array(problem["upper"]) - x >= depth * np.minimum(widths, 1e-3)]
-    if (kind := problem["consistency"]) != "none":
-        size = UNITS[kind].shape[1]
-        for i in range(problem["links"]):
-            body = x[10 * i : 10 * i + 10]
-            M = cp.reshape(UNITS[kind].reshape(10, -1).T @ body, (size, size), order="C")
-            corner = np.diag([1.0] * 3 + [0.0] * (size - 3)) * problem["margin"]
-            demands.append(M - corner - 1e-3 * depth * np.eye(size) >> 0)
-    for row in problem["rows"]:
-        value = np.array(row["coefficients"])
-        size = float(np.linalg.norm(value)) or 1.0
-        if row["lower"] == row["upper"]:
-            continue
-        if row["lower"] is not None:
-            demands.append(value / size @ x - row["lower"] / size >= 1e-3 * depth)
-        if row["upper"] is not None:
-            demands.append(row["upper"] / size - value / size @ x >= 1e-3 * depth)
-    for cone in problem["cones"]:
-        body = x[10 * cone["link"] : 10 * cone["link"] + 10]
-        size = float(np.linalg.norm(np.array(cone["axis"]))) or 1.0
-        axis = np.array(cone["axis"]) @ body - 1e-3 * depth * size
-        demands.append(cp.SOC(axis, np.array(cone["vectors"]) @ body))
-    demands.append(depth <= 0.1)
+    problem, depth = data["problem"], cp.Variable()
+    x = cp.Variable(len(problem["lower"]))
+    demands = [*constraints(problem, x, depth), depth <= 0.1]
     return solved(cp.Problem(cp.Maximize(depth), demands), x, cp.CLARABEL, {}).theta
 
 
@@ -226,23 +205,3 @@ def repaired(data: dict[str, Any], theta: np.ndarray) -> Any:
     except ZeroDivisionError:
         return None
     return [x + mp.fsum(weights[j] * r[k] for j, r in enumerate(R)) for k, x in enumerate(point)]
-
-
-def main() -> None:
-    """Print the optimum of each file by both solvers, beside its claims."""
-    from certificate_zoo import asked
-
-    certificates, options = asked(__doc__.splitlines()[0])
-    rows = []
-    for name, data in certificates.items():
-        found = [optimum(doubles(data), *ATTEMPTS[k]) for k in (0, -1)]
-        by = [cell for each in found for cell in (each.cost, each.status)]
-        rows.append((name, data["claims"]["lower_bound"], *by))
-    table = Table(("certificate", "claimed bound", "Clarabel", "", "SCS", ""), tuple(rows))
-    print(table.text(digits=12))
-    options.out.mkdir(parents=True, exist_ok=True)
-    table.write(options.out / "optima.csv")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,13 +7,12 @@ next to nothing else, a tree.
 
     python examples/evidence/certificate_zoo.py --out results
 
-Told are the size of each file and the processor time of ``python -I -S sdpid/verifier`` for it.
-``--large`` adds two humanoids, a minute of work.
+and those of two humanoids. Told are the size of each file and the processor time of
+``python -I -S sdpid/verifier`` for it.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import subprocess
@@ -23,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from study import Study
 
 import sdpid
 from sdpid import constraints as of
 from sdpid import verifier
-from sdpid._common.tables import Table
 
 # States drawn for each problem, and their ranges (rad, rad/s, rad/s²).
 SAMPLES, RANGES = 60, (1.5, 1.5, 5.0)
@@ -178,17 +177,6 @@ def made(quick: bool = False) -> dict[str, dict[str, Any]]:
     return {name: make() for name, make in ZOO.items() if not (quick and name in LARGE)}
 
 
-def asked(description: str) -> tuple[dict[str, dict[str, Any]], argparse.Namespace]:
-    """Return the certificates that a study is asked for, by name, and its options."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("files", type=Path, nargs="*", help="by default certificates of the zoo")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="of the zoo, only small ones")
-    options = parser.parse_args()
-    given = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in options.files}
-    return given or made(options.quick), options
-
-
 def verified(path: Path) -> tuple[str, float]:
     """Return the last line of the stand-alone verifier, and its processor time in seconds."""
     folder = str(Path(verifier.__file__).parent)
@@ -201,30 +189,24 @@ def verified(path: Path) -> tuple[str, float]:
     return (done.stdout.splitlines() or [done.stderr])[-1], seconds
 
 
+def file_row(name: str, out: Path) -> tuple[object, ...]:
+    """Write a certificate, verify it, and return its row."""
+    data = {**ZOO, **LARGE_ROBOTS}[name]()
+    path = out / f"{name.replace(' ', '_')}.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    sizes = len(data["problem"]["lower"]), len(data["problem"]["rhs"])
+    verdict, seconds = verified(path)
+    return name, *sizes, path.stat().st_size / 1e6, seconds, verdict
+
+
 def main() -> None:
     """Write every certificate, and verify it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="without the larger robots")
-    parser.add_argument("--large", action="store_true", help="humanoids too")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    zoo = made(arguments.quick)
-    if arguments.large:
-        zoo |= {name: make() for name, make in LARGE_ROBOTS.items()}
-    rows = []
-    for name, data in zoo.items():
-        path = arguments.out / f"{name.replace(' ', '_')}.json"
-        path.write_text(json.dumps(data), encoding="utf-8")
-        problem = data["problem"]
-        sizes = len(problem["lower"]), len(problem["rhs"])
-        verdict, seconds = verified(path)
-        rows.append((name, *sizes, path.stat().st_size / 1e6, seconds, verdict))
+    small = [name for name in ZOO if name not in LARGE]
+    every = [*ZOO, *LARGE_ROBOTS]
+    study = Study(__doc__, quick={"kinds": small}, kinds=every)
     header = ("certificate", "p", "b", "MB", "seconds", "verdict")
-    table = Table(header, tuple(rows), {"MB": ".2f", "seconds": ".2f"})
-    table.write(arguments.out / "certificate_zoo.csv")
-    print(table.text())
+    study.rows("certificate_zoo.csv", header, study.kinds, lambda name: [file_row(name, study.out)])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

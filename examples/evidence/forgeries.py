@@ -13,8 +13,6 @@ Ends with status 1 where something false was said, and writes such files to the 
 
 from __future__ import annotations
 
-import argparse
-import collections
 import contextlib
 import copy
 import json
@@ -22,7 +20,6 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -34,9 +31,8 @@ import mpmath as mp
 from certificate_judge import Judge, costs, doubles
 from certificate_mutations import MUTATIONS, Data
 from certificate_zoo import made
+from study import Study, grouped
 
-from sdpid._common.progress import progress
-from sdpid._common.tables import Table
 from sdpid.verifier import certificate as checker
 from sdpid.verifier.reading import REFUSED, digest
 
@@ -51,6 +47,8 @@ CLAIMS = {
 # Of links with other bounds of their mass so many are named.
 LISTED = 60
 
+ANSWERS = ("refused", "not proven", "accepted")
+
 # Each process judges so many forgeries at a time.
 CHUNK = 50
 
@@ -59,6 +57,7 @@ CHUNK = 50
 class Outcome:
     """What became of one forgery: refused, not proven or accepted, and what is false of it."""
 
+    number: int
     kinds: tuple[str, ...]
     fitted: bool
     answer: str
@@ -223,60 +222,37 @@ def some(
         data, kinds, fitted = forged(Random(f"{seed} {number}"), zoo, of)
         answer, false, undecided = judged(judge, data)
         kept = data if false or undecided else None
-        out.append(Outcome(kinds, fitted, answer, tuple(false), tuple(undecided), kept))
+        out.append(Outcome(number, kinds, fitted, answer, tuple(false), tuple(undecided), kept))
     return out
 
 
-def table(outcomes: list[Outcome]) -> Table:
-    """Return counts by kind; forgeries of several kinds count for each."""
-    rows = []
-    for kind in [*sorted(MUTATIONS), "all"]:
-        own = [each for each in outcomes if kind in (*each.kinds, "all")]
-        answers = collections.Counter(each.answer for each in own)
-        counts = [answers[answer] for answer in ("refused", "not proven", "accepted")]
-        false = sum(bool(each.false) for each in own)
-        undecided = sum(bool(each.undecided) for each in own)
-        rows.append((kind, len(own), *counts, undecided, false))
-    columns = ("mutation", "forgeries", "refused", "not proven", "accepted", "undecided", "false")
-    return Table(columns, tuple(rows))
+def rows_of(numbers: range, zoo: dict[str, Data], out: Path) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of forgeries, of several kinds one each, and write what is wrong of them."""
+    for each in some(numbers, 0, zoo):
+        if each.data is not None:
+            kind, words = ("false", each.false) if each.false else ("undecided", each.undecided)
+            print(f"{kind} {each.number} ({', '.join(each.kinds)}): {'; '.join(words)}", flush=True)
+            path = out / f"{kind}_{each.number}.json"
+            path.write_text(json.dumps(each.data), encoding="utf-8")
+        for kind in {*each.kinds, "all"}:
+            yield kind, each.answer, bool(each.undecided), bool(each.false)
 
 
 def main() -> int:
-    """Make forgeries and judge what is said of them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--count", type=int, default=12_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0, help="number of the first forgery")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--quick", action="store_true", help="200 forgeries of small robots")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    zoo = made(arguments.quick)
-    first, count = arguments.first, 200 if arguments.quick else arguments.count
-    chunks = [range(k, min(k + CHUNK, first + count)) for k in range(first, first + count, CHUNK)]
-    work = partial(some, seed=arguments.seed, zoo=zoo)
-    outcomes = list[Outcome]()
-    with ProcessPoolExecutor(arguments.jobs) as pool, progress(count, "forgeries") as advance:
-        for found in pool.map(work, chunks):
-            outcomes += found
-            advance(len(found))
-    counts = table(outcomes)
-    print(counts.text())
-    counts.write(arguments.out / "forgeries.csv")
-    wrong = 0
-    for number, each in enumerate(outcomes, first):
-        if each.data is None:
-            continue
-        wrong += bool(each.false)
-        kind = "false" if each.false else "undecided"
-        print(
-            f"{kind} {number} ({', '.join(each.kinds)}): {'; '.join(each.false or each.undecided)}"
-        )
-        (arguments.out / f"{kind}_{number}.json").write_text(
-            json.dumps(each.data), encoding="utf-8"
-        )
-    return 1 if wrong else 0
+    """Make forgeries, and judge what is said of them."""
+    study = Study(__doc__, quick={"count": 200}, count=12_000, jobs=1)
+    chunks = [range(k, min(k + CHUNK, study.count)) for k in range(0, study.count, CHUNK)]
+    work = partial(rows_of, zoo=made(study.quick), out=study.out)
+    columns = ("mutation", "answer", "undecided", "false")
+    found = study.rows("each.csv", columns, chunks, work, jobs=study.jobs)
+    counts = []
+    for (kind,), own in sorted(grouped(found, "mutation"), key=lambda each: each[0]):
+        answers = [int((own["answer"] == answer).sum()) for answer in ANSWERS]
+        ends = int(own["undecided"].sum()), int(own["false"].sum())
+        counts.append((kind, len(own["answer"]), *answers, *ends))
+    header = ("mutation", "forgeries", *ANSWERS, "undecided", "false")
+    study.write("forgeries.csv", header, counts)
+    return int(any(row["false"] for row in found))
 
 
 if __name__ == "__main__":
