@@ -1,6 +1,6 @@
 """Is what a certificate claims true? Judged by other tools than those that prove it.
 
-Written from docs/theory and the table of fields in docs/guides/certificate.md, without a look at
+Written from docs/theory and the list of fields in docs/guides/certificate.md, without a look at
 the verifier: link matrices by their definition as sums over point masses, their eigenvalues and
 all sums with 50 digits (mpmath), the optimum by another model of the problem (CVXPY) and two
 solvers (Clarabel, and SCS where Clarabel is at a loss).

@@ -1,6 +1,6 @@
 """The least cost of a certificate's problem, by another model of it (CVXPY) and other solvers.
 
-Written from docs/theory and the table of fields in docs/guides/certificate.md, without a look at
+Written from docs/theory and the list of fields in docs/guides/certificate.md, without a look at
 the verifier: link matrices by their definition as sums over point masses. Clarabel is tried in
 three ways, then SCS.
 """
