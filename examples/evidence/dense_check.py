@@ -3,28 +3,19 @@
 Every curve is evaluated at 10 kHz from its coefficients by SciPy and NumPy, efforts come from
 Pinocchio's inverse dynamics, speeds from its kinematics, and distances from Coal with the meshes
 of the description as they are. A grid proves nothing; it finds what a proof got wrong.
-
-    python examples/evidence/dense_check.py --robot ur10_robot --out results
-
-checks a random motion of a robot, or any trajectory that `Trajectory.to_toml` wrote.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
 RATE_HZ = 10e3
@@ -33,7 +24,8 @@ RATE_HZ = 10e3
 # instant at which a pair is closer than the clearance and this (m).
 COARSE_HZ, FINE_HZ, NEAR = 50.0, 1e3, 0.05
 
-UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "jerk": "rad/s³"}
+# What the least slack is told of.
+KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "distance")
 
 
 class States(NamedTuple):
@@ -66,9 +58,19 @@ class Reached:
         return self.slack >= 0.0
 
     @property
-    def share(self) -> float:
-        """What is left, as a share of the limit."""
-        return self.slack / abs(self.limit) if self.limit else self.slack
+    def left(self) -> float:
+        """What is left of the limit: a share of it, but rad of positions and m of distances."""
+        absolute = self.kind in ("position", "distance") or not self.limit
+        return self.slack if absolute else self.slack / abs(self.limit)
+
+
+def left_of(reached: Iterable[Reached]) -> tuple[list[float | None], int, int | None]:
+    """Return what is left of each of `KINDS` at least, broken limits, and pairs too close."""
+    reached = list(reached)
+    least = [min((r.left for r in reached if r.kind == kind), default=None) for kind in KINDS]
+    apart = [r.held for r in reached if r.kind == "distance"]
+    broken = sum(not r.held for r in reached) - apart.count(False)
+    return least, broken, apart.count(False) if apart else None
 
 
 def curve_states(curve: Any, duration: float, rate_hz: float = RATE_HZ) -> States:
@@ -198,23 +200,6 @@ def efforts(robot: sdpid.RobotModel, states: States, theta: Any = None) -> Array
     return np.asarray(out @ robot.expansion)
 
 
-def point_speed(
-    robot: sdpid.RobotModel, states: States, joint: int, point: Sequence[float]
-) -> Array:
-    """Return the speed of a point fixed to a joint of the Pinocchio model, m/s, (K,)."""
-    import pinocchio as pin
-
-    model = robot.pin_model
-    data = model.createData()
-    q, v = robot.configuration(states.position), states.velocity @ robot.expansion.T
-    out = np.empty(len(q))
-    for k in range(len(q)):
-        pin.forwardKinematics(model, data, q[k], v[k])
-        motion = pin.getVelocity(model, data, joint, pin.ReferenceFrame.LOCAL)
-        out[k] = np.linalg.norm(motion.linear + np.cross(motion.angular, point))
-    return out
-
-
 class Geometry:
     """The collision shapes of a URDF as they are, meshes included, and boxes and planes around.
 
@@ -328,54 +313,3 @@ def distances_reached(
             name = " – ".join(pair)
             rows.append(_reached("distance", name, clearance, distance, distance - clearance, time))
     return rows
-
-
-def table_of(rows: Iterable[Reached]) -> Table:
-    """Return the rows as a table."""
-    return Table(tuple(f.name for f in fields(Reached)), tuple(astuple(row) for row in rows))
-
-
-def main() -> int:
-    """Check one motion against the limits of the robot's description."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--robot", default="ur10_robot", help="name or path (default ur10_robot)")
-    parser.add_argument("--trajectory", type=Path, help="TOML (default: a random motion)")
-    parser.add_argument("--package-dir", action="append", default=[], type=Path)
-    parser.add_argument("--quick", action="store_true", help="a coarser grid")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    robot = sdpid.load_robot(options.robot)
-    path = options.trajectory
-    motion = default_motion(robot) if path is None else Trajectory.from_toml(path)
-    states = states_of(motion, 1e3 if options.quick else RATE_HZ)
-    lower, upper = robot.position_limits.T
-    none = np.full(robot.n, np.inf)
-    rows = list(
-        joints_reached(
-            robot.joint_names,
-            states,
-            lower=lower,
-            upper=upper,
-            velocity=robot.velocity_limits,
-            acceleration=none,
-            jerk=none,
-        )
-    )
-    rows += efforts_reached(
-        robot.joint_names, states.time, efforts(robot, states), robot.effort_limits
-    )
-    if robot.urdf is not None and "<collision" in robot.urdf:
-        geometry = Geometry(robot, options.package_dir)
-        links = (geometry.base, *robot.link_names)
-        apart = {(a, b): 0.0 for i, a in enumerate(links) for b in links[: max(0, i - 1)]}
-        grids = (5.0, 50.0) if options.quick else (COARSE_HZ, FINE_HZ)
-        rows += distances_reached(geometry, states, apart, grids)
-    table = table_of(rows)
-    table.write(options.out / "dense_check.csv")
-    print(table.text(4))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

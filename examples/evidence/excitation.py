@@ -3,8 +3,7 @@
 Each plan of `sdpid.design_excitation` is scored like the published excitations, the paper's and
 the best of random Fourier series in the same time (`excitation_baselines.py`), and its limits are
 looked at by an independent check at 10 kHz and by Coal with the description's meshes on a fine
-grid (`dense_check.py`). `goal` and `hope` are the numbers that the project set itself, (cond) or
-(cond, log det).
+grid (`dense_check.py`).
 
     python examples/evidence/excitation.py --data DATA --out results
 
@@ -14,18 +13,18 @@ Panda are left. All rows take some ten minutes.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from data_sets import folders
 from dense_check import (
     FINE_HZ,
+    KINDS,
     RATE_HZ,
     Geometry,
     Reached,
@@ -35,34 +34,28 @@ from dense_check import (
     efforts,
     efforts_reached,
     joints_reached,
+    left_of,
     states_of,
 )
-from excitation_baselines import (
-    SCORE_HZ,
-    Bounds,
-    Columns,
-    Row,
-    Task,
-    UrMotion,
-    denso_task,
-    lwr_peer,
-    lwr_task,
-    random_row,
-    row_of,
-)
+from excitation_baselines import SCORE_HZ, Bounds, Columns, UrMotion, best_random, lwr_peer
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 
 FRICTION = ("coulomb", "viscous", "offset")
 
 # Sides and thickness of the slab that stands for a table in the independent check, m.
 SLAB = (10.0, 10.0, 1.0)
 
+HEADER = (
+    *("robot", "limits", "motion", "seconds", "columns", "cond", "log_det"),
+    *(*KINDS, "broken", "collisions"),
+)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """One row of the table.
+    """A task: some motions for it that are compared.
 
     Attributes
     ----------
@@ -70,69 +63,87 @@ class Case:
         What is written into the table.
     robot : RobotModel
         The robot.
-    task : Task
-        Limits of the joints and duration.
+    bounds : Bounds
+        Limits of the joints.
+    duration : float
+        Of the motion, s.
     columns : Columns
-        What the plan is scored over.
+        What motions are scored over.
     arguments : dict
         Of `design_excitation`, beside duration and limits.
+    seconds : tuple of float
+        What the searches may take.
     jerk : float
         Limit of every joint's jerk, rad/s³: none unless it is stated.
     clearance : float or None
-        Least distance between links, and from the table, m; None: not looked at.
-    table : bool
-        Whether a table stands under the arm.
+        Least distance between links, and from the table that stands under the arm then, m.
     package_dirs : tuple of Path
         Where meshes are.
-    seconds : float
-        What the search may take.
-    goal, hope : tuple of float
-        Numbers to reach: cond, or cond and log det.
+    published : dict
+        Motions that others have made, and that their limits are looked at on.
     """
 
     name: str
     limits: str
     robot: sdpid.RobotModel
-    task: Task
+    bounds: Bounds
+    duration: float
     columns: Columns
-    seconds: float
-    arguments: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any]
+    seconds: tuple[float, ...] = (10.0,)
     jerk: float = np.inf
     clearance: float | None = None
-    table: bool = False
     package_dirs: tuple[Path, ...] = ()
-    goal: tuple[float, ...] = ()
-    hope: tuple[float, ...] = ()
+    published: dict[str, tuple[States, States]] = field(default_factory=dict)
 
-    @property
-    def title(self) -> str:
-        """What was asked of the search."""
-        objective = self.arguments.get("objective", "mixed")
-        if "starts" in self.arguments:
-            return f"sdpid, {objective}, {self.arguments['starts']} start"
-        return f"sdpid, {objective}, {self.seconds:g} s"
+    def __str__(self) -> str:
+        return f"{self.name}, {self.limits}, {self.columns.count} columns"
 
+    def row(
+        self, motion: str, scored: States, reached: Iterable[Reached], seconds: float | None = None
+    ) -> tuple[object, ...]:
+        """Return the row of a motion: scored on one grid, its limits looked at on another."""
+        least, *broken = left_of(reached)
+        score = self.columns.count, *self.columns.score(scored)
+        return self.name, self.limits, motion, seconds, *score, *least, *broken
 
-def design(case: Case, seed: int = 0) -> tuple[Any, float]:
-    """Return the plan of a case, and what it took in s."""
-    from sdpid.excitation.geometry.obstacles import table
+    def rows(self, dense_hz: float, *, quick: bool) -> Iterator[tuple[object, ...]]:
+        """Yield the rows of all motions, and of plans."""
+        names = self.robot.joint_names
+        for motion, (scored, dense) in self.published.items():
+            yield self.row(motion, scored, self.bounds.reached(names, dense))
+        most = 0.5 if quick else max(self.seconds)
+        series, count = best_random(self.columns, self.bounds, self.duration, most)
+        scored, dense = (curve_states(series, self.duration, hz) for hz in (SCORE_HZ, dense_hz))
+        reached = self.bounds.reached(names, dense)
+        yield self.row(f"best of {count} random", scored, reached, most)
+        for limit in self.seconds:
+            start = time.perf_counter()
+            plan = self.plan(starts=1) if quick else self.plan(time_limit=limit)
+            seconds = time.perf_counter() - start
+            curve = plan.trajectory
+            scored = curve_states(curve.series, curve.period, SCORE_HZ)
+            objective = self.arguments.get("objective", "mixed")
+            reached = reached_by(
+                plan, self.robot, dense_hz, self.package_dirs, self.clearance is not None
+            )
+            yield self.row(f"sdpid, {objective}, limit {limit:g} s", scored, reached, seconds)
 
-    bounds = {key: values.tolist() for key, values in vars(case.task.bounds).items()}
-    start = time.perf_counter()
-    plan = sdpid.design_excitation(
-        case.robot,
-        duration=case.task.duration,
-        # Others went to the ends of the description's ranges.
-        limits=sdpid.Limits(**bounds, jerk=case.jerk, clearance=case.clearance, share=1.0),
-        obstacles=(table(),) if case.table else (),
-        collisions=case.clearance is not None,
-        package_dirs=case.package_dirs,
-        # A given number of starts takes as long as it takes.
-        time_limit=None if "starts" in case.arguments else case.seconds,
-        seed=seed,
-        **case.arguments,
-    )
-    return plan, time.perf_counter() - start
+    def plan(self, **how: Any) -> Any:
+        """Return a plan."""
+        from sdpid.excitation.geometry.obstacles import table
+
+        bounds = {key: values.tolist() for key, values in vars(self.bounds).items()}
+        return sdpid.design_excitation(
+            self.robot,
+            duration=self.duration,
+            # Others went to the ends of the description's ranges.
+            limits=sdpid.Limits(**bounds, jerk=self.jerk, clearance=self.clearance, share=1.0),
+            obstacles=() if self.clearance is None else (table(),),
+            collisions=self.clearance is not None,
+            package_dirs=self.package_dirs,
+            **{"time_limit": None, **how, **self.arguments},
+        )
 
 
 def reached_by(
@@ -193,84 +204,60 @@ def add_table(geometry: Geometry) -> None:
     geometry.add("table", coal.Box(*SLAB), place)
 
 
-def row(case: Case, dense_hz: float, seed: int = 0) -> tuple[Row, Any]:
-    """Design one plan and return its row, and the plan."""
-    plan, seconds = design(case, seed)
-    reached = reached_by(plan, case.robot, dense_hz, case.package_dirs, case.table)
-    scored = curve_states(plan.trajectory.series, plan.trajectory.period, SCORE_HZ)
-    return (
-        row_of(case.name, case.limits, case.title, case.columns, scored, reached, seconds),
-        plan,
-    )
-
-
 def ur10e_cases(data: Path) -> Iterator[Case]:
     """Yield the tasks of the UR10e: 20 s, 58 columns."""
     folder = data / "ur10e_innopolis"
     robot = sdpid.load_robot(folder / "ur10e.urdf")
     peer = UrMotion.read(folder / "optimal_trajectories" / "ptrnSrch_N10T20QR.mat")
-    columns = Columns(robot, rotors=True, friction=True)
     friction = {"friction": (*FRICTION, "rotor_inertia")}
     by_cond = {**friction, "objective": "condition"}
+    columns = Columns(robot, rotors=True, friction=True)
     known: dict[str, Any] = {"robot": robot, "columns": columns, "name": "UR10e"}
-    task = Task(peer.bounds, peer.duration)
-    for seconds in (10.0, 60.0):
-        yield Case(
-            **known,
-            limits="of N10T20QR",
-            task=task,
-            arguments=by_cond,
-            seconds=seconds,
-            goal=(45.0,),
-            hope=(33.0,),
-        )
+    states = (curve_states(peer, peer.duration, hz) for hz in (SCORE_HZ, RATE_HZ))
+    yield Case(
+        **known,
+        limits="of N10T20QR",
+        bounds=peer.bounds,
+        duration=peer.duration,
+        arguments=by_cond,
+        seconds=(10.0, 60.0),
+        published={"published": tuple(states)},
+    )
     ends = np.radians([[-180, 180], [-180, 0], [-100, 100], [-180, 0], [-90, 90], [-90, 90]])
-    tight = Bounds(
+    known["bounds"] = Bounds(
         lower=ends[:, 0],
         upper=ends[:, 1],
         velocity=peer.bounds.velocity,
         acceleration=np.array([2.0, 1.0, 1.0, 1.0, 1.0, 2.5]),
     )
-    for seconds in (10.0, 60.0):
-        yield Case(
-            **known,
-            limits="tight",
-            task=Task(tight, 20.0),
-            arguments=by_cond,
-            seconds=seconds,
-            goal=(50.0,),
-            hope=(37.0,),
-        )
+    known["duration"] = 20.0
+    yield Case(**known, limits="tight", arguments=by_cond, seconds=(10.0, 60.0))
     yield Case(
         **known,
         limits="tight, table, 30 mm",
-        task=Task(tight, 20.0),
         arguments=friction,
-        seconds=30.0,
+        seconds=(30.0,),
         clearance=0.03,
-        table=True,
         package_dirs=(folder,),
-        goal=(65.0, 80.0),
-        hope=(52.0, 88.0),
     )
 
 
 def lwr_cases(data: Path) -> Iterator[Case]:
-    """Yield the tasks of the LWR 4+: 12 s, 43 and 64 columns."""
+    """Yield the tasks of the LWR 4+: 12 s, 43 and 64 columns, the peer's peak accelerations."""
     folder = data / "kuka_lwr4plus"
     robot = sdpid.load_robot(folder / "kuka_lwr4.urdf")
-    task = lwr_task(robot, lwr_peer(folder / "flobaroid_excitation.npz"))
-    for friction, goal, hope in ((False, 12.0, 7.5), (True, 50.0, 27.0)):
+    peer = lwr_peer(folder / "flobaroid_excitation.npz")
+    peak = np.abs(peer.acceleration).max(axis=0)
+    for friction in (False, True):
         yield Case(
             name="LWR 4+",
             limits="peer's acceleration",
             robot=robot,
-            task=task,
+            bounds=Bounds.of(robot, acceleration=peak),
+            duration=12.0,
             columns=Columns(robot, rotors=False, friction=friction),
             arguments={"friction": FRICTION if friction else (), "objective": "condition"},
-            seconds=10.0,
-            goal=(goal,),
-            hope=(hope,),
+            published={"published": (peer, peer)},
         )
 
 
@@ -281,77 +268,53 @@ def panda_case() -> Case:
         name="Panda with hand",
         limits="table, 30 mm, 5 rad/s², 100 rad/s³",
         robot=robot,
-        task=Task(Bounds.of(robot, acceleration=5.0), 20.0),
+        bounds=Bounds.of(robot, acceleration=5.0),
+        duration=20.0,
         columns=Columns(robot, rotors=False, friction=True),
         arguments={"friction": FRICTION},
-        seconds=30.0,
+        seconds=(30.0,),
         jerk=100.0,
         clearance=0.03,
-        table=True,
     )
 
 
 def denso_case() -> Case:
-    """Return the Denso under the limits of the paper's excitation."""
-    robot, task, _ = denso_task()
+    """Return the Denso, its Table II with the peak acceleration of the paper's motion."""
+    robot = sdpid.load_robot("denso_vp6242")
+    paper = sdpid.paper_excitation("denso_vp6242", 0, period=20.0, periods=1)
+    states = curve_states(paper.series, 20.0, SCORE_HZ)
+    lower, upper = paper.position_range.T
+    bounds = Bounds(
+        lower=lower,
+        upper=upper,
+        velocity=paper.velocity_limit,
+        acceleration=np.abs(states_of(paper).acceleration).max(axis=0),
+    )
     return Case(
         name="Denso",
         limits="Table II",
         robot=robot,
-        task=task,
+        bounds=bounds,
+        duration=20.0,
         columns=Columns(robot, rotors=False, friction=True),
         arguments={"friction": FRICTION},
-        seconds=10.0,
+        published={"the paper's, one period of 20 s": (states, states)},
     )
 
 
-def table_of(rows: Sequence[tuple[Row, Case | None]]) -> Table:
-    """Return the rows as a table, with the numbers to reach."""
-    columns: dict[str, list[object]] = {
-        key: [vars(row)[key] for row, _ in rows] for key in vars(rows[0][0])
-    }
-    for key in ("goal", "hope"):
-        columns[key] = [
-            ", ".join(f"{x:g}" for x in getattr(case, key, ())) or None for _, case in rows
-        ]
-    return Table.of_columns(columns)
-
-
-def main() -> int:
+def main() -> None:
     """Design, score and check every row."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--only", help="rows of one robot, such as UR10e")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="one plan of the Denso")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    study = Study(__doc__, data=True)
     cases = [denso_case()]
-    if not options.quick:
+    if not study.quick:
         cases.append(panda_case())
-        if options.data is None:
-            print("UR10e and LWR 4+ are left out: name the data's folder by --data or SDPID_DATA.")
-        else:
-            cases += [*ur10e_cases(options.data), *lwr_cases(options.data)]
-    rows: list[tuple[Row, Case | None]] = []
-    for case in cases:
-        if options.only not in (None, case.name):
-            continue
-        if options.quick:
-            arguments = {**case.arguments, "starts": 1}
-            case = Case(**{**vars(case), "seconds": 2.0, "arguments": arguments})
-        dense_hz = 1e3 if options.quick else RATE_HZ
-        rows.append((row(case, dense_hz, options.seed)[0], case))
-        last = rows[-2][1] if len(rows) > 1 else None
-        if last is None or (last.limits, last.columns) != (case.limits, case.columns):
-            around = case.name, case.limits, case.robot, case.columns, case.task
-            rows.append((random_row(*around, case.seconds, dense_hz), None))
-        table_of(rows).write(options.out / "excitation.csv")
-        print(table_of(rows[-2:]).text(4), flush=True)
-    print(table_of(rows).text(4))
-    return 0
+        of_sets = {"ur10e_innopolis": ur10e_cases, "kuka_lwr4plus": lwr_cases}
+        for name, _ in folders(study.data, of_sets):
+            cases += of_sets[name](study.data)
+    dense_hz = 1e3 if study.quick else RATE_HZ
+    rows_of = partial(Case.rows, dense_hz=dense_hz, quick=study.quick)
+    study.rows("excitation.csv", HEADER, cases, rows_of)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

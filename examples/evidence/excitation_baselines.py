@@ -1,33 +1,22 @@
-"""Score excitations: those that others published, the paper's, and the best of random ones.
+"""Motions that others have published, or that are drawn at random, and how they are scored.
 
 The score is the unscaled condition number of the stacked regressor, and the log determinant of
 W^T·W/K, on a grid of 0.01 s over the columns of the data's READMEs: base columns (with rotor
-inertias where stated) from Pinocchio's regressor, and sign(v), v and 1 for each joint. Scored are
-the published excitations of the UR10e and the LWR 4+, the paper's for the Denso, and the best of
-random Fourier series; all are held against their own limits at 10 kHz (`dense_check.py`).
-
-    python examples/evidence/excitation_baselines.py --data DATA --out results
-
-The folder DATA (or SDPID_DATA) is described in docs/evidence/data.md.
+inertias where stated) from Pinocchio's regressor, and sign(v), v and 1 for each joint.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from dense_check import Reached, States, curve_states, joints_reached, states_of
+from dense_check import Reached, States, curve_states, joints_reached
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
 from sdpid.experiment.trajectory.fourier import FourierSeries
 
 # The grid of the score, Hz; states and tolerance by which independent columns are found.
@@ -48,7 +37,7 @@ class Bounds:
     acceleration: Array
 
     @classmethod
-    def of(cls, robot: sdpid.RobotModel, acceleration: float = np.inf) -> Bounds:
+    def of(cls, robot: sdpid.RobotModel, acceleration: float | Array = np.inf) -> Bounds:
         """Return the limits of a description, with one of acceleration."""
         lower, upper = robot.position_limits.T
         return cls(
@@ -227,196 +216,3 @@ def best_random(
         if score < best:
             best, found = score, series
     return found, count
-
-
-# What the least slack is told of.
-KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "distance")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One motion: its score over some columns, and what is left of its limits.
-
-    Attributes
-    ----------
-    seconds : float or None
-        What the search took.
-    position, velocity, acceleration, jerk, torque, distance : float or None
-        The least slack of each kind: a share of the limit, of positions in rad, of distances in m.
-    broken, collisions : int or None
-        Limits that are broken on a fine grid, and pairs that come closer than the clearance.
-    """
-
-    robot: str
-    limits: str
-    plan: str
-    seconds: float | None
-    columns: int
-    cond: float
-    log_det: float
-    position: float | None
-    velocity: float | None
-    acceleration: float | None
-    jerk: float | None
-    torque: float | None
-    distance: float | None
-    broken: int
-    collisions: int | None
-
-
-def row_of(
-    robot: str,
-    limits: str,
-    plan: str,
-    columns: Columns,
-    scored: States,
-    reached: Iterable[Reached],
-    seconds: float | None = None,
-) -> Row:
-    """Return the row of a motion: scored on one grid, its limits looked at on another."""
-    cond, log_det = columns.score(scored)
-    reached = list(reached)
-    least = {
-        kind: min((slack_of(r) for r in reached if r.kind == kind), default=None) for kind in KINDS
-    }
-    apart = [r.held for r in reached if r.kind == "distance"]
-    return Row(
-        robot=robot,
-        limits=limits,
-        plan=plan,
-        seconds=seconds,
-        columns=columns.count,
-        cond=cond,
-        log_det=log_det,
-        broken=sum(not r.held for r in reached if r.kind != "distance"),
-        collisions=apart.count(False) if apart else None,
-        **least,
-    )
-
-
-def slack_of(reached: Reached) -> float:
-    """Return what is left of a limit: its share, but rad of positions and m of distances."""
-    return reached.slack if reached.kind in ("position", "distance") else reached.share
-
-
-def ur10e_rows(data: Path, seconds: float, dense_hz: float) -> Iterator[Row]:
-    """Yield the published excitations of the UR10e, and random ones under one of their limits."""
-    folder = data / "ur10e_innopolis"
-    robot = sdpid.load_robot(folder / "ur10e.urdf")
-    columns = Columns(robot, rotors=True, friction=True)
-    for path in sorted((folder / "optimal_trajectories").glob("*.mat")):
-        peer = UrMotion.read(path)
-        yield row_of(
-            "UR10e",
-            f"of {path.stem}",
-            "published",
-            columns,
-            curve_states(peer, peer.duration, SCORE_HZ),
-            peer.bounds.reached(robot.joint_names, curve_states(peer, peer.duration, dense_hz)),
-        )
-        if path.stem.endswith("N10T20QR"):
-            yield random_row("UR10e", f"of {path.stem}", robot, columns, peer, seconds, dense_hz)
-
-
-def random_row(
-    name: str,
-    limits: str,
-    robot: sdpid.RobotModel,
-    columns: Columns,
-    like: Any,
-    seconds: float,
-    dense_hz: float,
-) -> Row:
-    """Return the best random motion of the duration and bounds of another."""
-    series, count = best_random(columns, like.bounds, like.duration, seconds)
-    return row_of(
-        name,
-        limits,
-        f"best of {count} random",
-        columns,
-        curve_states(series, like.duration, SCORE_HZ),
-        like.bounds.reached(robot.joint_names, curve_states(series, like.duration, dense_hz)),
-        seconds,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """Bounds and a duration (s)."""
-
-    bounds: Bounds
-    duration: float
-
-
-def lwr_task(robot: sdpid.RobotModel, peer: States) -> Task:
-    """Return 12 s under the description's limits and the peer's peak acceleration of each joint."""
-    peak = np.abs(peer.acceleration).max(axis=0)
-    return Task(Bounds(**{**vars(Bounds.of(robot)), "acceleration": peak}), 12.0)
-
-
-def lwr_rows(data: Path, seconds: float, dense_hz: float) -> Iterator[Row]:
-    """Yield FloBaRoID's excitation of the LWR 4+, and random ones at its peak acceleration."""
-    folder = data / "kuka_lwr4plus"
-    robot = sdpid.load_robot(folder / "kuka_lwr4.urdf")
-    peer = lwr_peer(folder / "flobaroid_excitation.npz")
-    task = lwr_task(robot, peer)
-    for friction in (False, True):
-        columns = Columns(robot, rotors=False, friction=friction)
-        reached = task.bounds.reached(robot.joint_names, peer)
-        yield row_of("LWR 4+", "peer's acceleration", "published", columns, peer, reached)
-        yield random_row("LWR 4+", "peer's acceleration", robot, columns, task, seconds, dense_hz)
-
-
-def denso_task() -> tuple[sdpid.RobotModel, Task, States]:
-    """Return the Denso, its Table II with the paper's peak acceleration, and the paper's motion."""
-    robot = sdpid.load_robot("denso_vp6242")
-    paper = sdpid.paper_excitation("denso_vp6242", 0, period=20.0, periods=1)
-    states = curve_states(paper.series, 20.0, SCORE_HZ)
-    lower, upper = paper.position_range.T
-    bounds = Bounds(
-        lower=lower,
-        upper=upper,
-        velocity=paper.velocity_limit,
-        acceleration=np.abs(states_of(paper).acceleration).max(axis=0),
-    )
-    return robot, Task(bounds, 20.0), states
-
-
-def denso_rows(seconds: float) -> Iterator[Row]:
-    """Yield the paper's excitation in 20 s, and random ones under the same limits."""
-    robot, task, paper = denso_task()
-    columns = Columns(robot, rotors=False, friction=True)
-    reached = task.bounds.reached(robot.joint_names, paper)
-    yield row_of("Denso", "Table II", "paper, one period of 20 s", columns, paper, reached)
-    yield random_row("Denso", "Table II", robot, columns, task, seconds, SCORE_HZ)
-
-
-def table_of(rows: Sequence[Row]) -> Table:
-    """Return the rows as a table."""
-    return Table.of_columns({key: [vars(row)[key] for row in rows] for key in vars(rows[0])})
-
-
-def main() -> int:
-    """Score every excitation that is there."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--seconds", type=float, default=10.0, help="of the search at random")
-    parser.add_argument("--quick", action="store_true", help="half a second each, 1 kHz")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    seconds, dense_hz = (0.5, 1e3) if options.quick else (options.seconds, 10e3)
-    rows = list(denso_rows(seconds))
-    if options.data is None:
-        print("UR10e and LWR 4+ are left out: name the folder of the data by --data or SDPID_DATA.")
-    else:
-        rows += ur10e_rows(options.data, seconds, dense_hz)
-        rows += lwr_rows(options.data, seconds, dense_hz)
-    table = table_of(rows)
-    table.write(options.out / "excitation_baselines.csv")
-    print(table.text(4))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,20 +13,16 @@ the others come with the package's dependencies.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from dense_check import RATE_HZ, Reached
+from data_sets import folders
+from dense_check import KINDS, RATE_HZ, Reached, left_of
 from excitation import reached_by
-from excitation_baselines import KINDS, slack_of
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 
 # What load_robot takes, and whether a table stands under the arm.
 ROBOTS = {
@@ -40,7 +36,17 @@ ROBOTS = {
     "TX40": ("staubli_tx40/tx40.urdf", True),
     "Gen3": ("kinova_gen3_dynamapp/gen3.urdf", True),
 }
-OF_THE_DATA = ("LWR 4+", "TX40", "Gen3")
+OF_THE_DATA = {
+    "LWR 4+": "kuka_lwr4plus",
+    "TX40": "staubli_tx40",
+    "Gen3": "kinova_gen3_dynamapp",
+}
+# Least distance, m, and what each search may take, s.
+CLEARANCE, SECONDS = 0.02, 30.0
+HEADER = (
+    *("robot", "joints", "table", "seconds", "cond", "log_det", *KINDS, "pairs", "shapes"),
+    *("broken", "collisions", "optimistic", "stated"),
+)
 
 # Two ways of rounding the same number, relative to it and absolute.
 ROUNDING = 1e-9
@@ -63,73 +69,47 @@ def optimistic(plan: Any, reached: Sequence[Reached]) -> int:
     )
 
 
-def run(name: str, source: str | Path, table: bool, options: argparse.Namespace) -> dict[str, Any]:
-    """Design for one robot and return the row of the table."""
+def rows(name: str, study: Study) -> Iterator[tuple[object, ...]]:
+    """Design for one robot and yield the row of the table."""
     from sdpid.excitation.geometry.obstacles import table as table_at
 
-    robot = sdpid.load_robot(source)
+    source, table = ROBOTS[name]
+    robot = sdpid.load_robot(study.data / source if name in OF_THE_DATA else source)
+    known = name, robot.n, "yes" if table else "no"
     start = time.perf_counter()
-    row: dict[str, Any] = {"robot": name, "joints": robot.n, "table": "yes" if table else "no"}
     try:
         plan = sdpid.design_excitation(
             robot,
-            duration=options.duration,
-            limits=sdpid.Limits(clearance=options.clearance),
+            duration=study.duration,
+            limits=sdpid.Limits(clearance=CLEARANCE),
             obstacles=(table_at(),) if table else (),
-            time_limit=None if options.quick else options.seconds,
+            time_limit=None if study.quick else SECONDS,
             starts=1,
-            seed=options.seed,
         )
     except sdpid.errors.SdpidError as error:
         print(f"{name}: no plan, {error}", flush=True)
-        return row
-    row["seconds"] = time.perf_counter() - start
-    reached = reached_by(plan, robot, 1e3 if options.quick else RATE_HZ, (), table)
-    apart = [each for each in reached if each.kind == "distance"]
-    row |= {"cond": plan.condition_number, "log_det": plan.log_det}
-    row |= {
-        kind: min((slack_of(r) for r in reached if r.kind == kind), default=None) for kind in KINDS
-    }
-    row |= {
-        "pairs": len(apart),
-        "shapes": "description's" if robot.urdf and "<collision" in robot.urdf else "assumed",
-        "broken": sum(not each.held for each in reached if each.kind != "distance"),
-        "collisions": sum(not each.held for each in apart),
-        "optimistic": optimistic(plan, reached),
-        "stated": "held" if plan.limits.ok else "not held",
-    }
-    return row
+        yield *known, *(None,) * (len(HEADER) - len(known))
+        return
+    seconds = time.perf_counter() - start
+    reached = reached_by(plan, robot, 1e3 if study.quick else RATE_HZ, (), table)
+    least, broken, collisions = left_of(reached)
+    yield (
+        *(*known, seconds, plan.condition_number, plan.log_det, *least),
+        sum(each.kind == "distance" for each in reached),
+        "description's" if robot.urdf and "<collision" in robot.urdf else "assumed",
+        *(broken, collisions, optimistic(plan, reached)),
+        "held" if plan.limits.ok else "not held",
+    )
 
 
-def main() -> int:
+def main() -> None:
     """Design and check a plan for every robot."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--robot", action="append", choices=tuple(ROBOTS), help="default: all")
-    parser.add_argument("--duration", type=float, default=20.0, help="s")
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each search")
-    parser.add_argument("--clearance", type=float, default=0.02, help="m")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="the Denso")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    if options.quick:
-        options.robot, options.duration = ["Denso"], 5.0
-    rows: list[dict[str, Any]] = []
-    for name in options.robot or ROBOTS:
-        source, table = ROBOTS[name]
-        if name in OF_THE_DATA and options.data is None:
-            print(f"{name}: left out, name the folder of the data by --data or SDPID_DATA.")
-            continue
-        path = options.data / source if name in OF_THE_DATA else source
-        rows.append(run(name, path, table, options))
-        keys = dict.fromkeys(key for row in rows for key in row)
-        found = Table.of_columns({key: [row.get(key) for row in rows] for key in keys})
-        found.write(options.out / "excitation_robots.csv")
-        print(found.text(3), flush=True)
-    return 0
+    quick = {"robots": ["Denso"], "duration": 5.0}
+    study = Study(__doc__, data=True, quick=quick, robots=[*ROBOTS], duration=(20.0, "s"))
+    there = {name for name, _ in folders(study.data, OF_THE_DATA.values())}
+    names = [name for name in study.robots if OF_THE_DATA.get(name) in {None, *there}]
+    study.rows("excitation_robots.csv", HEADER, names, lambda name: rows(name, study), digits=3)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
