@@ -10,18 +10,17 @@ data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from study import Study, grouped
 
 import sdpid
-from sdpid._common.tables import Table
 
 MASS = 2.805  # kg
 PAIRS = {
@@ -63,6 +62,22 @@ RATE = 100.0  # Hz
 EFFECTS = ("rotor_inertia", "load")
 # Masked as `identify` does, close to reversals only.
 UNMASKED = {"reversal_speed": 0.02, "reversal_time": 0.0225, "kept_share": 0.1}
+GAINS_COLUMNS = (
+    *("pair", "joint", "gain", "error_percent", "lower", "upper", "unconstrained"),
+    *("left_percent", "starts"),
+)
+# What is done otherwise.
+OTHERWISE: dict[str, dict[str, Any]] = {
+    "as by default": {},
+    "slow motion not masked": {"processing": UNMASKED},
+    "friction of both runs alike": {
+        "shared": ("rotor_inertia", "load", "coulomb", "viscous", "sigmoid", "offset")
+    },
+    "no rotor inertia": {"effects": ("load",)},
+    "no friction of the load": {"effects": ("rotor_inertia",)},
+    "bodies need not exist": {"consistent": False},
+}
+REGRESSED = "errors in torques: currents as regressors"
 CHOICES = (
     *("choice", "gains_february", "gains_january"),
     *("joint_1_percent", "others_percent", "left_percent"),
@@ -73,31 +88,84 @@ COVERAGE = (
 )
 
 
-def main() -> int:
-    """Run both parts and write their tables."""
-    options = parse()
-    folder = Path(options.data) / "ur10e_innopolis"
-    robot = sdpid.load_robot(folder / "ur10e.urdf")
-    if options.simulated:
-        simulated(robot, 2 if options.quick else options.arms, options.out)
-    else:
-        real(robot, folder, options.out, quick=options.quick)
-    return 0
+@dataclass(frozen=True)
+class Runs:
+    """The recordings, and the effects that gains of them are identified with."""
 
+    folder: Path
+    out: Path
+    effects: Any
 
-def parse() -> argparse.Namespace:
-    """Return the options."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", default=os.environ.get("SDPID_DATA"), help="public records")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the tables")
-    parser.add_argument("--simulated", action="store_true", help="simulated arms, no recordings")
-    parser.add_argument("--arms", type=int, default=100, help="simulated arms of each case")
-    parser.add_argument("--quick", action="store_true", help="effects not chosen, two arms")
-    options = parser.parse_args()
-    if options.data is None:
-        parser.error("name the folder of the public records: --data or SDPID_DATA")
-    options.out.mkdir(parents=True, exist_ok=True)
-    return options
+    @cached_property
+    def robot(self) -> sdpid.RobotModel:
+        """The arm."""
+        return sdpid.load_robot(self.folder / "ur10e.urdf")
+
+    @cached_property
+    def pairs(self) -> dict[str, list[sdpid.Recording]]:
+        """A run without and one with the load, by day."""
+        return {
+            pair: [read(self.robot, self.folder, name, self.out) for name in names]
+            for pair, names in PAIRS.items()
+        }
+
+    @cached_property
+    def found(self) -> dict[str, Any]:
+        """Gains of each pair, of one with more runs without a load, and of both."""
+        first, second = self.pairs.values()
+        others = [read(self.robot, self.folder, name, self.out) for name in OTHERS]
+        logs: dict[str, Any] = {
+            **self.pairs,
+            "19 February, five runs": ([first[0], *others], first[1]),
+            "both pairs": ([first[0], second[0]], [first[1], second[1]]),
+        }
+        return {
+            name: sdpid.identify_drive_gains(self.robot, *own, load=MASS, effects=self.effects)
+            for name, own in logs.items()
+        }
+
+    def gains(self) -> Iterator[tuple[object, ...]]:
+        """Yield the gains of each joint."""
+        for name, each in self.found.items():
+            gains, ends = each.gains, each.gains.intervals().T
+            errors, left = gains.standard_errors / gains.gains, 100.0 * each.share
+            columns = (gains.gains, 100.0 * errors, *ends, each.unconstrained, left)
+            for joint, *own in zip(self.robot.joint_names, *columns, strict=True):
+                yield name, joint, *own, f"{each.agreed} of {each.starts}"
+
+    def apart(self) -> Iterator[tuple[object, ...]]:
+        """Yield how far the gains of two pairs are apart."""
+        one, two = (self.found[pair].gains for pair in PAIRS)
+        shift = np.log(one.gains / two.gains)
+        errors = np.hypot(*(each.standard_errors / each.gains for each in (one, two)))
+        (low, high), (least, most) = one.intervals().T, two.intervals().T
+        overlap = np.where((low < most) & (least < high), "yes", "no")
+        yield from zip(self.robot.joint_names, 100.0 * shift, shift / errors, overlap, strict=True)
+
+    def choices(self, name: str) -> Iterator[tuple[object, ...]]:
+        """Yield how far the gains of two pairs are apart when something is done otherwise."""
+        left = None
+        if name in OTHERWISE:
+            given = {"load": MASS, "effects": EFFECTS, "starts": 0, **OTHERWISE[name]}
+            found = [
+                sdpid.identify_drive_gains(self.robot, *pair, **given)
+                for pair in self.pairs.values()
+            ]
+            one, two = (each.gains.gains for each in found)
+            left = 100.0 * np.mean([each.share[3:] for each in found])
+        else:
+            one, two = (currents_as_regressors(self.robot, *pair) for pair in self.pairs.values())
+        shift = 100.0 * np.abs(np.log(np.maximum(one, 1e-9) / np.maximum(two, 1e-9)))
+        gains = [" ".join(f"{gain:.2f}" for gain in each) for each in (one, two)]
+        yield name, *gains, shift[0], shift[1:].max(), left
+
+    def crosswise(self) -> Iterator[tuple[object, ...]]:
+        """Yield what gains of others weigh the load of a pair with."""
+        for pair in PAIRS:
+            sources = {other: self.found[other].gains.gains for other in PAIRS if other != pair}
+            for source, gains in {**sources, **PUBLISHED}.items():
+                mass, error = weighed(self.found[pair].gains, np.asarray(gains))
+                yield pair, source, mass, error, 100.0 * (mass / MASS - 1.0)
 
 
 def read(robot: sdpid.RobotModel, folder: Path, name: str, out: Path) -> sdpid.Recording:
@@ -109,93 +177,6 @@ def read(robot: sdpid.RobotModel, folder: Path, name: str, out: Path) -> sdpid.R
         path.write_text("\n".join(lines) + "\n")
     names = robot.joint_names
     return sdpid.read_recording(path, columns=COLUMNS, joint_names=names, currents=True)
-
-
-def real(robot: sdpid.RobotModel, folder: Path, out: Path, *, quick: bool) -> None:
-    """Write the gains of both pairs, and the loads that the gains of others weigh."""
-    settings = {"load": MASS, "effects": EFFECTS if quick else "auto"}
-    logs = {
-        pair: [read(robot, folder, name, out) for name in names] for pair, names in PAIRS.items()
-    }
-    others = [read(robot, folder, name, out) for name in OTHERS]
-    found, rows = {}, []
-    for pair, (bare, loaded) in logs.items():
-        found[pair] = sdpid.identify_drive_gains(robot, bare, loaded, **settings)
-    many = [logs["19 February"][0], *others]
-    found["19 February, five runs"] = sdpid.identify_drive_gains(
-        robot, many, logs["19 February"][1], **settings
-    )
-    bare, loaded = ([log[k] for log in logs.values()] for k in (0, 1))
-    found["both pairs"] = sdpid.identify_drive_gains(robot, bare, loaded, **settings)
-    for name, each in found.items():
-        print(name, each.describe(), sep="\n", flush=True)
-        gains = each.gains
-        errors = 100.0 * gains.standard_errors / gains.gains
-        ends = gains.intervals()
-        columns = gains.gains, errors, ends[:, 0], ends[:, 1], each.unconstrained
-        for j, joint in enumerate(robot.joint_names):
-            starts = f"{each.agreed} of {each.starts}"
-            own = (float(column[j]) for column in columns)
-            rows.append((name, joint, *own, 100.0 * float(each.share[j]), starts))
-    header = ("pair", "joint", "gain", "error_percent", "lower", "upper", "unconstrained")
-    Table((*header, "left_percent", "starts"), tuple(rows)).write(out / "gains.csv")
-
-    one, two = (found[pair].gains for pair in PAIRS)
-    shift = np.log(one.gains / two.gains)
-    errors = np.hypot(*(each.standard_errors / each.gains for each in (one, two)))
-    low, high = one.intervals(), two.intervals()
-    rows = [
-        (
-            joint,
-            100.0 * float(shift[j]),
-            float(shift[j] / errors[j]),
-            "yes" if low[j, 0] < high[j, 1] and high[j, 0] < low[j, 1] else "no",
-        )
-        for j, joint in enumerate(robot.joint_names)
-    ]
-    header = ("joint", "difference_percent", "in_errors", "overlap")
-    Table(header, tuple(rows)).write(out / "pairs.csv")
-
-    Table(CHOICES, tuple(choices(robot, logs))).write(out / "choices.csv")
-
-    rows = []
-    for pair in PAIRS:
-        own = found[pair].gains
-        sources = {other: found[other].gains.gains for other in PAIRS if other != pair}
-        for source, gains in {**sources, **PUBLISHED}.items():
-            mass, error = weighed(own, np.asarray(gains))
-            rows.append((pair, source, mass, error, 100.0 * (mass / MASS - 1.0)))
-    header = ("load_of", "gains_of", "mass_kg", "error_kg", "off_percent")
-    Table(header, tuple(rows)).write(out / "crosswise.csv")
-
-
-def choices(
-    robot: sdpid.RobotModel, logs: dict[str, list[sdpid.Recording]]
-) -> Iterator[tuple[object, ...]]:
-    """Yield how far the gains of two pairs are apart when something is done otherwise."""
-    own = ("rotor_inertia", "load", "coulomb", "viscous", "sigmoid", "offset")
-    others: dict[str, dict[str, Any]] = {
-        "as by default": {},
-        "slow motion not masked": {"processing": UNMASKED},
-        "friction of both runs alike": {"shared": own},
-        "no rotor inertia": {"effects": ("load",)},
-        "no friction of the load": {"effects": ("rotor_inertia",)},
-        "bodies need not exist": {"consistent": False},
-    }
-    for name, settings in others.items():
-        given = {"load": MASS, "effects": EFFECTS, "starts": 0, **settings}
-        found = [sdpid.identify_drive_gains(robot, *pair, **given) for pair in logs.values()]
-        left = 100.0 * np.mean([each.share[3:] for each in found])
-        yield _apart(name, *(each.gains.gains for each in found), float(left))
-    regressed = [currents_as_regressors(robot, *pair) for pair in logs.values()]
-    yield _apart("errors in torques: currents as regressors", *regressed, None)
-
-
-def _apart(name: str, one: np.ndarray, two: np.ndarray, left: float | None) -> tuple[object, ...]:
-    """Return a row of the table of choices."""
-    shift = 100.0 * np.abs(np.log(np.maximum(one, 1e-9) / np.maximum(two, 1e-9)))
-    gains = [" ".join(f"{gain:.2f}" for gain in each) for each in (one, two)]
-    return (name, *gains, float(shift[0]), float(shift[1:].max()), left)
 
 
 def currents_as_regressors(
@@ -313,50 +294,65 @@ def alike(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
     return out
 
 
-def simulated(robot: sdpid.RobotModel, runs: int, out: Path) -> None:
-    """Write how often intervals hold the gains of simulated arms."""
-    rows = []
-    for seconds in (50.0, 25.0):
-        held, shifts, errors = [], [], []
-        refused = 0
-        for seed in range(runs):
-            rng = np.random.default_rng(seed)
-            arm = Arm.drawn(robot, rng)
-            warm = rng.uniform(0.85, 1.15, 2)
-            logs = [arm.log(robot, rng, seconds, loaded=bool(k), warm=warm[k]) for k in range(2)]
-            try:
-                found = sdpid.identify_drive_gains(
-                    robot, *logs, load=MASS, effects=EFFECTS, starts=0
-                ).gains
-            except sdpid.errors.SdpidError as error:
-                refused += 1
-                print(seconds, seed, error, flush=True)
-                continue
-            ends = found.intervals()
-            held.append((ends[:, 0] < arm.gains) & (arm.gains < ends[:, 1]))
-            shifts.append(np.log(found.gains / arm.gains))
-            errors.append(found.standard_errors / found.gains)
-            if seed % 20 == 19:
-                share = 100.0 * np.mean(held, axis=0)
-                print(seconds, seed + 1, share.round(1), share.mean().round(1), flush=True)
-        parts = {joint: [j] for j, joint in enumerate(robot.joint_names)}
-        parts["all joints"] = list(range(robot.n))
-        for joint, which in parts.items():
-            own = np.asarray(shifts)[:, which]
-            rows.append(
-                (
-                    f"two runs of {seconds:g} s",
-                    joint,
-                    len(held),
-                    100.0 * float(np.mean(np.asarray(held)[:, which])),
-                    100.0 * float(np.median(np.asarray(errors)[:, which])),
-                    100.0 * float(np.sqrt(np.mean(own**2))),
-                    100.0 * float(np.mean(own)),
-                    refused,
-                )
+def compared(robot: sdpid.RobotModel, seconds: float, seed: int) -> Iterator[tuple[object, ...]]:
+    """Yield of each joint of a simulated arm whether its interval holds the gain."""
+    rng = np.random.default_rng(seed)
+    arm = Arm.drawn(robot, rng)
+    warm = rng.uniform(0.85, 1.15, 2)
+    logs = [arm.log(robot, rng, seconds, loaded=bool(k), warm=warm[k]) for k in range(2)]
+    case, options = f"two runs of {seconds:g} s", {"load": MASS, "effects": EFFECTS, "starts": 0}
+    try:
+        found = sdpid.identify_drive_gains(robot, *logs, **options).gains
+    except sdpid.errors.SdpidError as error:
+        print(seconds, seed, error, flush=True)
+        yield case, "refused", None, None, None
+        return
+    low, high = found.intervals().T
+    held = (low < arm.gains) & (arm.gains < high)
+    shift, errors = np.log(found.gains / arm.gains), found.standard_errors / found.gains
+    for joint, *own in zip(robot.joint_names, held, shift, errors, strict=True):
+        yield case, joint, *own
+
+
+def coverage(rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> Iterator[tuple[object, ...]]:
+    """Yield how often intervals hold the gains of simulated arms, by joint and of all."""
+    for (case,), own in grouped(rows, "case"):
+        refused = own["joint"] == "refused"
+        for joint in (*joints, "all joints"):
+            which = ~refused if joint == "all joints" else own["joint"] == joint
+            held, shift, errors = (
+                own[name][which].astype(float) for name in ("held", "shift", "error")
             )
-        Table(COVERAGE, tuple(rows)).write(out / "coverage.csv")
+            sizes = np.median(errors), np.sqrt(np.mean(shift**2)), np.mean(shift)
+            arms = int((own["joint"] == joints[0]).sum())
+            shares = (100.0 * each for each in (np.mean(held), *sizes))
+            yield case, joint, arms, *shares, int(refused.sum())
+
+
+def main() -> None:
+    """Run recordings or simulated arms, and write their tables."""
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"arms": 2, "effects": [*EFFECTS]},
+        simulated=(False, "simulated arms, no recordings"),
+        arms=(100, "simulated arms of each case"),
+        effects=(["auto"], "that gains are identified with"),
+    )
+    effects = "auto" if study.effects == ["auto"] else study.effects
+    runs = Runs(study.data / "ur10e_innopolis", study.out, effects)
+    if study.simulated:
+        header = ("case", "joint", "held", "shift", "error")
+        cases = itertools.product((50.0, 25.0), range(study.arms))
+        found = study.rows("arms.csv", header, cases, lambda case: compared(runs.robot, *case))
+        study.write("coverage.csv", COVERAGE, coverage(found, runs.robot.joint_names))
+        return
+    study.write("gains.csv", GAINS_COLUMNS, runs.gains())
+    study.write("pairs.csv", ("joint", "difference_percent", "in_errors", "overlap"), runs.apart())
+    study.rows("choices.csv", CHOICES, [*OTHERWISE, REGRESSED], runs.choices)
+    header = ("load_of", "gains_of", "mass_kg", "error_kg", "off_percent")
+    study.write("crosswise.csv", header, runs.crosswise())
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
