@@ -9,25 +9,28 @@ answers depend on the bound on masses and on the lengths that the paper does not
 
 from __future__ import annotations
 
-import argparse
+import csv
 import json
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
+from functools import partial
+
+from study import Study
 
 import sdpid
-from sdpid._common.tables import Table
 from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import BaseTable, half_unit, read_base_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhTable
-from sdpid.robot.inertia import CONSISTENCIES, Consistency
+from sdpid.robot.inertia import Consistency
 from sdpid.verifier.tables import answer_of
 
 ROBOT = "denso_vp6242"
 FOLDER = bundled_folder(ROBOT)
+
+FOUR: Consistency = "pseudo_inertia"
+SPATIAL: Consistency = "spatial_inertia"
 
 # Lengths (m) of the maker's drawing, which the bundled model has, and where they stand in its
 # table: row, field and sign.
@@ -49,10 +52,12 @@ def column(name: str) -> BaseTable:
     return read_base_table(FOLDER / "table_iv.csv", value=name)
 
 
-def with_table_v(table: BaseTable) -> BaseTable:
-    """Return a column with the masses of Table V."""
-    import csv
+CWLS = partial(column, "cwls")
 
+
+def with_table_v() -> BaseTable:
+    """Return the constrained column with the masses of Table V."""
+    table = CWLS()
     values, halfwidths = dict(table.values), dict(table.halfwidths)
     with (FOLDER / "table_v.csv").open(encoding="utf-8") as file:
         for row in csv.DictReader(file):
@@ -62,8 +67,9 @@ def with_table_v(table: BaseTable) -> BaseTable:
     return BaseTable(values, halfwidths, frozenset(values))
 
 
-def with_sigma(table: BaseTable, times: int) -> BaseTable:
+def with_sigma(name: str, times: int) -> BaseTable:
     """Return a column whose halfwidths are the printed rounding and `times` sigma."""
+    table = column(name)
     sigma = read_base_table(FOLDER / "table_iv.csv", value="sigma").values
     wide = {name: half + times * sigma[name] for name, half in table.halfwidths.items()}
     return BaseTable(table.values, wide, table.mentioned)
@@ -78,14 +84,6 @@ def stretched(factors: Mapping[str, float]) -> sdpid.RobotModel:
         length = round(getattr(joints[row], field) * factor, 6)
         joints[row] = replace(joints[row], **{field: length})
     return sdpid.RobotModel.from_mdh(replace(table, joints=tuple(joints)))
-
-
-def other_lengths(quick: bool) -> Iterator[tuple[str, sdpid.RobotModel]]:
-    """Yield arms of other lengths, one length at a time and all together."""
-    for factor in TIMES[:1] if quick else TIMES:
-        yield f"all x {factor:g}", stretched(dict.fromkeys(LENGTHS, factor))
-        for name in () if quick else LENGTHS:
-            yield f"{name} x {factor:g}", stretched({name: factor})
 
 
 def audited(
@@ -104,91 +102,70 @@ def audited(
     return found
 
 
-def main() -> int:
-    """Audit the paper's tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="one set of other lengths only")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+# What is asked: the table, the consistency, and further arguments of the audit.
+QUESTIONS: dict[str, tuple[Callable[[], BaseTable], Consistency, dict[str, str]]] = {
+    **{
+        f"Table IV {name}, {kind}": (partial(column, name), kind, {})
+        for name in ("cwls", "wls")
+        for kind in (FOUR, SPATIAL)
+    },
+    "Table IV cwls, margin of Table V (0.01)": (CWLS, SPATIAL, {"margin": "0.01"}),
+    "Table IV cwls, margin that prints as 0.01": (CWLS, SPATIAL, {"margin": PRINTED_MARGIN}),
+    "Table IV cwls with the masses of Table V": (with_table_v, SPATIAL, {}),
+    "Table IV cwls with the masses of Table V, margin that prints as 0.01": (
+        with_table_v,
+        SPATIAL,
+        {"margin": PRINTED_MARGIN},
+    ),
+    **{
+        f"Table IV {name} +- 2 sigma, {kind}": (partial(with_sigma, name, 2), kind, {})
+        for name in ("cwls", "wls")
+        for kind in (SPATIAL, FOUR)
+    },
+}
 
-    robot = sdpid.load_robot(ROBOT)
-    tables = {"cwls": column("cwls"), "wls": column("wls")}
-    cases = [
-        (f"Table IV {name}, {kind}", tables[name], kind, {})
-        for name in tables
-        for kind in CONSISTENCIES
-        if kind != "none"
-    ]
-    spatial: Consistency = "spatial_inertia"
-    constrained = tables["cwls"]
-    cases += [
-        ("Table IV cwls, margin of Table V (0.01)", constrained, spatial, {"margin": "0.01"}),
-        (
-            "Table IV cwls, margin that prints as 0.01",
-            constrained,
-            spatial,
-            {"margin": PRINTED_MARGIN},
-        ),
-        ("Table IV cwls with the masses of Table V", with_table_v(constrained), spatial, {}),
-        (
-            "Table IV cwls with the masses of Table V, margin that prints as 0.01",
-            with_table_v(constrained),
-            spatial,
-            {"margin": PRINTED_MARGIN},
-        ),
-    ]
-    for name, table in tables.items():
-        cases += [
-            (f"Table IV {name} +- 2 sigma, {kind}", with_sigma(table, 2), kind, {})
-            for kind in (spatial, "pseudo_inertia")
-        ]
-    rows, proofs = [], {}
-    for title, table, kind, more in cases:
-        found = audited(robot, table, kind, **more)
-        print(f"== {title}\n{found.summary()}\n")
-        proof = found.refutation
-        rows.append(
-            (
-                title,
-                found.verdict,
-                found.margin,
-                found.margin_bound,
-                None if proof is None else len(proof.weights),
-                found.needs_mass_bound,
-                found.change,
-            )
-        )
-        if proof is not None:
-            proofs[title] = proof
-    header = ("case", "verdict", "margin", "margin_bound", "numbers", "mass_bound", "change")
-    Table(header, tuple(rows)).write(options.out / "audit_paper.csv")
-    text = json.dumps({title: proof.to_dict() for title, proof in proofs.items()}, indent=1)
-    (options.out / "audit_paper_proofs.json").write_text(text + "\n", encoding="utf-8")
 
-    scan = []
-    for mass_max in MASSES[1:2] if options.quick else MASSES:
-        found = audited(robot, constrained, spatial, mass_max=mass_max)
-        scan.append((f"masses up to {mass_max:g} kg", found.verdict, found.margin, None))
-    for title, arm in other_lengths(options.quick):
-        found = audited(arm, constrained, spatial)
-        refuted = all(
-            audited(arm, tables[name], kind).verdict == "not realisable"
-            for name, kind in (
-                ("cwls", "pseudo_inertia"),
-                ("wls", "pseudo_inertia"),
-                ("wls", "spatial_inertia"),
-            )
-        )
-        scan.append((title, found.verdict, found.margin, refuted))
-    table = Table(
-        ("changed", "cwls_spatial_inertia", "largest_margin", "others_refuted"), tuple(scan)
+def verdict(title: str) -> Iterator[tuple[object, ...]]:
+    """Yield the row of a question about Table IV."""
+    table, consistency, more = QUESTIONS[title]
+    found = audited(sdpid.load_robot(ROBOT), table(), consistency, **more)
+    print(f"== {title}\n{found.summary()}\n", flush=True)
+    proof = found.refutation
+    count = None if proof is None else len(proof.weights)
+    margins = found.margin, found.margin_bound
+    yield title, found.verdict, *margins, count, found.needs_mass_bound, found.change
+
+
+def scanned(changed: str | float) -> Iterator[tuple[object, ...]]:
+    """Yield the row of another bound on masses, or of an arm of other lengths."""
+    if not isinstance(changed, str):
+        found = audited(sdpid.load_robot(ROBOT), CWLS(), SPATIAL, mass_max=changed)
+        yield f"masses up to {changed:g} kg", found.verdict, found.margin, None
+        return
+    names, factor = changed.split(" x ")
+    arm = stretched(dict.fromkeys(LENGTHS if names == "all" else [names], float(factor)))
+    found = audited(arm, CWLS(), SPATIAL)
+    others = (("cwls", FOUR), ("wls", FOUR), ("wls", SPATIAL))
+    refuted = all(
+        audited(arm, column(name), kind).verdict == "not realisable" for name, kind in others
     )
-    table.write(options.out / "audit_paper_scan.csv")
-    print("== Table IV cwls, spatial_inertia: masses and lengths (masses up to 100 kg if not said)")
-    print(table.text(3))
-    return 0
+    yield changed, found.verdict, found.margin, refuted
+
+
+def main() -> None:
+    """Audit the paper's tables."""
+    lengths = [f"{name} x {factor:g}" for factor in TIMES for name in ("all", *LENGTHS)]
+    study = Study(
+        __doc__,
+        quick={"masses": [10.0], "lengths": lengths[:1]},
+        masses=[*MASSES],
+        lengths=lengths,
+    )
+    header = ("case", "verdict", "margin", "margin_bound", "numbers", "mass_bound", "change")
+    study.rows("audit_paper.csv", header, QUESTIONS, verdict)
+    header = ("changed", "cwls_spatial_inertia", "largest_margin", "others_refuted")
+    study.rows("audit_paper_scan.csv", header, [*study.masses, *study.lengths], scanned)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,19 +11,16 @@ from shapes.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from study import Study
 
 import sdpid
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
-from sdpid.assurance.descriptions.audit import UrdfAudit
 from sdpid.assurance.descriptions.checks import carried, carried_theta
 from sdpid.output.robots.repair import RepairReport, repair_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
@@ -38,20 +35,12 @@ QUICK = (
     "human_description/human",
     "so_arm_description/so101",
 )
-HEADER = (
-    "robot",
-    "links",
-    "impossible",
-    "errors",
-    "warnings",
-    "notes",
-    "kinds",
-    "mujoco",
-    "repaired",
-    "largest_distance",
+# Of the page, and beside it: the largest difference from Pinocchio, what is counted, and kinds.
+SHOWN = (
+    *("robot", "links", "impossible", "errors", "warnings", "mujoco", "repaired"),
     "mujoco_after",
-    "pinocchio_difference",
 )
+HEADER = (*SHOWN, "pinocchio_difference", "verdict", "kinds")
 # What loaders refuse although it is no error.
 EDGE = ("no_thickness", "point", "moving_without_mass")
 
@@ -101,89 +90,50 @@ def pinocchio_difference(text: str) -> float:
     return worst
 
 
-def row(name: str, path: Path) -> tuple[tuple[object, ...], UrdfAudit | None]:
-    """Return a row of the table, and the audit."""
+def rows(name: str) -> Iterator[tuple[object, ...]]:
+    """Yield the row of a robot."""
+    path = example_robots()[name]
     try:
         audit = sdpid.audit_urdf(path)
     except sdpid.errors.ModelError as error:
         print(f"{name}: {error}", file=sys.stderr)
-        return (name, *(None,) * 5, "unreadable", *(None,) * 5), None
+        yield name, *(None,) * 4, None, 0, None, None, None, []
+        return
     text = path.read_bytes().decode("utf-8")
     report: RepairReport = repair_urdf(path)
     pin.buildModelFromXML(report.text)
     assert not repair_urdf(report.text).bodies, "a repair of the repaired changes nothing"
-    notes = len(audit.findings) - len(audit.errors) - len(audit.warnings)
-    kinds = Counter(f.kind for f in audit.findings if f.severity != "note")
-    distances = [body.proof.distance for body in report.bodies if body.proof is not None]
-    cells = (
+    verdict = mujoco_verdict(text)
+    edge = any(f.kind in EDGE and f.severity == "warning" for f in audit.findings)
+    ours = "with errors" if not audit.passed else "on the edge" if edge else "clean"
+    loaded = "loaded" if verdict == "loads" else "refused"
+    yield (
         name,
         len(audit.bodies),
         sum(body.consistent is False for body in audit.bodies),
         len(audit.errors),
         len(audit.warnings),
-        notes,
-        ", ".join(f"{count} {kind}" for kind, count in kinds.items()),
-        mujoco_verdict(text),
+        verdict,
         len(report.bodies),
-        max(distances, default=None),
         mujoco_verdict(report.text),
         pinocchio_difference(text),
+        f"{ours}, {loaded} by MuJoCo",
+        sorted({f"{f.severity} {f.kind}" for f in audit.findings}),
     )
-    return cells, audit
 
 
-def markdown(rows: list[tuple[object, ...]]) -> str:
-    """Return the rows with errors, or that MuJoCo refuses, as a short Markdown table."""
-    columns = (0, 1, 2, 3, 4, 7, 8, 10)
-    lines = ["| " + " | ".join(HEADER[k] for k in columns) + " |"]
-    lines.append("|---" + "|--:" * 4 + "|---|--:|---|")
-    for cells in rows:
-        if cells[3] or cells[7] not in ("loads", None):
-            lines.append("| " + " | ".join(str(cells[k]) for k in columns) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def main() -> int:
+def main() -> None:
     """Audit all, and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="a handful of small robots")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    robots = example_robots()
-    rows: list[tuple[object, ...]] = []
-    agreement: Counter[str] = Counter()
-    kinds: Counter[str] = Counter()
-    for name in QUICK if options.quick else robots:
-        cells, audit = row(name, robots[name])
-        rows.append(cells)
-        print(*cells[:10], sep="  ", flush=True)
-        if audit is None:
-            continue
-        kinds.update({(f"{f.severity} {f.kind}") for f in audit.findings})
-        edge = any(f.kind in EDGE and f.severity == "warning" for f in audit.findings)
-        ours = "with errors" if not audit.passed else "on the edge" if edge else "clean"
-        agreement[f"{ours}, {'loaded' if cells[7] == 'loads' else 'refused'} by MuJoCo"] += 1
-    Table(HEADER, tuple(rows)).write(options.out / "audit_robots.csv")
-    read = [cells for cells in rows if cells[1] is not None]
-    summary = [
-        f"{len(rows)} files, {len(read)} with links",
-        f"{sum(bool(cells[2]) for cells in read)} with a body that cannot exist",
-        f"{sum(cells[8] or 0 for cells in read)} bodies repaired in "  # type: ignore[misc]
-        f"{sum(bool(cells[8]) for cells in read)} files",
-        f"{sum(cells[10] == 'loads' for cells in read)} load in MuJoCo after repair, "
-        f"{sum(cells[7] == 'loads' for cells in read)} before",
-        f"largest relative difference from Pinocchio {max(c[11] for c in read):.1e}",  # type: ignore[type-var]
-        *(f"{count} files {what}" for what, count in sorted(agreement.items())),
-        *(f"{count} files with {kind}" for kind, count in sorted(kinds.items())),
-    ]
-    counted = [*sorted(agreement.items()), *sorted(kinds.items())]
-    Table(("what", "files"), tuple(counted)).write(options.out / "audit_robots_counts.csv")
-    text = markdown(rows) + "\n" + "\n".join(f"- {line}" for line in summary) + "\n"
-    atomic_write_text(options.out / "audit_robots.md", text)
-    print("\n" + text)
-    return 0
+    study = Study(__doc__, quick={"robots": [*QUICK]}, robots=[*example_robots()])
+    found = study.rows("audit_robots.csv", HEADER, study.robots, rows)
+    shown = [row for row in found if row["errors"] or row["mujoco"] not in ("loads", None)]
+    study.write("findings.csv", SHOWN, ([row[name] for name in SHOWN] for row in shown))
+    read = [row for row in found if row["verdict"]]
+    agreement = Counter(row["verdict"] for row in read)
+    kinds = Counter(kind for row in read for kind in row["kinds"])
+    counts = [*sorted(agreement.items()), *sorted(kinds.items())]
+    study.write("audit_robots_counts.csv", ("what", "files"), counts)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
