@@ -6,10 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
-from birdy_closed_loop import METHODS as CLOSED_LOOP
-from birdy_closed_loop import solver as closed_loop_solver
-from birdy_logs import CUT
+from birdy_figures import CUT
 from birdy_robots import Benchmark
 
 import sdpid
@@ -33,6 +32,12 @@ CUTOFF_HZ, CUTOFF_SHARE, ORDER = 50.0, 0.36, 4
 # a reversal, for a period of the cut-off, and differentiates to a higher order: without noise that
 # takes the error of base parameters from 0.28 to 0.03 % on the RV2SQ.
 REVERSAL_SPEED = 0.05
+
+# Rounds of simulation at most, and the change at which they end, as in the benchmark.
+ROUNDS, TOLERANCE = 10, 0.025
+
+# Methods that simulate the closed loop.
+CLOSED_LOOP = ("IV", "PC-IV", "DIDIM", "PC-DIDIM", "CLOE", "PC-CLOE")
 
 PROCESSINGS = ("unfiltered", "filtered", "masked")
 
@@ -218,3 +223,32 @@ def from_rows(
         else:
             solve = partial(solvers[method], problem)
         yield timed(benchmark, name, method, solve, before=before)
+
+
+def closed_loop_solver(
+    benchmark: Benchmark,
+    problem: Problem,
+    log: sdpid.Recording,
+    processing: sdpid.Processing,
+    method: str,
+    start: Array,
+) -> Callable[[], Estimate]:
+    """Return what solves a problem by one of `CLOSED_LOOP`; consistent ones are called PC."""
+    consistent = method.startswith("PC-")
+    if not consistent:
+        problem = problem.constrained(consistency="none")
+    options: dict[str, Any] = {
+        "processing": processing,
+        "controller": benchmark.controller,
+        "max_iterations": ROUNDS,
+        "tolerance": TOLERANCE,
+    }
+    if method.endswith("IV"):
+        solve = sdpid.solve_sdp if consistent else sdpid.solve_wls
+        options |= {"solver": solve, "start": benchmark.model(start)}
+        return partial(sdpid.solve_instrumental, problem, log, **options)
+    kind = "didim" if method.endswith("DIDIM") else "closed_loop"
+    # DIDIM hardly depends on the controller; output error does, on its delay too.
+    rate = benchmark.rate_hz if kind == "closed_loop" else None
+    options |= {"method": kind, "start": start, "control_hz": rate}
+    return partial(sdpid.solve_output_error, problem, log, **options)
