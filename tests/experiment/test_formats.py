@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from sdpid.errors import DataError, ExportError, MissingExtraError, SdpidError
 from sdpid.experiment.readers.formats.loaders import BY_SUFFIX
+from sdpid.experiment.readers.formats.text_file import load_matrices
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording, guess_time_unit
 from tests.experiment.test_recording import log
@@ -877,6 +878,9 @@ def test_folders_of_matrices_have_channels_in_rows_or_columns(tmp_path: Path) ->
     found = read_recording(tmp_path, **told)
     np.testing.assert_array_equal(found.position, log().position)
     np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
+    # Rows of a long log are longer than lines of a table may be.
+    np.savetxt(tmp_path / "long.dat", np.zeros((2, 1 << 19)), fmt="%d")
+    assert load_matrices(tmp_path).arrays["long"]().shape == (1 << 19, 2)
     np.savetxt(tmp_path / "tau.dat", np.eye(3))
     words = "3 × 3 numbers, so that it is not known which side"
     refuses(DataError, words, read_recording, tmp_path, **TOLD)

@@ -27,6 +27,7 @@ from sdpid._common.sandbox import memory_limit
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import LogTable, NoNumbersError
 from sdpid.experiment.readers.names import unit_of
+from sdpid.experiment.recording.stored import check_memory
 
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20
@@ -50,6 +51,8 @@ _BEYOND_DOUBLE = 10**15
 # What reading damaged text or a damaged archive can raise.
 _DAMAGE = (OSError, EOFError, UnicodeError, ValueError, zlib.error)
 _SUFFIXES = (".dat", ".txt", ".csv", ".tsv")
+# A number takes at least two bytes as text, and eight in an array.
+_MOST_GROWTH = 4
 
 
 def load_text(path: Path) -> LogTable:
@@ -318,13 +321,19 @@ def load_matrices(folder: Path) -> LogTable:
 
 def _matrix(path: Path) -> NDArray[Any]:
     """Return samples × channels of one file."""
+    # A row may hold a channel, and be as long as the log.
+    check_memory(path, _MOST_GROWTH * path.stat().st_size)
     try:
-        text = _Text(path)
-        matrix = np.column_stack([text.column(k) for k in range(len(text.names))])
-    except (DataError, TypeError) as cause:
-        raise DataError(f"{path}: is no matrix of numbers ({printable(str(cause))}).") from None
+        with path.open(encoding="utf-8") as stream:
+            delimiter = _delimiter(stream.read(_SNIFFED))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # An empty file is refused below.
+            matrix = np.loadtxt(path, delimiter=delimiter, ndmin=2, encoding="utf-8")
+    except (OSError, ValueError) as cause:
+        line = (str(cause).splitlines() or [type(cause).__name__])[0]
+        raise DataError(f"{path}: is no matrix of numbers ({printable(line)}).") from None
     rows, columns = matrix.shape
-    if rows == columns:
+    if rows == columns or not matrix.size:
         raise DataError(
             f"{path}: is {rows} × {columns} numbers, so that it is not known which side is time."
         )
