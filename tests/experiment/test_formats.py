@@ -777,6 +777,12 @@ def test_arrays_are_read_as_told(tmp_path: Path) -> None:
     found = read_recording(file, base=TOLD["base"], contacts={"frames": ["left", "right"]})
     np.testing.assert_array_equal(found.contacts.forces, forces)
     np.testing.assert_array_equal(found.contacts.down, log().contacts.down)
+    # Columns of an earlier name go before an array of a later one.
+    down = dict(zip(("contact_left", "contact_right"), log().contacts.down.T, strict=True))
+    usual = arrays(feet=None, contact_state=np.zeros(N), **down)
+    found = read_recording(write_npz(tmp_path / "run.npz", **usual), base=TOLD["base"])
+    assert found.contacts.frames == ("left", "right")
+    np.testing.assert_array_equal(found.contacts.down, log().contacts.down)
 
 
 @pytest.mark.parametrize(

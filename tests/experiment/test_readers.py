@@ -359,6 +359,7 @@ TURNED = (logs.T, logs.Q[:, ::-1], logs.TAU, logs.T)
 TWO, JOINTS = ("up", "down"), ("joint_1", "joint_2")
 DECIMALS = ["t", *numbered("q{}", "tau{}")]
 LABELS = ["position_up", "position_down", "effort_up", "effort_down"]
+ENDINGS = [f"{joint}_{key}" for key in ("position_deg", "joint_position") for joint in TWO]
 
 FOUND: list[tuple[list[str], tuple[Any, ...], dict[str, Any], bool, Any]] = [
     # Numbers in numeric order, and without those of commands.
@@ -366,6 +367,8 @@ FOUND: list[tuple[list[str], tuple[Any, ...], dict[str, Any], bool, Any]] = [
     (["t", *(f"{key}_{j}" for key in FRANKA for j in (0, 1))], OF_FRANKA, {}, True, None),
     (["t", *(f"joint_{j}_{k}" for k in PANDAS for j in (2, 1))], OF_PANDAS, {}, True, JOINTS),
     (["t", *LABELS, "effort_model"], (*READ, logs.T), {}, False, TWO),
+    # The longest of the endings that are known.
+    (["t", *ENDINGS, "up_tau", "down_tau"], (logs.T, ZERO, logs.Q, logs.TAU), {}, False, TWO),
     # Units.
     *((BRACKETS, MIXED, {"mark": mark}, True, None) for mark in (",", ";", "\t")),
     ([*BARE[:-1], "Torque 2\nms,°,°,deg/s,deg/s,Nm,mNm"], MIXED, {}, True, None),
@@ -461,6 +464,12 @@ def test_references_of_arrays(tmp_path: Path):
     arrays = {"t": SLOW, "q": MOVED, "tau": TORQUE, "q_d": REF}
     found = read_recording(write_npz(tmp_path / "log.npz", **arrays))
     np.testing.assert_array_equal(found.reference, REF)
+    # Columns of another name may be it as well, those of the same name are no others.
+    for name, only in (("q_ref", False), ("q_d", True)):
+        beside = {f"{name}_{j}": REF[:, j] for j in (0, 1)}
+        reading = read_described(write_npz(tmp_path / "log.npz", **arrays, **beside))
+        assert (reading.recording.reference is not None) == only
+        assert only or "it could be q_d or q_ref_0" in reading.sources["reference"]
 
 
 LABELED = [f"{each}_{q}" for q in ("position", "effort") for each in ("lift", "elbow")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -316,29 +316,35 @@ class Columns:
         row = Quantity((given,), bare=()) if given is not None else QUANTITIES[quantity]
         if given is None and any(map(_DERIVATIVE.fullmatch, self._plain.values())):
             row = replace(row, names=tuple(name for name in row.names if name != "q_d"))
-        found: Found | None = None
-        for found in self._arrays_called(quantity, row, names):
-            yield found
-        if found is not None:
-            return
+        arrays = self._arrays_called(quantity, row, names)
         if quantity in FLOATING:
-            yield from self._of_base(quantity, row)
-        elif quantity not in SINGLE:
-            yield from self._of_joints(quantity, row, names, explicit=given is not None)
+            # One name goes before another, whether it is an array's or that of columns.
+            order = {name.lower(): k for k, name in enumerate(row.names)}
+            every = [*arrays, *self._of_base(quantity, row)]
+            every.sort(key=lambda each: order.get(each[0], 0))
+            yield from (found for _, found in every)
+            return
+        called = set()
+        for key, found in arrays:
+            called.add(key)
+            yield found
+        if quantity not in SINGLE:
+            explicit = given is not None
+            yield from self._of_joints(quantity, row, names, explicit=explicit, arrays=called)
             if row.bare:
                 yield from self._of_joints(quantity, replace(row, names=()), names)
         if quantity == "effort" and given is None and self._scaled:
-            yield from self._arrays_called(quantity, CURRENT, names)
+            yield from (found for _, found in self._arrays_called(quantity, CURRENT, names))
             yield from self._of_joints(quantity, CURRENT, names)
 
     def _arrays_called(
         self, quantity: str, row: Quantity, names: Sequence[str] | None
-    ) -> Iterator[Found]:
-        """Yield arrays of a name, or those of one value a sample that each joint's folder has."""
-        for unit, group in self._groups("array", quantity, row):
+    ) -> Iterator[tuple[str, Found]]:
+        """Yield names and their arrays, or those of one value a sample in each joint's folder."""
+        for key, unit, group in self._groups("array", quantity, row):
             places = list(group.values())
             if "" in group or len(group) == 1:
-                yield [group.get("", places[0])], None, unit
+                yield key, ([group.get("", places[0])], None, unit)
                 continue
             parents = [folder.rpartition("/")[2] for folder in group]
             several = quantity in SINGLE or len(set(parents)) < len(parents)
@@ -347,32 +353,40 @@ class Columns:
                     f"{quantity} is there more than once: {_list(places)}; "
                     f"name the one to read with columns={{'{quantity}': '{places[0]}'}}."
                 )
-            yield _ordered(dict(zip(parents, places, strict=True)), names, unit)
+            yield key, _ordered(dict(zip(parents, places, strict=True)), names, unit)
 
-    def _of_base(self, quantity: str, row: Quantity) -> Iterator[Found]:
-        """Yield the columns of all parts: of a base, whose axes may be named, or of every foot."""
+    def _of_base(self, quantity: str, row: Quantity) -> Iterator[tuple[str, Found]]:
+        """Yield names and columns of all parts: of a base, in any axes, or of every foot."""
         parts = QUANTITIES[quantity].parts
         velocity, feet = quantity.endswith("_velocity"), quantity.startswith("contact")
         style = "axes" if velocity else "feet" if feet else "parts"
-        for _, group in self._groups(style, quantity, replace(row, parts=parts)):
+        for key, _, group in self._groups(style, quantity, replace(row, parts=parts)):
             found = dict.fromkeys(of for of, _ in group if not _OTHERS.fullmatch(of))
             # The world's axes go before the base's, and these before unnamed ones.
             for each in [[*found]] if feet else [[of] for of in sorted(found, reverse=True)]:
                 wanted = [(of, part) for of in each for part in parts or ("",)]
                 if wanted and group.keys() >= set(wanted):
                     labels = parts if quantity == "base_orientation" else tuple(filter(None, each))
-                    yield [group[one] for one in wanted], labels or None, None
+                    yield key, ([group[one] for one in wanted], labels or None, None)
 
     def _of_joints(
-        self, quantity: str, row: Quantity, names: Sequence[str] | None, explicit: bool = False
+        self,
+        quantity: str,
+        row: Quantity,
+        names: Sequence[str] | None,
+        *,
+        explicit: bool = False,
+        arrays: Collection[str] = (),
     ) -> Iterator[Found]:
-        """Yield the columns of joints, by their numbers or names."""
+        """Yield the columns of joints, by their numbers or names, but of names that arrays have."""
         styles = ["numbered", "labeled", "suffixed"]
         if names is not None and not all(name.isdigit() for name in names):
             styles = ["labeled", "numbered", "suffixed"]
         for style in styles if row.names else ["numbered"]:
             believed = explicit or (style == "numbered" and quantity != "reference")
-            for unit, group in self._groups(style, quantity, row):
+            for key, unit, group in self._groups(style, quantity, row):
+                if key in arrays:
+                    continue
                 for label, name in list(group.items()):
                     commanded = style != "numbered" and _COMMANDED.search(label)
                     others = commanded and not explicit and label not in (names or ())
@@ -383,8 +397,8 @@ class Columns:
 
     def _groups(
         self, style: str, quantity: str, row: Quantity
-    ) -> Iterator[tuple[str | None, _Group]]:
-        """Yield the columns of each name of a quantity by what they are of, and their unit."""
+    ) -> Iterator[tuple[str, str | None, _Group]]:
+        """Yield each name of a quantity, its unit, and its columns by what they are of."""
         keys = row.names or row.bare
         spelled = "|".join(map(_spelled, sorted(keys, key=len, reverse=True)))
         endings = "|".join(filter(None, row.endings)) or "(?!)"
@@ -403,13 +417,15 @@ class Columns:
         order = {key.lower(): k for k, key in enumerate(keys)}
 
         def rank(entry: tuple[str, str]) -> tuple[bool, int]:
+            # Of two endings the longer one leaves the joint's name.
+            if style == "suffixed":
+                return False, -len("_".join(filter(None, entry)))
             # Of arrays those without a unit go first. Else those with, or `deg` in position_deg
-            # would be a joint; and of two endings the longer one leaves the joint's name.
-            plain = bool(entry[1]) == (style == "array")
-            return plain, -len("_".join(entry)) if style == "suffixed" else order.get(entry[0], 0)
+            # would be a joint.
+            return bool(entry[1]) == (style == "array"), order.get(entry[0], 0)
 
         for entry in sorted(groups, key=rank):
-            yield row.endings.get(entry[1]), groups[entry]
+            yield entry[0], row.endings.get(entry[1]), groups[entry]
 
     def _like(self, quantity: str, pattern: str) -> Iterator[tuple[re.Match[str], str]]:
         """Yield names that fit a pattern, or do behind their last /, but those of other units."""
