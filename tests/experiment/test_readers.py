@@ -69,6 +69,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"motors": {**GEARS, "offsets": [1, 2]}}, r"offsets: has shape \(2,\)"),
     ({"motors": {**GEARS, "offset": [1, 2, 3]}}, "offset is not known"),
     ({"motors": {**GEARS, "applies_to": "effort"}}, "applies_to"),
+    ({"motors": {**GEARS, "applies_to": [["effort"]]}}, "applies_to: is .*, expected some of"),
     ({"motors": {"position_matrix": [[1, 2, 3]]}}, "position_matrix: has shape"),
     ({"motors": {"position_matrix": 3}}, "position_matrix: has 0 axes"),
     ({"motors": {**GEARS, "torque_constants": [1, 1, 1]}, "currents": True}, "leave one out"),

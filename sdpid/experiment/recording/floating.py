@@ -136,6 +136,10 @@ class Sampled(Shown):
 
     def _keep_samples(self, **parts: type[Sampled]) -> None:
         """Check all channels and the parts of a class, and put channels back read-only."""
+        needed = {each.name for each in fields(self) if each.default is MISSING}  # type: ignore[arg-type]
+        for name, (_, _, what) in self._fields().items():
+            if name in needed and getattr(self, name) is None:
+                raise DataError(f"{self._called}{name}: is missing; give {what}.")
         first = count = None
         for name, given in self.channels.items():
             called, (_, axes, what) = f"{self._called}{name}", self._fields()[name]
@@ -144,7 +148,7 @@ class Sampled(Shown):
             tail = tuple(max(len(names), 1) for names in _on(axes, self))
             if array.shape != (count or len(array), *tail) or not len(array):
                 like = f", as many rows as {first}" if first else ""
-                wanted = ", ".join(map(str, [count or "N", *tail]))
+                wanted = ", ".join(map(str, [count or "N", *tail])) + "," * (not tail)
                 raise DataError(
                     f"{called}: has shape {array.shape}, expected ({wanted}): {what}{like}."
                 )
@@ -304,8 +308,6 @@ class BaseMotion(Sampled):
     _called: ClassVar[str] = "base."
 
     def __post_init__(self) -> None:
-        if self.orientation is None:
-            raise DataError("base.orientation: is missing; give unit quaternions x, y, z, w.")
         self._keep_samples(imu=Imu)
         turns = _continuous(_unit(self.orientation))
         object.__setattr__(self, "orientation", frozen_view(turns))

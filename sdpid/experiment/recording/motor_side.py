@@ -74,7 +74,8 @@ class MotorSide(Settings):
             if ndim == 2 and not (size.all() and np.linalg.cond(array / size) <= _MOST_CONDITION):
                 raise DataError(f"motors.{name}: cannot be inverted: {array.tolist()}.")
         applies: Any = self.applies_to
-        if not isinstance(applies, (list, tuple)) or not set(applies) <= set(_QUANTITIES):
+        known = isinstance(applies, (list, tuple)) and all(each in _QUANTITIES for each in applies)
+        if not known:
             raise DataError(
                 f"motors.applies_to: is {applies!r}, expected some of {', '.join(_QUANTITIES)}."
             )
