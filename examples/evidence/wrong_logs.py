@@ -40,6 +40,9 @@ DELAY_S = 0.06
 LOAD_SHARE, LOAD_OFFSET = 0.1, 0.1
 
 
+Spoiled = tuple[list[sdpid.Recording], sdpid.RobotModel]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Good:
     """A log that is right, and its robot.
@@ -80,18 +83,21 @@ class Wrong:
 
     words: str
     kinds: tuple[str, ...]
-    spoiled: Callable[[Good], tuple[Sequence[sdpid.Recording], sdpid.RobotModel]]
-    of_joint: bool = False
+    spoiled: Callable[[Good], Spoiled]
+    of_joint: bool
 
 
-def changed(good: Good, **arrays: Array) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+Rows = tuple[tuple[str, str, Callable[[Good], Spoiled]], ...]
+
+
+def changed(good: Good, **arrays: Array) -> Spoiled:
     """Return a log with other arrays; positions without the old velocities."""
     if "position" in arrays and "velocity" not in arrays:
         arrays["velocity"] = np.gradient(arrays["position"], good.log.time, axis=0)
     return [replace(good.log, notes=(), **arrays)], good.robot
 
 
-def flipped(good: Good, *quantities: str) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def flipped(good: Good, *quantities: str) -> Spoiled:
     """Return a log in which some quantities of one joint have the wrong sign."""
     arrays = {name: getattr(good.log, name).copy() for name in quantities}
     for values in arrays.values():
@@ -99,19 +105,24 @@ def flipped(good: Good, *quantities: str) -> tuple[list[sdpid.Recording], sdpid.
     return changed(good, **arrays)
 
 
-def ordered(
-    good: Good, order: Sequence[int], *quantities: str
-) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def ordered(good: Good, order: Sequence[int], *quantities: str) -> Spoiled:
     """Return a log with columns in another order."""
     return changed(good, **{name: getattr(good.log, name)[:, list(order)] for name in quantities})
 
 
-def late(values: Array, time: Array) -> Array:
-    """Return signals that come late."""
-    return np.column_stack([np.interp(time - DELAY_S, time, column) for column in values.T])
+def scaled(good: Good, factor: float | Array) -> Spoiled:
+    """Return a log with efforts in another unit."""
+    return changed(good, effort=factor * good.log.effort)
 
 
-def clipped(good: Good, quantity: str) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def late(good: Good, quantity: str) -> Spoiled:
+    """Return a log in which signals of a quantity come late."""
+    time, values = good.log.time, getattr(good.log, quantity)
+    columns = [np.interp(time - DELAY_S, time, column) for column in values.T]
+    return changed(good, **{quantity: np.column_stack(columns)})
+
+
+def clipped(good: Good, quantity: str) -> Spoiled:
     """Return a log in which one channel of one joint is clipped."""
     values = getattr(good.log, quantity).copy()
     column = values[:, good.joint]
@@ -120,7 +131,7 @@ def clipped(good: Good, quantity: str) -> tuple[list[sdpid.Recording], sdpid.Rob
     return changed(good, **{quantity: values})
 
 
-def standing(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def standing(good: Good) -> Spoiled:
     """Return a log in which one joint does not move."""
     position = good.log.position.copy()
     noise = np.random.default_rng(0).standard_normal(good.log.n_samples)
@@ -128,13 +139,13 @@ def standing(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
     return changed(good, position=position)
 
 
-def held(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def held(good: Good) -> Spoiled:
     """Return a log whose rows repeat: the robot measures at a quarter of the rate."""
     rows = np.arange(good.log.n_samples) // 4 * 4
     return changed(good, position=good.log.position[rows], effort=good.log.effort[rows])
 
 
-def rested(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def rested(good: Good) -> Spoiled:
     """Return a log that goes on as long as it was, the robot at rest."""
     log, count = good.log, good.log.n_samples
     rows = np.r_[np.arange(count), np.full(count, count - 1)]
@@ -146,21 +157,18 @@ def rested(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
     effort = log.effort[rows] + 1e-3 * noise
     assert log.velocity is not None
     velocity = log.velocity[rows] * (1.0 - still)
-    return [
-        replace(log, time=time, position=position, effort=effort, velocity=velocity)
-    ], good.robot
+    arrays = {"time": time, "position": position, "effort": effort, "velocity": velocity}
+    return [replace(log, reference=None, **arrays)], good.robot
 
 
-def spiked(
-    good: Good, quantity: str, size: float
-) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def spiked(good: Good, quantity: str, size: float) -> Spoiled:
     """Return a log with one value far off."""
     values = getattr(good.log, quantity).copy()
     values[good.log.n_samples // 3, good.joint] += size
     return changed(good, **{quantity: values})
 
 
-def loaded(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def loaded(good: Good) -> Spoiled:
     """Return both halves of a log, the second with a load at the last link."""
     robot, log, half = good.robot, good.log, good.log.n_samples // 2
     mass = LOAD_SHARE * float(robot.prior[:, 0].sum())
@@ -181,12 +189,13 @@ def loaded(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
             position=log.position[part],
             velocity=log.velocity[part],
             effort=effort,
+            reference=None,
         )
         for part, effort in zip(parts, efforts, strict=True)
     ], robot
 
 
-def hanging(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def hanging(good: Good) -> Spoiled:
     """Return a log, and the robot described upside down."""
     robot = with_gravity(good.robot, -good.robot.gravity)
     return [good.log], replace(robot, prior=good.robot.prior)
@@ -214,7 +223,7 @@ def zeroed(good: Good) -> Array:
     return position
 
 
-def retimed(good: Good, factor: float) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+def retimed(good: Good, factor: float) -> Spoiled:
     """Return a log whose stamps are in another unit."""
     log = good.log
     assert log.velocity is not None
@@ -222,120 +231,45 @@ def retimed(good: Good, factor: float) -> tuple[list[sdpid.Recording], sdpid.Rob
 
 
 ALL = ("position", "velocity", "effort")
-KINDS = (
-    Wrong(
-        words="currents (A) named torque",
-        kinds=("effort_scale",),
-        spoiled=lambda g: changed(g, effort=g.log.effort / constants(g)),
+# What is wrong, kinds of findings that name it, and the way to do it.
+OF_ALL: Rows = (
+    ("currents (A) named torque", "effort_scale", lambda g: scaled(g, 1.0 / constants(g))),
+    ("N·mm", "effort_scale", lambda g: scaled(g, 1e3)),
+    ("motors' torques, before gears of 100", "effort_scale", lambda g: scaled(g, 1e-2)),
+    ("sign of all efforts", "effort_sign", lambda g: scaled(g, -1.0)),
+    ("joints 1 and 3 exchanged", "joint_order", lambda g: ordered(g, exchanged(g), *ALL)),
+    ("columns one on", "joint_order", lambda g: ordered(g, turned(g), *ALL)),
+    ("columns of efforts one on", "effort_order", lambda g: ordered(g, turned(g), "effort")),
+    ("degrees", "position_in_degrees", lambda g: changed(g, position=np.degrees(g.log.position))),
+    ("hangs, described as standing", "gravity_direction", hanging),
+    ("ms read as s", "time_unit", lambda g: retimed(g, 1e3)),
+    ("s read as ms", "time_unit position_jumps", lambda g: retimed(g, 1e-3)),
+    ("rows repeated four times", "repeated_rows", held),
+    ("half at rest", "long_rest", rested),
+    ("efforts 60 ms late", "effort_late", lambda g: late(g, "effort")),
+    ("velocities 60 ms late", "velocity_late", lambda g: late(g, "velocity")),
+    ("half with a load of a tenth", "payload_differs", loaded),
+)
+# Those of one joint, which must be named.
+OF_ONE: Rows = (
+    ("sign of one effort", "effort_sign", lambda g: flipped(g, "effort")),
+    ("sign of one position", "position_sign", lambda g: flipped(g, "position", "velocity")),
+    ("signs of one position and effort", "axis_sign", lambda g: flipped(g, *ALL)),
+    ("zero off by 90°", "position_zero", lambda g: changed(g, position=zeroed(g))),
+    ("one joint at rest", "joint_at_rest", standing),
+    ("effort clipped", "effort_clipped", lambda g: clipped(g, "effort")),
+    ("velocity clipped", "velocity_clipped", lambda g: clipped(g, "velocity")),
+    ("one effort far off", "effort_spike", lambda g: spiked(g, "effort", 1e5)),
+    (
+        "one position off by 2 rad",
+        "position_lone position_jumps",
+        lambda g: spiked(g, "position", 2.0),
     ),
-    Wrong(
-        words="N·mm",
-        kinds=("effort_scale",),
-        spoiled=lambda g: changed(g, effort=1e3 * g.log.effort),
-    ),
-    Wrong(
-        words="motors' torques, before gears of 100",
-        kinds=("effort_scale",),
-        spoiled=lambda g: changed(g, effort=1e-2 * g.log.effort),
-    ),
-    Wrong(
-        words="sign of one effort",
-        kinds=("effort_sign",),
-        spoiled=lambda g: flipped(g, "effort"),
-        of_joint=True,
-    ),
-    Wrong(
-        words="sign of all efforts",
-        kinds=("effort_sign",),
-        spoiled=lambda g: changed(g, effort=-g.log.effort),
-    ),
-    Wrong(
-        words="sign of one position",
-        kinds=("position_sign",),
-        spoiled=lambda g: flipped(g, "position", "velocity"),
-        of_joint=True,
-    ),
-    Wrong(
-        words="signs of one position and effort",
-        kinds=("axis_sign",),
-        spoiled=lambda g: flipped(g, *ALL),
-        of_joint=True,
-    ),
-    Wrong(
-        words="zero off by 90°",
-        kinds=("position_zero",),
-        spoiled=lambda g: changed(g, position=zeroed(g)),
-        of_joint=True,
-    ),
-    Wrong(
-        words="joints 1 and 3 exchanged",
-        kinds=("joint_order",),
-        spoiled=lambda g: ordered(g, exchanged(g), *ALL),
-    ),
-    Wrong(
-        words="columns one on",
-        kinds=("joint_order",),
-        spoiled=lambda g: ordered(g, turned(g), *ALL),
-    ),
-    Wrong(
-        words="columns of efforts one on",
-        kinds=("effort_order",),
-        spoiled=lambda g: ordered(g, turned(g), "effort"),
-    ),
-    Wrong(
-        words="degrees",
-        kinds=("position_in_degrees",),
-        spoiled=lambda g: changed(g, position=np.degrees(g.log.position)),
-    ),
-    Wrong(
-        words="hangs, described as standing",
-        kinds=("gravity_direction",),
-        spoiled=hanging,
-    ),
-    Wrong(words="ms read as s", kinds=("time_unit",), spoiled=lambda g: retimed(g, 1e3)),
-    Wrong(
-        words="s read as ms",
-        kinds=("time_unit", "position_jumps"),
-        spoiled=lambda g: retimed(g, 1e-3),
-    ),
-    Wrong(words="one joint at rest", kinds=("joint_at_rest",), spoiled=standing, of_joint=True),
-    Wrong(
-        words="effort clipped",
-        kinds=("effort_clipped",),
-        spoiled=lambda g: clipped(g, "effort"),
-        of_joint=True,
-    ),
-    Wrong(
-        words="velocity clipped",
-        kinds=("velocity_clipped",),
-        spoiled=lambda g: clipped(g, "velocity"),
-        of_joint=True,
-    ),
-    Wrong(words="rows repeated four times", kinds=("repeated_rows",), spoiled=held),
-    Wrong(words="half at rest", kinds=("long_rest",), spoiled=rested),
-    Wrong(
-        words="efforts 60 ms late",
-        kinds=("effort_late",),
-        spoiled=lambda g: changed(g, effort=late(g.log.effort, g.log.time)),
-    ),
-    Wrong(
-        words="velocities 60 ms late",
-        kinds=("velocity_late",),
-        spoiled=lambda g: changed(g, velocity=late(g.log.velocity, g.log.time)),
-    ),
-    Wrong(
-        words="one effort far off",
-        kinds=("effort_spike",),
-        spoiled=lambda g: spiked(g, "effort", 1e5),
-        of_joint=True,
-    ),
-    Wrong(
-        words="one position off by 2 rad",
-        kinds=("position_lone", "position_jumps"),
-        spoiled=lambda g: spiked(g, "position", 2.0),
-        of_joint=True,
-    ),
-    Wrong(words="half with a load of a tenth", kinds=("payload_differs",), spoiled=loaded),
+)
+KINDS = tuple(
+    Wrong(words=words, kinds=tuple(kinds.split()), spoiled=spoiled, of_joint=of_joint)
+    for of_joint, rows in enumerate((OF_ALL, OF_ONE))
+    for words, kinds, spoiled in rows
 )
 
 

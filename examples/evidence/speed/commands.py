@@ -22,9 +22,6 @@ from sdpid._common.tables import Table
 ROOT = Path(__file__).resolve().parents[3]
 COLUMNS = ("what", "unit", "now", "least", "most", "before", "ratio", "repeats")
 
-# The case study takes minutes: once in turn is enough for a ratio of about two.
-CASE_STUDY_REPEATS = 1
-
 MEASURED = {
     "first": ("to the first line of the result", "s"),
     "all": ("to the end", "s"),
@@ -51,21 +48,6 @@ def measure(bench: Bench) -> Table:
             for name, path in checkouts.items()
         }
         rows.append(_row("identify, UR10: the report alone", "s", bench.in_turn(reports)))
-    return Table(COLUMNS, tuple(rows))
-
-
-def case_study(bench: Bench) -> Table:
-    """Time the README's first command."""
-    rows: list[tuple[object, ...]] = []
-    checkouts = _checkouts(bench)
-    study = ["examples/denso_vp6242.py", "--out", "results", *(["--quick"] if bench.quick else [])]
-    found = {
-        name: [process([str(path / study[0]), *study[1:]], path) for _ in range(CASE_STUDY_REPEATS)]
-        for name, path in checkouts.items()
-    }
-    for key in ("all", "processor"):
-        each = {name: [run[key] for run in of] for name, of in found.items()}
-        rows.append(_row(f"the case study: {MEASURED[key][0]}", "s", each))
     return Table(COLUMNS, tuple(rows))
 
 

@@ -47,7 +47,7 @@ ONE_THREAD = dict.fromkeys(
 @contextmanager
 def hour_of_log(bench: Bench) -> Iterator[Path]:
     """Simulate an hour; its periods are not told, as those of a robot at work are not known."""
-    from chain import QUICK, denso_log
+    from denso import QUICK, denso_log
 
     log = denso_log(*bench.size((PERIODS, None), QUICK))
     with tempfile.TemporaryDirectory() as folder:

@@ -21,15 +21,12 @@ from pathlib import Path
 # Some samples and small problems are those of the tests.
 sys.path.append(str(Path(__file__).resolve().parents[3]))
 
-import chain
 import commands
 import contacts
-import didim
 import fleet
 import kernels
 import peers
 import resolves
-import simulation
 import small_problems
 import solvers
 import whole_job
@@ -41,17 +38,12 @@ from sdpid._common.tables import Table
 LEAST_REPEATS = 5
 
 PARTS: dict[str, Callable[[Bench], Iterable[Row] | Table]] = {
-    "import": chain.importing,
-    "processing": chain.processing,
     "kernels": kernels.measure,
     "contacts": contacts.measure,
     "solvers": solvers.measure,
     "resolves": resolves.measure,
-    "didim": didim.measure,
-    "simulation": simulation.measure,
     "job": whole_job.measure,
     "commands": commands.measure,
-    "case_study": commands.case_study,
     "hour": fleet.hour,
     "cluster": fleet.scaling,
     "small_problems": small_problems.measure,

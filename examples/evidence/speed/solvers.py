@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from chain import denso_problem
+from denso import denso_problem
 from harness import LEAST, Bench, Row, timed
 
 from sdpid.assurance.certificate.certificate import certify

@@ -121,7 +121,7 @@ def bytes_moved(one: dict[str, Any]) -> dict[str, float]:
 
 def measure(bench: Bench) -> Iterator[Row]:
     """Yield the job against reading and filtering, and stages against what their bytes take."""
-    from chain import QUICK, denso_log
+    from denso import QUICK, denso_log
 
     with tempfile.TemporaryDirectory() as folder:
         file = str(Path(folder) / "paper.parquet")
