@@ -10,8 +10,9 @@ A directive shows a kept table with the command and the date that made it::
     ```
 
 The role ``{measured}`truth/logs arm=UR10 error .2f` `` shows one number of a table. Lists are
-separated by commas, or by semicolons where one is in them. What does not exist, or is not the
-only one, is a warning, which ends the build.
+separated by commas, or by semicolons where one is in them. Without ``:columns:`` all are shown,
+and a column without a title has its name as one: ``held_out_percent`` is *Held out, %*. What does
+not exist, or is not the only one, is a warning, which ends the build.
 """
 
 from __future__ import annotations
@@ -33,6 +34,12 @@ sys.path.append(str(Path(__file__).resolve().parent.parent / "evidence"))
 from studies import EvidenceError, Study, Table, find_table, load_studies, measured, shown
 
 FOLDED = 20
+UNITS = {
+    "percent": "%", "kg": "kg", "mm": "mm", "s": "s", "ms": "ms", "nm": "N·m", "n": "N", "hz": "Hz"
+}  # fmt: skip
+SPELLED = {"4x4": "4×4", "6x6": "6×6"} | {
+    word.lower(): word for word in ("CPU", "CWLS", "MJCF", "SDP", "URDF", "WLS")
+}
 logger = logging.getLogger(__name__)
 
 
@@ -65,11 +72,11 @@ class Evidence(SphinxDirective):
     def content_of(self, table: Table) -> tuple[list[str], list[list[str]]]:
         """Return header and cells as they are shown."""
         grid = table.read()
-        titles = _pairs(self.options.get("columns", "")) or {name: name for name in grid.header}
+        titles = _pairs(self.options.get("columns", "")) or dict.fromkeys(grid.header, "")
         formats = _pairs(self.options.get("formats", ""))
         for name in formats:
             grid.column(name)
-        columns = {grid.column(name): title for name, title in titles.items()}
+        columns = {grid.column(name): title or titled(name) for name, title in titles.items()}
         rows = grid.where(_pairs(self.options.get("rows", "")))
         if not rows:
             raise EvidenceError(f"{self.arguments[0]}: no rows.")
@@ -164,11 +171,20 @@ def _numeric(cell: str) -> bool:
     return True
 
 
+def titled(name: str) -> str:
+    """Return the name of a column as a title, a unit at its end behind a comma."""
+    words = [SPELLED.get(word, word) for word in name.split("_")]
+    if len(words) > 1 and words[-1] in UNITS:
+        words[-2:] = [f"{words[-2]}, {UNITS[words[-1]]}"]
+    title = " ".join(words)
+    return title[:1].upper() + title[1:]
+
+
 def _pairs(text: str) -> dict[str, str]:
-    """Return ``a=A, b=B`` as a dictionary; a name alone is its own title."""
+    """Return ``a=A, b=B`` as a dictionary; a name alone has an empty title."""
     parts = text.split(";" if ";" in text else ",")
     pairs = (part.strip().partition("=") for part in parts if part.strip())
-    return {name.strip(): (title.strip() if sign else name.strip()) for name, sign, title in pairs}
+    return {name.strip(): title.strip() for name, _, title in pairs}
 
 
 def _studies(env: Any) -> dict[str, Study]:

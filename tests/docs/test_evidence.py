@@ -214,7 +214,7 @@ def test_every_kept_table_is_named_once_and_is_there() -> None:
 PAGE = """# Page
 
 ```{evidence} first/arms
-:columns: arm=Arm, gap=Gap
+:columns: arm, gap=Relative gap
 :formats: gap=.0e
 ```
 
@@ -255,6 +255,8 @@ def test_pages_show_tables_and_numbers_or_warn(folder: Path, tmp_path: Path) -> 
     text = re.sub(r"<[^>]*>", "", html.partition("<h1>")[2])
     for words in (
         "python study.py",
+        "Arm",
+        "Relative gap",
         "2e-9",
         "not made anew since",
         "Of the UR10 4.7",
@@ -262,6 +264,14 @@ def test_pages_show_tables_and_numbers_or_warn(folder: Path, tmp_path: Path) -> 
     ):
         assert words in text
     assert "seconds" not in text
+
+
+def test_titles_of_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EVIDENCE.parent / "_ext"))
+    from evidence import titled
+
+    names = ("held_out_percent", "sdp_4x4", "cpu_s", "s", "rows, %")
+    assert [titled(name) for name in names] == ["Held out, %", "SDP 4×4", "CPU, s", "S", "Rows, %"]
 
 
 def test_every_command_runs_something_that_is_there() -> None:
