@@ -4,7 +4,7 @@ Kinematic table, excitation, closed-loop experiment, signal processing, then wei
 squares (WLS), the paper's constrained nonlinear program (CWLS, by SLSQP from many starts) and
 the semidefinite program (SDP) that is equivalent to it; tables, figures, URDF and certificate.
 One plant is ideal, the other has effects that no linear model has, as every real robot.
-RESULTS/index.html shows everything; real_arms.py compares public records of real arms.
+RESULTS/index.html shows everything; evidence/real_arms.py compares public records of real arms.
 
     python examples/denso_vp6242.py --out results
 """

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 import sdpid
-from sdpid.output.robots.friction_files import write_friction
 
 STEP = 1e-3  # s
 
@@ -44,9 +43,8 @@ def main() -> None:
     # Feedforward: the efforts of a motion that was not fitted, and those of the description.
     other = sdpid.process(sdpid.simulate(robot, seed=2))
     states = other.position, other.velocity, other.acceleration
-    ours = model.inverse_dynamics(*states)
     described = robot.inverse_dynamics(robot.prior, *states)
-    for name, effort in (("model", ours), ("description", described)):
+    for name, effort in (("model", model.inverse_dynamics(*states)), ("description", described)):
         missed = np.linalg.norm(effort - other.effort) / np.linalg.norm(other.effort)
         print(f"feedforward of the {name} misses {100.0 * missed:.1f} % of another motion's effort")
 
@@ -60,9 +58,8 @@ def main() -> None:
     for _ in range(round(0.5 / STEP)):
         v = v + STEP * model.forward_dynamics(path[-1], v, rest)
         path.append(path[-1] + STEP * v)
-    np.savetxt(
-        options.out / "released.csv", path, delimiter=",", header=", ".join(robot.joint_names)
-    )
+    header = ", ".join(robot.joint_names)
+    np.savetxt(options.out / "released.csv", path, delimiter=",", header=header)
     print(f"released: the joints move by up to {np.ptp(path, axis=0).max():.2f} rad in 0.5 s")
 
     # Friction of a joint, with its interval, and of all of them as code.
@@ -70,10 +67,9 @@ def main() -> None:
     columns = curve.velocity, curve.effort, curve.lower, curve.upper
     np.savetxt(options.out / "friction.csv", np.column_stack(columns), delimiter=",")
     sdpid.plots.save_figure(curve.plot(), options.out / "friction.png")
-    print(curve)
-    header = options.out / "identified_friction.hpp"
-    write_friction(result.estimate, header, certificate=result.certificate)
-    print(f"compiled header: {compiled(header, model.friction(rest + 0.5))}")
+    result.save(options.out / "identified")
+    code = options.out / "identified" / "identified_friction.hpp"
+    print(f"compiled header: {compiled(code, model.friction(rest + 0.5))}")
 
 
 def compiled(header: Path, wanted: np.ndarray) -> str:

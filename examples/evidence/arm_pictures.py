@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arms import METHODS, MODELS, Arm
 from matplotlib.figure import Figure
+from release import Fall, skeleton
 
-from case_study.arms import METHODS, MODELS, Arm
-from case_study.release import Fall, skeleton
 from sdpid import plots
 
 # Okabe and Ito's colors, which readers with any color vision can tell apart.
