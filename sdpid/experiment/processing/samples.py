@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -191,6 +191,8 @@ class Samples(Sampled):
     wide: tuple[WideVelocity, ...] | None = None
     gains: DriveGains | None = None
     contacts: ContactSamples | None = None
+    # Efforts by gains that are about to be refused come to any size.
+    _most: ClassVar[float] = np.inf
 
     def __post_init__(self) -> None:
         effort = real_array(self.effort, "effort", ndim=2)

@@ -72,9 +72,11 @@ def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool =
 class Sampled(Shown):
     """A frozen dataclass with channels of as many samples each, of which some may be missing."""
 
-    # What it is called in messages, and what files say of it beside its columns.
+    # What it is called in messages, what files say of it beside its columns, and the largest
+    # magnitude of its numbers.
     _called: ClassVar[str] = ""
     _settings: ClassVar[tuple[str, ...]] = ()
+    _most: ClassVar[float] = LARGEST
 
     @property
     def channels(self) -> dict[str, Any]:
@@ -143,8 +145,11 @@ class Sampled(Shown):
         first = count = None
         for name, given in self.channels.items():
             called, (_, axes, what) = f"{self._called}{name}", self._fields()[name]
-            check = _flags if name in ("down", "landed") else _numbers
-            object.__setattr__(self, name, array := check(given, called, len(axes)))
+            if name in ("down", "landed"):
+                array = _flags(given, called, len(axes))
+            else:
+                array = _numbers(given, called, len(axes), self._most)
+            object.__setattr__(self, name, array)
             tail = tuple(max(len(names), 1) for names in _on(axes, self))
             if array.shape != (count or len(array), *tail) or not len(array):
                 like = f", as many rows as {first}" if first else ""
@@ -183,16 +188,16 @@ def _on(axes: _Axes, known: Any) -> list[Sequence[str]]:
     return [getattr(known, axis) if isinstance(axis, str) else axis for axis in axes]
 
 
-def _numbers(given: Any, called: str, axes: int) -> Any:
+def _numbers(given: Any, called: str, axes: int, most: float) -> Any:
     """Return samples of numbers that a robot can have, read-only."""
     if isinstance(given, StoredArray) and given.mapped and given.ndim == 1 + axes:
         # Its columns stay one after the other. Its values were checked when it was read.
         return given
     array = np.ascontiguousarray(real_array(given, called, ndim=1 + axes))
-    if array.size and max(array.max(), -array.min()) > LARGEST:
-        first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
+    if most < np.inf and array.size and max(array.max(), -array.min()) > most:
+        first = tuple(int(i) for i in np.argwhere(np.abs(array) > most)[0])
         raise DataError(
-            f"{called}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
+            f"{called}: is {array[first]:.3g} at index {first}, more than {most:g}, which no "
             "robot has; repair that sample, or say its unit."
         )
     return frozen_view(array)
