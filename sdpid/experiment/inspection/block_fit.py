@@ -88,7 +88,8 @@ def block_fit(columns: Array, signal: Array, scale: Array) -> BlockFit:
     values, rest = np.zeros(len(scale)), power
     # What is known beforehand weighs as much as the noise says, which comes first.
     for _ in range(2):
-        noise = max(rest, 1e-12 * power) / count
+        # Of a signal of zeros, which has none, any will do.
+        noise = (max(rest, 1e-12 * power) or 1.0) / count
         inverse = np.linalg.inv(whole + np.diag(noise / scale**2))
         values = inverse @ total
         rest = max(power - 2.0 * values @ total + values @ whole @ values, 0.0)

@@ -300,6 +300,17 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     assert not told_by(base_checks.contacts_missing, air, "solo12")
 
 
+def test_base_that_never_moves() -> None:
+    count = 3000
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    imu = sdpid.Imu(gyroscope=np.zeros((count, 3)))
+    base = sdpid.BaseMotion(orientation=level, position=np.zeros((count, 3)), imu=imu)
+    moved = np.sin(np.outer(0.01 * np.arange(count), [1.0, 2.0]))
+    log = Recording(time=0.01 * np.arange(count), position=moved, effort=moved, base=base)
+    told = {each.kind: each.message for each in sdpid.inspect_recording(log).findings}
+    assert ZEROS in told["imu_gyroscope"]
+
+
 def test_wrong_force_does_not_lift_all_feet() -> None:
     contacts = replace(walk().contacts, down=None)
     spike = np.array(contacts.forces)
