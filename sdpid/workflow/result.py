@@ -100,6 +100,8 @@ def save(
 
     Parameters
     ----------
+    result : Identification
+        What is written.
     folder : path
         Created when it is not there.
     figures : bool, optional

@@ -354,10 +354,7 @@ class RunComparison(Shown):
 
     @property
     def outside(self) -> tuple[str, ...]:
-        """Base parameters that differ by more than their intervals together.
-
-        None where the runs share data.
-        """
+        """Base parameters that differ by more than their intervals; empty where data are shared."""
         return tuple(str(row[0]) for row in self.parameters.rows if row[-1])
 
     def text(self, *, full: bool = True) -> str:

@@ -142,8 +142,8 @@ def prepare(
     logs : Recording or path, or a sequence of these
         What was measured.
     processing : Processing or mapping, optional
-        By default `common_processing`, with the changes in a mapping, and with the delays that
-        recordings with a base show.
+        By default one that is chosen for all of them, with the changes in a mapping, and with the
+        delays that recordings with a base show.
     without_effort : iterable of str, optional
         Joints of the robot whose efforts were not measured, or are wrong: their rows are masked,
         their motion is used.

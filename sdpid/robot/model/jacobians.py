@@ -117,6 +117,8 @@ def relative_jacobians(
 
     Parameters
     ----------
+    robot, position, frames, offset, compiled
+        As for `contact_jacobians`.
     against : sequence of (str or None)
         The robot's other frame at each contact; None for the surroundings.
     """
