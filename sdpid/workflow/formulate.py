@@ -41,7 +41,7 @@ from sdpid.experiment.preparation.prepare import (
     read_logs,
 )
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
@@ -526,5 +526,5 @@ def _parts(
             first, last = (round(log.n_samples * i / folds) for i in (k, k + 1))
             for part, a, b in ((kept, 0, first), (out, first, last), (kept, last, log.n_samples)):
                 if b > a:
-                    part.append(rows_of(log, slice(a, b)))
+                    part.append(log.rows(slice(a, b)))
         yield f"block {k + 1} of {folds}", kept, out

@@ -29,7 +29,7 @@ from sdpid.experiment.recording.plausible import (
     suspect_units,
     velocity_fit,
 )
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.refusals import refuses
 
@@ -402,7 +402,7 @@ def test_one_kind_and_one_offset_are_those_of_all_contacts() -> None:
 
 def test_rows_of_a_recording_keep_base_and_contacts() -> None:
     whole = log()
-    part = rows_of(whole, slice(10, 30)).columns()
+    part = whole.rows(slice(10, 30)).columns()
     for name, column in whole.columns().items():
         np.testing.assert_array_equal(part[name], column[10:30])
     assert {"base_angular_velocity_world_x", "base_orientation_w", "contact_left"} < set(part)

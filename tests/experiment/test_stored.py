@@ -26,7 +26,7 @@ from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording import stored
 from sdpid.experiment.recording.gaps import continuous, split_at_gaps, unwrapped
 from sdpid.experiment.recording.joints import match_joints
-from sdpid.experiment.recording.recording import Recording, Stamps, rows_of
+from sdpid.experiment.recording.recording import Recording, Stamps
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
@@ -282,7 +282,7 @@ def without(log: sdpid.Recording, *cuts: tuple[int, int]) -> sdpid.Recording:
     keep = np.ones(log.n_samples, dtype=bool)
     for first, stop in cuts:
         keep[first:stop] = False
-    return rows_of(log, keep)
+    return log.rows(keep)
 
 
 cuts = st.lists(st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=1, max_size=4).map(
@@ -302,7 +302,7 @@ def test_gaps_part_a_record_into_records(cuts: list[tuple[int, int]], seed: int,
         if stop - first < 2:
             continue
         try:
-            apart.append(sdpid.process(rows_of(log, slice(first, stop)), setting))
+            apart.append(sdpid.process(log.rows(slice(first, stop)), setting))
         except DataError as cause:
             assert "cut off at either end" in str(cause)  # noqa: PT017 (not every piece is short)
     together = sdpid.process(log, setting)
@@ -325,7 +325,7 @@ def test_the_notes_say_what_was_lost() -> None:
     assert samples.notes[:2] == (notes[0], dropped)
     assert len(samples.starts) == 2
     assert any("2 pieces joined" in note for note in samples.notes)
-    few = rows_of(record(), np.arange(2000) % 30 < 4)
+    few = record().rows(np.arange(2000) % 30 < 4)
     words = r"split the record into 67 pieces, each too short; .* 4 s"
     refuses(DataError, words, sdpid.process, few, SETTING)
 
@@ -381,7 +381,7 @@ def test_a_hiccup_of_5_ms_at_1_khz_is_bridged() -> None:
     time = np.arange(8000) / 1000.0
     position = np.sin(np.pi * time)[:, None]
     log = sdpid.Recording(time=time, position=position, effort=position, period=2.0)
-    lost = rows_of(log, np.r_[0:3000, 3005:8000])
+    lost = log.rows(np.r_[0:3000, 3005:8000])
     setting = replace(SETTING, covariance=None)
     samples, expected = sdpid.process(lost, setting), sdpid.process(log, setting)
     np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-3)
@@ -467,7 +467,7 @@ def test_the_longest_piece_chooses() -> None:
     position[1200:] += 1.5
     gapped = without(replace(log, position=position), (1200, 1260))
     chosen = default_processing(gapped)
-    assert replace(chosen, reasons=()) == default_processing(rows_of(log, slice(0, 1200)))
+    assert replace(chosen, reasons=()) == default_processing(log.rows(slice(0, 1200)))
 
 
 def test_a_stored_record_is_split_and_continued_as_well(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.prepare import agreed, chosen_processing, prepare, samples_of
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.report import report_html
 from sdpid.plots.lines import TimeLine
 from sdpid.plots.reconstruction import plot_fit
@@ -256,12 +255,12 @@ def crossed(log: sdpid.Recording) -> CrossValidation:
 def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) -> None:
     """The second fold, made by hand."""
     a, b = log.n_samples // FOLDS, 2 * log.n_samples // FOLDS
-    kept = [rows_of(log, slice(0, a)), rows_of(log, slice(b, log.n_samples))]
+    kept = [log.rows(slice(0, a)), log.rows(slice(b, log.n_samples))]
     processing = min((default_processing(each) for each in kept), key=lambda p: p.cutoff_hz)
     problem = formulate(arm(), kept, processing=processing)
     assert len(problem.samples.starts) == 2
     estimate = sdpid.solve_sdp(problem)
-    fresh = samples_of(arm(), rows_of(log, slice(a, b)), processing)
+    fresh = samples_of(arm(), log.rows(slice(a, b)), processing)
     fold = crossed.folds[1]
     assert fold.name == "block 2 of 4"
     assert fold.processing == processing

@@ -24,7 +24,6 @@ from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing import process
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording import joints
-from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.grades import graded, grades
 from sdpid.output.report.recording import values
 from sdpid.robot.inertia import Consistency
@@ -227,8 +226,8 @@ def identified() -> Identification:
     log = noisy(walk.log())
     return sdpid.identify(
         "solo12",
-        rows_of(log, slice(0, 1500)),
-        validation=rows_of(log, slice(1500, 2000)),
+        log.rows(slice(0, 1500)),
+        validation=log.rows(slice(1500, 2000)),
         processing={"cutoff_hz": 20.0},
         friction=TERMS,
         effects="none",
@@ -364,7 +363,7 @@ def test_a_robot_that_hangs_is_a_fixed_one(tmp_path: Path) -> None:
 
 
 def data() -> sdpid.Recording:
-    return rows_of(noisy(crawl().log()), slice(0, 1500))
+    return noisy(crawl().log()).rows(slice(0, 1500))
 
 
 def test_a_log_with_contacts_is_made_again(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
@@ -387,7 +387,7 @@ def dynamic_delays(
         for step in half * np.eye(len(names)):
             late, early = (read(rows, delays + each) for each in (step, -step))
             slopes.append([a - b for a, b in zip(late, early, strict=True)])
-        contacts = None if samples.contacts is None else samples.contacts.picked(rows)
+        contacts = None if samples.contacts is None else samples.contacts.rows(rows)
         for _ in range(_WEIGHTINGS):
             free = free_of_contacts(robot, samples.position[rows], contacts, scale)
             if np.einsum("kjj->", free) <= columns.shape[2]:
@@ -581,4 +581,4 @@ def channel_delays(
 def middle(log: Recording, most: int) -> Recording:
     """Return at most so many samples of a recording, from its middle."""
     first = max(0, (log.n_samples - most) // 2)
-    return rows_of(log, slice(first, first + most)) if first else log
+    return log.rows(slice(first, first + most)) if first else log

@@ -484,7 +484,7 @@ def floating_log(
         usable=usable,
         gravity=robot.gravity,
         base=tuple(getattr(samples, name)[some, :-n] for name in _STATES),
-        contacts=contacts.picked(some),
+        contacts=contacts.rows(some),
     ).moved()
     asked = np.sqrt(np.mean(log.equations[0][2][:, -n:] ** 2, axis=0))
     usable = usable & (asked > _ASKS * asked.max())

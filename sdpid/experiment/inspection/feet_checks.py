@@ -425,7 +425,7 @@ def _leg_forces(subject: Subject) -> Iterator[tuple[str, float, float, float, fl
     some = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
     states = (samples.position, samples.velocity, samples.acceleration, samples.effort)
     q, v, a, effort = (each[some] for each in states)
-    contacts = contacts.picked(some)
+    contacts = contacts.rows(some)
     if contacts.forces is None:
         return
     J = contact_jacobians(robot, q, contacts.frames, contacts.offset)

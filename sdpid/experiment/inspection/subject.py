@@ -25,7 +25,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating import BaseMotion
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
@@ -152,7 +152,7 @@ class Subject:
         log = replace(self.log, period=None, start=None, periods=None)
         kept = np.ones(log.n_samples, dtype=np.bool_)
         kept[np.searchsorted(np.asarray(log.time), times)] = False
-        return replace(self, log=rows_of(log, kept), _made={})
+        return replace(self, log=log.rows(kept), _made={})
 
     def row(self, time: float) -> int:
         """Return the row of a sample as it was measured, from 1."""

@@ -83,7 +83,6 @@ class ContactSamples(Sampled):
     widened_s: float | None = None
     landed: Mask | None = samples("landed", what="one for each sample")
     _called: ClassVar[str] = "contacts."
-    picked = Sampled.rows
 
     def __post_init__(self) -> None:
         frames = _several(self.frames)

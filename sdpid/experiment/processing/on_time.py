@@ -10,7 +10,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating import T
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 
 # Groups of channels that share a clock, as words; joint positions are what all are compared with.
 CHANNELS = {
@@ -91,7 +91,7 @@ def on_time(log: Recording, processing: Processing) -> Recording:
     # Half a step, so that whole steps are not lost to rounding.
     slack = 0.5 * log.step
     kept = np.flatnonzero((time + early > time[0] - slack) & (time + late < time[-1] + slack))
-    return rows_of(shifted, slice(int(kept[0]), int(kept[-1]) + 1))
+    return shifted.rows(slice(int(kept[0]), int(kept[-1]) + 1))
 
 
 def _later(log: Recording, table: Any, delay: float) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
@@ -420,11 +420,6 @@ def _in_decimals(value: Any) -> Any:
 def channels(log: Recording) -> dict[str, Any]:
     """Return the tables of samples × joints that a recording has, by the names of its fields."""
     return {name: table for name, table in log.channels.items() if name in CHANNELS}
-
-
-def rows_of(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
-    """Return some rows of a recording without periods."""
-    return log.rows(rows)
 
 
 def renamed(log: Recording, names: tuple[str, ...]) -> Recording:

@@ -27,7 +27,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding
 from sdpid.experiment.inspection.motion_checks import _read_as_seconds
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.experiment.recording.recording import Recording
 from tests.helpers.refusals import refuses
 
 RATE = 100.0
@@ -145,7 +145,7 @@ def rested(log: Recording) -> Recording:
 
 
 def losing(log: Recording) -> Recording:
-    return rows_of(log, np.random.default_rng(0).uniform(size=len(T)) > 0.1)
+    return log.rows(np.random.default_rng(0).uniform(size=len(T)) > 0.1)
 
 
 def jittering(log: Recording) -> Recording:
@@ -292,7 +292,7 @@ ROWS: Rows = {
     "repeated": (at(np.arange(2000) // 4 * 4), "repeated_rows", "1500 of 2000 rows (75 %)"),
     "jump": (JUMP, "position_jumps", "rad in one step at row 701, that is 47"),
     "creeping": (creeping, "time_unit", "time: at 10 Hz no joint is faster than"),
-    "gap": (lambda log: rows_of(log, np.r_[0:600, 900:3000]), "continued", "split at 1 gap"),
+    "gap": (lambda log: log.rows(np.r_[0:600, 900:3000]), "continued", "split at 1 gap"),
     "remark": (lambda log: replace(log, notes=(REMARK,)), "recording", REMARK),
     "names": (named(*"abcdef"), "joints_unknown", "are not those of the robot 'ur5'"),
     "prefix": (named(*PREFIXED), "joints", "left_elbow_joint is elbow_joint"),
@@ -400,7 +400,7 @@ def test_what_is_right_raises_no_alarm(robot: RobotModel, seed: int):
 @pytest.mark.parametrize("change", [late("velocity", 0.06), clipped("velocity")])
 def test_a_wrong_velocity_matters_where_it_is_used(log: Recording, change: Change):
     """At 50 Hz the default processing takes the recorded velocity, at 100 Hz it does not."""
-    finding = only(rows_of(change(log), slice(None, None, 2)))
+    finding = only(change(log).rows(slice(None, None, 2)))
     assert (finding.kind[:8], finding.severity) == ("velocity", "warning")
 
 

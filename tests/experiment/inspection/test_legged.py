@@ -24,7 +24,6 @@ from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.processing.contact_samples import ContactSamples
-from sdpid.experiment.recording.recording import rows_of
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
 from sdpid.workflow import formulate
 from tests.helpers.refusals import refuses
@@ -587,7 +586,7 @@ def test_findings_tell_what_processing_takes_off() -> None:
 def test_without_an_imu_the_pose_is_compared_with_legs_that_stand() -> None:
     log = recorded(late=True)
     pose = {name: np.roll(table, 3, axis=0) for name, table in log.base.channels.items()}
-    found = delays_found(rows_of(changed(log, {"imu": None, **pose}), slice(3, None)))
+    found = delays_found(changed(log, {"imu": None, **pose}).rows(slice(3, None)))
     assert found["base"] == pytest.approx(0.003, abs=1e-3)
     assert found["effort"] == pytest.approx(0.002, abs=1e-3)
 

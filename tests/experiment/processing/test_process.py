@@ -29,7 +29,6 @@ from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import make_grid
-from sdpid.experiment.recording.recording import rows_of
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
@@ -283,7 +282,7 @@ def changed(log: Recording, joint: Any, rows: Any, value: Any = None, **fields: 
 
 
 def without(log: Recording, rows: Any) -> Recording:
-    return rows_of(log, np.isin(np.arange(log.n_samples), rows, invert=True))
+    return log.rows(np.isin(np.arange(log.n_samples), rows, invert=True))
 
 
 SHORT = Recording(time=np.arange(50) / RATE, position=np.zeros((50, 1)), effort=np.zeros((50, 1)))
@@ -483,7 +482,7 @@ def test_held_out_motion_of_real_robots(data_folder: Path, case: str) -> None:
     logs = [sdpid.read_recording(urdf.parent / f"{run}.npz") for run in runs]
     log, other = logs[0], logs[-1]
     if len(logs) == 1:
-        log = rows_of(log, slice(round(0.6 * log.n_samples)))
+        log = log.rows(slice(round(0.6 * log.n_samples)))
     robot = sdpid.load_robot(urdf)
     friction = (*default_friction(log), *(WRIST if "tx40" in case else ()))
     # Everything is chosen from, and only from, what is trained on.
