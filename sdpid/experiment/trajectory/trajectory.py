@@ -296,7 +296,9 @@ class Trajectory(Shown):
         table = load_toml(path)
         try:
             joints = table["joint"]
-            rows: Any = {key: np.array([joint[key] for joint in joints]) for key in joints[0]}
+            known = ("name", *_LIMITS, *(key for _, _, keys, _ in _KINDS for key in keys))
+            there = [key for key in known if key in joints[0]]
+            rows: Any = {key: np.array([joint[key] for joint in joints]) for key in there}
             kind, whole, of_joints, axis = next(each for each in _KINDS if each[2][0] in rows)
             given = {name: np.moveaxis(rows[name], 0, axis) for name in of_joints if name in rows}
             return cls(
