@@ -45,7 +45,7 @@ _LARGEST, _SMALLEST = 1e12, 1e-100
 _LISTED = 8
 
 # What `Judgment.to_dict` tells as it is.
-_TOLD = ("feasible", "violations", "refitted", "cost", "gap", "audit")
+_AS_THEY_ARE = ("feasible", "violations", "refitted", "cost", "gap", "audit")
 
 _DESCRIPTIONS = (".urdf", ".xml", ".mjcf", ".xacro")
 
@@ -280,7 +280,7 @@ class Judgment:
         content = {
             "source": self.given.source,
             "standard": self.estimate.theta is not None,
-            **{name: getattr(self, name) for name in _TOLD},
+            **{name: getattr(self, name) for name in _AS_THEY_ARE},
             "lower_bound": self.certificate.lower_bound,
             "optimum": self.optimum.cost,
             "relative_residuals": self.residuals,
@@ -378,14 +378,14 @@ def _completed(
         C = np.vstack([np.eye(len(free)), rows])
         values[free] = _least(matrix[:, free], rhs - matrix @ values, C, lower, upper)
     refitted = tuple(names[k] for k in free)
-    told: dict[str, Any] = {"method": "given", "status": "given"}
+    origin: dict[str, Any] = {"method": "given", "status": "given"}
     if not standard:
         message = given.source
-        estimate = Estimate(problem=problem, base=values, theta=None, message=message, **told)
+        estimate = Estimate(problem=problem, base=values, theta=None, message=message, **origin)
         return estimate, refitted
     status = "optimal" if feasible.violation(values) <= FEASIBLE else "infeasible"
     message = f"{given.source}: {status}"
-    return Estimate.of_theta(problem, values, message=message, **told), refitted
+    return Estimate.of_theta(problem, values, message=message, **origin), refitted
 
 
 def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> Array:

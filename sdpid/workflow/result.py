@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from sdpid.workflow.formulate import CrossValidation
 
 # What `Identification.to_dict` tells as it is.
-_TOLD = (
+_AS_THEY_ARE = (
     *("findings", "verdict", "headline", "training", "validation", "held_out", "remedies"),
     *("cross_validation", "rollouts", "bias", "bias_note"),
 )
@@ -451,7 +451,7 @@ class Identification(Judged, Shown):
             "standard_parameters": estimate.named_theta(),
             "training_unconstrained": self.training_wls,
             "intervals": None if self.intervals is None else intervals_dict(self.intervals),
-            **{name: getattr(self, name) for name in _TOLD},
+            **{name: getattr(self, name) for name in _AS_THEY_ARE},
         }
         return plain_dict(content)
 

@@ -191,7 +191,7 @@ class Columns:
             ends = tuple(name.rstrip("])")[-1:].lower() for name in given)
             parts = quantity == "base_orientation" and sorted(ends) == ["w", "x", "y", "z"]
             return self.load(quantity, list(given)), ends if parts else None
-        found = next(self.finds(quantity, names), None)
+        found = next(self.candidates(quantity, names), None)
         if found is None and given is not None:
             of_joints = quantity not in (*SINGLE, *FLOATING)
             more = f", nor are columns '{given}_<joint>'" if of_joints else ""
@@ -303,7 +303,7 @@ class Columns:
             f"Name it with columns={{'{quantity}': ...}}, or in a mapping beside the log.{hint}"
         )
 
-    def finds(self, quantity: str, names: Sequence[str] | None) -> Iterator[Found]:
+    def candidates(self, quantity: str, names: Sequence[str] | None) -> Iterator[Found]:
         """Yield all that may be a quantity: arrays, then columns that are named by joint or part.
 
         Columns are in the order of the joints. Last come those that are known by their unit only,

@@ -165,7 +165,7 @@ def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None)
         Saying why they are left out.
     """
     commands: dict[frozenset[str], Found] = {}
-    for command in log.finds("reference", joints):
+    for command in log.candidates("reference", joints):
         commands.setdefault(frozenset(command[0]), command)
     first = [columns[0] for columns, _, _ in commands.values()]
     if len(commands) > 1:

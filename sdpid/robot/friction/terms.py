@@ -35,7 +35,7 @@ Speed = float | tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
-class _OwnTerm(JointwiseTerm):
+class _EffortTerm(JointwiseTerm):
     """One parameter a joint: an effort against the motion, unless a class says otherwise."""
 
     unit: ClassVar[str] = "N.m"
@@ -43,7 +43,7 @@ class _OwnTerm(JointwiseTerm):
 
 
 @dataclass(frozen=True)
-class Coulomb(_OwnTerm):
+class Coulomb(_EffortTerm):
     """Coulomb friction ``Fs·sign(v)``.
 
     Its name is ``"coulomb"``; Fs is in N·m, of sliding joints in N.
@@ -88,7 +88,7 @@ class Coulomb(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class Viscous(_OwnTerm):
+class Viscous(_EffortTerm):
     """Viscous friction ``Fv·v``.
 
     Its name is ``"viscous"``; Fv is in N·m·s/rad, of sliding joints in N·s/m.
@@ -117,7 +117,7 @@ class Viscous(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class Offset(_OwnTerm):
+class Offset(_EffortTerm):
     """A constant effort ``Fo``: a sensor's or a current's zero error.
 
     Its name is ``"offset"``; Fo is in N·m, of sliding joints in N.
@@ -145,7 +145,7 @@ class Offset(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class RotorInertia(_OwnTerm):
+class RotorInertia(_EffortTerm):
     """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects.
 
     Its name is ``"rotor_inertia"``; Ia is in kg·m², of sliding joints in kg.
@@ -175,7 +175,7 @@ class RotorInertia(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class SquareRootFriction(_OwnTerm):
+class SquareRootFriction(_EffortTerm):
     """Square-root friction ``Fq·sign(v)·√|v|``.
 
     Between Coulomb and viscous friction, for harmonic drives and greased gears. Its name is
@@ -204,7 +204,7 @@ class SquareRootFriction(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class Stribeck(_OwnTerm):
+class Stribeck(_EffortTerm):
     """Stribeck peak: friction above Coulomb's at low speed, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
 
     A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_. Its name is
@@ -284,7 +284,7 @@ class Stribeck(_OwnTerm):
 
 
 @dataclass(frozen=True)
-class SigmoidFriction(_OwnTerm):
+class SigmoidFriction(_EffortTerm):
     """Friction that saturates, ``Fsg·tanh(v / w)``.
 
     The field's sigmoid ``c/(1 + exp(−2·v/w)) − c/2`` with Fsg = c/2 [gaz2019]_. Alone it is

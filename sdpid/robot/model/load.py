@@ -85,7 +85,7 @@ def load_robot(
     origin = _origin(source, found, root, xacro_args)
     folder = None if found.path is None else found.path.parent
     found = expand_xacro(found, xacro_args)
-    told: dict[str, Any] = {"source": origin, "folder": folder}
+    facts: dict[str, Any] = {"source": origin, "folder": folder}
     if is_mjcf(found.text, found.what):
         mjcf = read_mjcf(found.text, found.what, path=found.path)
         if mjcf.others:
@@ -94,14 +94,14 @@ def load_robot(
                 "are linear equalities of two joints, and connect and weld of two bodies. Remove "
                 "it, or set active='false'."
             )
-        told["loops"] = loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
+        facts["loops"] = loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
         robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
         if root is not None and not robot.free_flyer:
             raise ModelError(
                 f"{found.what}: an MJCF says itself whether its base floats, and this one's is "
                 "fixed; give its first body a <freejoint/>, or leave root out."
             )
-        told |= {"forces": tuple(mjcf.forces()), "actuators": tuple(mjcf.actuators())}
+        facts |= {"forces": tuple(mjcf.forces()), "actuators": tuple(mjcf.actuators())}
         # Joints that no actuator moves have none at all in most files: a loop tells that they
         # matter. Where the file's joints are zero its loops are closed.
         passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}
@@ -109,10 +109,10 @@ def load_robot(
         model, mimics, described = pinocchio_from_urdf(
             found.text, found.what, floating=root is not None
         )
-        told["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
+        facts["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
         passive = urdf_passive(described, found.what)
-    return replace(robot, **told, passive=tuple(passive), assembled=tuple(passive.values()))
+    return replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

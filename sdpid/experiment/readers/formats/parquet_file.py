@@ -74,7 +74,7 @@ class _ParquetFile:
     def __init__(self, path: Path) -> None:
         self._path, self._pa = path, require("pyarrow", extra="io")
         parquet = require("pyarrow.parquet", extra="io")
-        with self._damage_told():
+        with self._refused_if_damaged():
             # Buffered ahead, the whole file would be in memory beside the arrays.
             self._file = parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
             schema = self._file.schema_arrow
@@ -101,7 +101,7 @@ class _ParquetFile:
         """Return a column of lists, times or anything else."""
         check_claim(self._path, name, (self._held(name),), 8)
         where = f"column '{name}'"
-        with self._damage_told():
+        with self._refused_if_damaged():
             values = self._file.read(columns=[name]).column(0).combine_chunks()
             if values.null_count:
                 raise DataError(f"{where} has {values.null_count} missing values.")
@@ -120,7 +120,7 @@ class _ParquetFile:
     def _parts(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
         """Yield the first rows and the values of parts of some columns."""
         begin = 0
-        with self._damage_told():
+        with self._refused_if_damaged():
             for batch in self._file.iter_batches(batch_size=ROWS, columns=list(names)):
                 values = np.empty((batch.num_rows, len(names)), order="F")
                 for j, name in enumerate(names):
@@ -140,7 +140,7 @@ class _ParquetFile:
         return count
 
     @contextmanager
-    def _damage_told(self) -> Iterator[None]:
+    def _refused_if_damaged(self) -> Iterator[None]:
         """Refuse a file that pyarrow cannot read."""
         try:
             yield
