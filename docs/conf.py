@@ -35,6 +35,7 @@ extensions = [
     "docstrings",
     "offline_math",
     "root_pages",
+    "summaries",
 ]
 exclude_patterns = ["_site", "_cache", "_ext", "jupyter_execute", "evidence/tables"]
 

@@ -13,7 +13,7 @@ from numpydoc.xref import DEFAULT_LINKS
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
-_OBJECTS = re.compile(r"^\.\. auto(?:class|function|exception):: (\S+)$", re.M)
+OBJECTS = re.compile(r"^\.\. auto(?:class|function|exception):: (\S+)$", re.M)
 _NAME = re.compile(r"(?<![`:\w])`([\w.]+)`(?![`_])")
 _PAGE = re.compile(r"\bdocs/([\w/]+)\.md\b")
 # Classes are described with these; what others take is nobody's business.
@@ -24,7 +24,7 @@ _MADE_BY_USERS = re.compile(r"sdpid(\.(friction|constraints))?\.\w+$|.*\.(DhJoin
 def objects(folder: Path) -> dict[str, str]:
     """Return the full names on the API pages by their last part, top-level names first."""
     pages = sorted((folder / "reference" / "api").glob("*.md"))
-    found = [name for page in pages for name in _OBJECTS.findall(page.read_text(encoding="utf-8"))]
+    found = [name for page in pages for name in OBJECTS.findall(page.read_text(encoding="utf-8"))]
     return {name.rpartition(".")[2]: name for name in sorted(found, key=len, reverse=True)}
 
 
