@@ -515,7 +515,10 @@ def sensor_fit(
     starts = [stated]
     if not rests:
         in_base = [np.einsum("kji,kj->ki", axes, x) for x in (wanted, np.einsum("kijj->ki", along))]
-        starts.append(Rotation.align_vectors(*in_base)[0].as_matrix())
+        # SciPy's own warns where vectors are along one axis; any turn about it is a start then.
+        left, _, right = np.linalg.svd(in_base[0].T @ in_base[1])
+        left[:, 2] *= np.sign(np.linalg.det(left @ right))
+        starts.append(left @ right)
     wrong: dict[str, tuple[Array, float]] = {}
     for optional in ("axes", "scale", ""):
         columns = np.concatenate([_AT[name] for name in names])

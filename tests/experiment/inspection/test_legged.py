@@ -310,6 +310,19 @@ def test_base_that_never_moves() -> None:
     assert ZEROS in told["imu_gyroscope"]
 
 
+def test_imu_that_turns_about_one_axis_is_compared_without_a_warning() -> None:
+    time = 0.02 * np.arange(400)
+    up = np.outer(np.ones(400), [0.0, 0.0, 1.0])
+    half = 0.1 * np.sin(time)[:, None]
+    orientation = np.hstack([np.sin(half) * up, np.cos(half)])
+    imu = sdpid.Imu(gyroscope=0.2 * np.cos(time)[:, None] * up, accelerometer=9.81 * up)
+    base = sdpid.BaseMotion(orientation=orientation, imu=imu)
+    moved = np.sin(np.outer(time, [1.0, 2.0]))
+    log = Recording(time=time, position=moved, effort=moved, base=base)
+    found = sdpid.inspect_recording(log).findings
+    assert {each.kind for each in found} == {"contacts_missing", "imu_accelerometer"}
+
+
 def test_wrong_force_does_not_lift_all_feet() -> None:
     contacts = replace(walk().contacts, down=None)
     spike = np.array(contacts.forces)
