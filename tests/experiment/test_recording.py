@@ -87,6 +87,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"position": np.zeros((N, 0))}, r"position: .*expected \(12, 1\)"),
     ({"effort": None}, "effort is missing"),
     ({"time": [0.0], "position": [[0.0]], "effort": [[0.0]]}, "1 samples, at least 2"),
+    ({"time": []}, r"time: has shape \(0,\), .*at least one row"),
     ({"joint_names": ("a", "a")}, "joint_names: a is there more than once"),
     ({"joint_names": ("a", "b", "c")}, r"3 names \(a, b, c\) for 2 joints"),
     ({"joint_names": (1, 2)}, "not a name"),

@@ -152,7 +152,7 @@ class Sampled(Shown):
             object.__setattr__(self, name, array)
             tail = tuple(max(len(names), 1) for names in _on(axes, self))
             if array.shape != (count or len(array), *tail) or not len(array):
-                like = f", as many rows as {first}" if first else ""
+                like = f", as many rows as {first}" if first else ", at least one row"
                 wanted = ", ".join(map(str, [count or "N", *tail])) + "," * (not tail)
                 raise DataError(
                     f"{called}: has shape {array.shape}, expected ({wanted}): {what}{like}."
