@@ -337,6 +337,7 @@ def test_bad_input_is_no_finding(run: Path, monkeypatch: pytest.MonkeyPatch) -> 
     results, log = run / "results", run / "run.csv"
     refuses(DataError, "there is no such file", replay, results, run / "missing.csv")
     refuses(DataError, "format", replay, results, run / "arm.urdf")
+    refuses(DataError, "is given int, expected the path", replay, results, 3)
     refuses(ModelError, "no robot 'nobody'", replay, results, log, robot="nobody")
     refuses(CertificateError, "is no folder", replay, log, log)
 

@@ -205,7 +205,8 @@ class _Rerun:
     def __init__(self, sealed: Sealed, logs: Logs, robot: Any) -> None:
         self.sealed, self.recipe, self.data = sealed, sealed.recipe, sealed.data
         self.asked, self.given = sealed.recipe.problem, robot
-        alone = isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs)
+        one = isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs)
+        alone = one or not isinstance(logs, Iterable)
         several: Any = [logs] if alone else logs
         self.given_logs: list[Any] = [*several]
         for log in self.given_logs:
