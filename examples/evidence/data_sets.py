@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,11 +60,6 @@ class DataSet:
     models: dict[str, Terms]
     usual: str
     efforts: tuple[str, ...] = ("tau",)
-
-    @property
-    def name(self) -> str:
-        """Its name, which is that of its folder."""
-        return next(name for name, data in SETS.items() if data is self)
 
 
 def wrist(width: float) -> Terms:
@@ -132,6 +128,47 @@ def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
         print(f"{name}: skipped, not in {data}; docs/evidence/data.md says where it comes from")
 
 
+@dataclass(frozen=True)
+class Arm:
+    """A robot of the public records: name and folder of its set."""
+
+    name: str
+    folder: Path
+
+    def __str__(self) -> str:
+        return TITLES[self.name]
+
+    @property
+    def data(self) -> DataSet:
+        """What is known of its set."""
+        return SETS[self.name]
+
+    @property
+    def urdf(self) -> Path:
+        """Its description."""
+        return self.folder / self.data.urdf
+
+    @property
+    def paths(self) -> dict[str, Path]:
+        """Files of its records, by name."""
+        return {run: self.folder / f"{run}.npz" for run in self.data.records}
+
+    @cached_property
+    def robot(self) -> sdpid.RobotModel:
+        """The robot as it is described."""
+        return sdpid.load_robot(self.urdf)
+
+    def logs(self, effort: str = "tau") -> list[sdpid.Recording]:
+        """Return its records."""
+        columns = {"effort": effort}
+        return [sdpid.read_recording(path, columns=columns) for path in self.paths.values()]
+
+
+def arms(data: Path, names: Iterable[str]) -> Iterator[Arm]:
+    """Yield the arms that are there, and say which are not."""
+    yield from (Arm(*each) for each in folders(data, names))
+
+
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 
 # What `sdpid.identify` takes for its prior: None is the default, False is none.
@@ -148,7 +185,14 @@ COMPARED: dict[str, sdpid.Prior | bool | None] = {
     "pullback 1.0, links only": sdpid.Prior(friction=False),
 }
 
-ROBOTS = dict(zip(SETS, ("UR10", "Panda", "LWR 4+", "TX40", "Gen3"), strict=True))
+TITLES = {
+    "ur10_unisa": "UR10",
+    "panda_unisa": "Panda",
+    "kuka_lwr4plus": "LWR 4+",
+    "staubli_tx40": "TX40",
+    "kinova_gen3_dynamapp": "Gen3",
+    "ur10e_innopolis": "UR10e",
+}
 
 QUICK = ("panda_unisa",)
 
@@ -171,15 +215,10 @@ def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
     )
 
 
-def cases(
-    folder: Path, data: DataSet
-) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording | None]]:
+def cases(arm: Arm) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording | None]]:
     """Yield what is trained on, in words and as a recording, and what is predicted."""
-    for effort in data.efforts:
-        logs = [
-            sdpid.read_recording(folder / f"{name}.npz", columns={"effort": effort})
-            for name in data.records
-        ]
+    for effort in arm.data.efforts:
+        logs = arm.logs(effort)
         kind = "" if effort == "tau" else f" {effort.partition('_')[2]}"
         if len(logs) == 2:
             yield f"run 1{kind}", logs[0], logs[1]
@@ -222,26 +261,26 @@ def solved(problem: Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
 
 
 def rows(
-    data: DataSet, robot: sdpid.RobotModel, terms: str, trained: tuple[Any, ...], study: Study
+    arm: Arm, terms: str, trained: tuple[Any, ...], study: Study
 ) -> Iterator[tuple[object, ...]]:
     """Yield the rows of a record with a friction model."""
     words, log, other = trained
     # As the training data are: nothing is chosen by what is predicted.
-    fresh = None if other is None else samples_of(robot, other, default_processing(log))
+    fresh = None if other is None else samples_of(arm.robot, other, default_processing(log))
     for consistency in BOTH[: 1 if study.priors else None]:
         for belief, prior in (COMPARED if study.priors else PLAIN).items():
             try:
                 problem = formulate(
-                    robot,
+                    arm.robot,
                     log,
-                    friction=(*data.models[terms], "viscous", "offset"),
+                    friction=(*arm.data.models[terms], "viscous", "offset"),
                     consistency=consistency,
                     prior=prior,
                 )
                 cells = solved(problem, fresh)
             except sdpid.errors.SdpidError as error:
                 cells = (type(error).__name__, *(None,) * 6, str(error))
-            yield f"{ROBOTS[data.name]}, {words}", terms, consistency, belief, *cells
+            yield f"{arm}, {words}", terms, consistency, belief, *cells
 
 
 def of_both(rows: list[dict[str, Any]]) -> Iterator[list[object]]:
@@ -280,31 +319,27 @@ def main() -> None:
         models=(max(len(data.models) for data in SETS.values()), "friction models of a set"),
         priors=(False, "compare kinds and strengths of priors"),
     )
-    sets = {name: (SETS[name], folder) for name, folder in folders(study.data, study.sets)}
-    robots = {name: sdpid.load_robot(folder / data.urdf) for name, (data, folder) in sets.items()}
-    trained = {
-        name: {case[0]: case for case in cases(folder, data)}
-        for name, (data, folder) in sets.items()
-    }
+    found = {arm.name: arm for arm in arms(study.data, study.sets)}
+    trained = {name: {case[0]: case for case in cases(arm)} for name, arm in found.items()}
     wanted = [
         (name, words, terms)
-        for name, (data, _) in sets.items()
+        for name, arm in found.items()
         for words in trained[name]
         if not (study.priors and words == "all")
-        for terms in ([data.usual] if study.priors else [*data.models][: study.models])
+        for terms in ([arm.data.usual] if study.priors else [*arm.data.models][: study.models])
     ]
-    found = study.rows(
+    cells = study.rows(
         "cells.csv",
         HEADER,
         wanted,
-        lambda c: rows(SETS[c[0]], robots[c[0]], c[2], trained[c[0]][c[1]], study),
+        lambda c: rows(found[c[0]], c[2], trained[c[0]][c[1]], study),
     )
     if study.priors:
-        study.write("data_sets.csv", *pivot(found, "prior", "record", percent))
+        study.write("data_sets.csv", *pivot(cells, "prior", "record", percent))
         return
     shown = ("gap", "heaviest link, kg", "iterations", "held out, %")
     header = ("record", "terms", *(f"{what}, {prior}" for prior in PLAIN for what in shown))
-    study.write("data_sets.csv", header, of_both(found))
+    study.write("data_sets.csv", header, of_both(cells))
 
 
 if __name__ == "__main__":

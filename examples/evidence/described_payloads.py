@@ -11,9 +11,8 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
-from data_sets import QUICK, ROBOTS, SETS, folders
+from data_sets import QUICK, SETS, Arm, arms
 from study import Study
 
 import sdpid
@@ -21,19 +20,18 @@ import sdpid
 HEADER = ("robot", "record", "mass_kg", "lower_kg", "upper_kg", "shown")
 
 
-def payloads(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
+def payloads(arm: Arm) -> Iterator[tuple[object, ...]]:
     """Yield the payload that is found in each record of a set."""
-    name, folder = case
-    for run in SETS[name].records:
-        found = sdpid.identify_payload(folder / SETS[name].urdf, folder / f"{run}.npz")
+    for run, path in arm.paths.items():
+        found = sdpid.identify_payload(arm.urdf, path)
         shown = "yes" if found.shown else "no"
-        yield ROBOTS[name], run, found.mass, found.lower[0], found.upper[0], shown
+        yield str(arm), run, found.mass, found.lower[0], found.upper[0], shown
 
 
 def main() -> None:
     """Find a payload in every record."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
-    study.rows("described_payloads.csv", HEADER, folders(study.data, study.sets), payloads)
+    study.rows("described_payloads.csv", HEADER, arms(study.data, study.sets), payloads)
 
 
 if __name__ == "__main__":

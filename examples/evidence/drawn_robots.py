@@ -21,7 +21,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from data_sets import ROBOTS, SETS, folders
+from data_sets import Arm, arms
 from study import Study
 
 import sdpid
@@ -62,7 +62,7 @@ def widest(samples: ParameterSamples, reference: np.ndarray) -> float:
     return float(np.max(high - low))
 
 
-def ranged(arm: str, samples: ParameterSamples) -> Iterator[tuple[object, ...]]:
+def ranged(samples: ParameterSamples) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the ranges."""
     problem = samples.estimate.problem
     own, mean = (
@@ -76,7 +76,7 @@ def ranged(arm: str, samples: ParameterSamples) -> Iterator[tuple[object, ...]]:
     for probability in PROBABILITIES:
         found = samples.ranges(probability)
         shears = (widest(samples, mean), identified) if probability == 0.95 else (None, None)
-        yield arm, probability, found.inside, found.widened, *shears
+        yield probability, found.inside, found.widened, *shears
 
 
 def main() -> None:
@@ -85,10 +85,9 @@ def main() -> None:
         __doc__, data=True, quick={"arms": [*ARMS[:1]], "count": 10}, count=1000, arms=[*ARMS]
     )
 
-    def drawn(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
-        name, source = case
-        run, arm = source / f"{SETS[name].records[0]}.npz", ROBOTS[name]
-        result = sdpid.identify(source / SETS[name].urdf, run, intervals=False)
+    def drawn(source: Arm) -> Iterator[tuple[object, ...]]:
+        run, *_ = source.paths.values()
+        result = sdpid.identify(source.urdf, run, intervals=False)
         start = time.process_time()
         samples = sdpid.sample_parameters(result, study.count, SEED)
         made = time.process_time()
@@ -98,10 +97,10 @@ def main() -> None:
             found = checked(Path(folder))
         mixed = samples.diagnostics
         cells = mixed["least_effective_size"], mixed["largest_r_hat"]
-        ranges = [each[1:] for each in ranged(arm, samples)]
-        yield arm, study.count, *cells, *seconds, *found, ranges
+        ranges = [[*each] for each in ranged(samples)]
+        yield str(source), study.count, *cells, *seconds, *found, ranges
 
-    found = study.rows("arms.csv", (*FILES, "ranges"), folders(study.data, study.arms), drawn)
+    found = study.rows("arms.csv", (*FILES, "ranges"), arms(study.data, study.arms), drawn)
     study.write("files.csv", FILES, ([row[name] for name in FILES] for row in found))
     ranges = ((row["arm"], *each) for row in found for each in row["ranges"])
     study.write("ranges.csv", RANGES, ranges)

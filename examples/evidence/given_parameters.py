@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from data_sets import folders
+from data_sets import Arm, arms
 from study import Study
 
 import sdpid
@@ -57,13 +57,13 @@ def denso(periods: int, period: float) -> Iterator[tuple[object, ...]]:
         yield judged("Denso, the truth", problem, GivenParameters(source="truth", values=truth))
 
 
-def tx40(folder: Path) -> tuple[object, ...]:
+def tx40(arm: Arm) -> tuple[object, ...]:
     """Return the links of the description, friction and drives refitted."""
     coupling = sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)
-    robot = sdpid.load_robot(folder / "tx40.urdf")
+    robot = arm.robot
     problem = formulate(
         robot,
-        sdpid.read_recording(folder / "tx40_rows_0_24750.npz"),
+        arm.logs()[0],
         friction=(sdpid.friction.Coulomb(0.05), "viscous", "offset", "rotor_inertia", coupling),
         effects="none",
         prior=False,
@@ -75,8 +75,8 @@ def tx40(folder: Path) -> tuple[object, ...]:
 def main() -> None:
     """Judge all and write the table."""
     study = Study(__doc__, data=True, quick={"period": 19.0}, period=(76.0, "of the log, s"))
-    found = [*folders(study.data, ["staubli_tx40"])]
-    parts = {"denso": lambda: denso(8, study.period), "tx40": lambda: [tx40(found[0][1])]}
+    found = [*arms(study.data, ["staubli_tx40"])]
+    parts = {"denso": lambda: denso(8, study.period), "tx40": lambda: [tx40(found[0])]}
     study.rows(
         "given_parameters.csv", HEADER, [*parts][: 1 + len(found)], lambda part: parts[part]()
     )

@@ -3,9 +3,8 @@
 Each recording of six real robots is identified with defaults, without hints, and predicts another
 recording, or the other part of the only one. A joint that is trusted on its own blocks keeps its
 grade where the other recording gives it too. The table of margins shows what each margin between
-blocks and other motion would have trusted and kept, room for other motion asked for as by default,
-and which margin the other robots choose for each robot: the smallest for which every one of them
-keeps nine of ten grades. The table of bands shows the share of moving rows of the other recording
+blocks and other motion would have trusted and kept, room for other motion asked for as by default.
+The table of bands shows the share of moving rows of the other recording
 within the 95 % bands.
 
     python examples/evidence/grades.py --data /path/to/data --out results
@@ -21,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, folders, part
-from held_out import GAINS, KINDS, QUICK, TITLES
+from data_sets import SETS, TITLES, Arm, arms, part
+from held_out import QUICK, ur10e_logs
 from study import Study, grouped
 
 import sdpid
@@ -46,8 +45,8 @@ CUTS = (0.5, 0.6)
 
 MARGINS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
 
-# Share of grades that must be kept, and of rows within 95 % bands.
-KEPT, BANDS = 0.9, (0.90, 0.98)
+# Share of rows within 95 % bands.
+BANDS = (0.90, 0.98)
 
 
 # Of a joint: whether the default grade without other motion is "good", by r2 and nrmse of blocks
@@ -61,22 +60,15 @@ Joint = Mapping[str, Any]
 Case = tuple[str, sdpid.RobotModel, sdpid.Recording, dict[str, sdpid.Recording]]
 
 
-def cases(folder: Path, names: Iterable[str]) -> Iterator[tuple[str, Case]]:
-    """Yield robots and their cases: a title, the robot, a recording, and others by name."""
-    for name in names:
-        if name == "ur10e_innopolis":
-            yield from ((TITLES[name], each) for each in _ur10e(folder / name))
-            continue
-        data = SETS[name]
-        robot = sdpid.load_robot(folder / name / data.urdf)
-        for effort in data.efforts:
-            logs = [
-                sdpid.read_recording(folder / name / f"{run}.npz", columns={"effort": effort})
-                for run in data.records
-            ]
-            label = "" if effort == "tau" else " currents"
-            for title, own, other in _pairs(logs):
-                yield TITLES[name], (f"{TITLES[name]}{label}, {title}", robot, own, {"": other})
+def cases(arm: Arm) -> Iterator[Case]:
+    """Yield cases: a title, the robot, a recording, and others by name."""
+    if arm.name not in SETS:
+        yield from _ur10e(arm.folder)
+        return
+    for effort in arm.data.efforts:
+        label = "" if effort == "tau" else " currents"
+        for title, own, other in _pairs(arm.logs(effort)):
+            yield f"{arm}{label}, {title}", arm.robot, own, {"": other}
 
 
 def _pairs(
@@ -97,11 +89,7 @@ def _pairs(
 
 def _ur10e(folder: Path) -> Iterator[Case]:
     """Yield the UR10e's recordings, each of which predicts all others."""
-    columns = {"time": 1, **{k: list(range(2 + 6 * i, 8 + 6 * i)) for i, k in enumerate(KINDS)}}
-    logs = {
-        run: sdpid.read_recording(folder / f"{run}.csv", columns=columns, effort_scale=GAINS)
-        for run in UR10E
-    }
+    logs = dict(zip(UR10E, ur10e_logs(folder, UR10E), strict=True))
     robot = sdpid.load_robot(folder / "ur10e.urdf")
     for run, log in logs.items():
         yield f"UR10e, {run[6:]}", robot, log, {k: v for k, v in logs.items() if k != run}
@@ -164,13 +152,6 @@ def kept_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
         yield [label, *(_share(*pair) for pair in found.values()), _share(*every)]
 
 
-def chosen_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
-    """Yield the margin that the other robots choose for each, and what it then keeps."""
-    for robot in dict.fromkeys(each["robot"] for each in joints):
-        chosen = _chosen([each for each in joints if each["robot"] != robot])
-        yield [robot, chosen, _share(*kept(joints, chosen)[robot])]
-
-
 def band_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
     """Yield the shares of moving rows within the bands."""
     of_cases = {(each["robot"], each["case"]): each for each in joints}.values()
@@ -179,15 +160,6 @@ def band_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
         words = "" if BANDS[0] <= mean <= BANDS[1] else " (outside the limits)"
         ends = (f"{end:.1%}" for end in (own["inside"].min(), own["inside"].max()))
         yield [robot, f"{mean:.1%}{words}", *ends, f"{width:.2f}"]
-
-
-def _chosen(joints: Sequence[Joint]) -> float:
-    """Return the smallest margin with which every robot keeps its share of grades."""
-    for margin in MARGINS:
-        pairs = kept(joints, margin).values()
-        if all(held >= KEPT * trusted for trusted, held in pairs):
-            return margin
-    return MARGINS[-1]
 
 
 def _share(trusted: int, held: int) -> str:
@@ -199,15 +171,11 @@ def main() -> None:
     """Measure and write the tables."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
     found = {
-        case[0]: (robot, case)
-        for name, _ in folders(study.data, study.sets)
-        for robot, case in cases(study.data, [name])
+        case[0]: (str(arm), case) for arm in arms(study.data, study.sets) for case in cases(arm)
     }
     joints = study.rows("grades.csv", CELL, found, lambda title: measure(*found[title]))
     robots = dict.fromkeys(each["robot"] for each in joints)
     study.write("kept.csv", ("trusted where", *robots, "all"), kept_rows(joints))
-    header = ("left out", "margin that the others choose", "it then keeps")
-    study.write("chosen.csv", header, chosen_rows(joints))
     header = ("set", "moving rows within 95 % bands", "lowest", "highest", "width")
     study.write("bands.csv", header, band_rows(joints))
     lost = [f"{e['case']}: {e['joint']}" for e in joints if e["trusted"] and not e["kept"]]

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TRAINED, folders, part
+from data_sets import TITLES, TRAINED, Arm, arms, part
 from real_robots import DRIVES
 from study import Study
 
@@ -104,18 +104,14 @@ class Case:
         return out
 
 
-def halves(
-    name: str, scored_hz: float, limit: float, terms: tuple[Any, ...], folder: Path
-) -> Iterator[Case]:
+def halves(scored_hz: float, limit: float, terms: tuple[Any, ...], arm: Arm) -> Iterator[Case]:
     """Yield a set of one record: its first part, which predicts the rest."""
-    data = SETS[name]
-    log = sdpid.read_recording(folder / name / f"{data.records[0]}.npz")
+    (log,) = arm.logs()
     cut = round(TRAINED * log.n_samples)
-    title = f"{TITLES[name]}{' with its terms' if terms else ''}"
     yield Case(
-        f"{title}, first 60 %",
-        TITLES[name],
-        sdpid.load_robot(folder / name / data.urdf),
+        f"{arm}{' with its terms' if terms else ''}, first 60 %",
+        str(arm),
+        arm.robot,
         part(log, 0, cut),
         {"rest": log},
         scored_hz,
@@ -125,28 +121,17 @@ def halves(
     )
 
 
-def pairs(
-    name: str,
-    scored_hz: float,
-    limit: float | None,
-    effort: str,
-    folder: Path,
-) -> Iterator[Case]:
+def pairs(scored_hz: float, limit: float | None, effort: str, arm: Arm) -> Iterator[Case]:
     """Yield a set of two runs, each of which predicts the other."""
-    data = SETS[name]
-    logs = [
-        sdpid.read_recording(folder / name / f"{run}.npz", columns={"effort": effort})
-        for run in data.records
-    ]
-    robot = sdpid.load_robot(folder / name / data.urdf)
-    title = TITLES[name] + ("" if effort == "tau" else " currents")
+    logs = arm.logs(effort)
+    title = f"{arm}{'' if effort == 'tau' else ' currents'}"
     for own, other in ((0, 1), (1, 0)):
         label = f"run {other + 1}"
         limits = {label: limit} if limit is not None and own == 0 else {}
         yield Case(
             f"{title}, run {own + 1}",
-            TITLES[name],
-            robot,
+            str(arm),
+            arm.robot,
             logs[own],
             {label: logs[other]},
             scored_hz,
@@ -154,39 +139,34 @@ def pairs(
         )
 
 
-def ur10e(folder: Path) -> Iterator[Case]:
+def ur10e_logs(folder: Path, runs: Iterable[str]) -> list[sdpid.Recording]:
+    """Return runs of the UR10e, of which currents were recorded."""
+    kinds = ("position", "velocity", "effort")
+    columns = {"time": 1, **{k: list(range(2 + 6 * i, 8 + 6 * i)) for i, k in enumerate(kinds)}}
+    return [
+        sdpid.read_recording(folder / f"{run}.csv", columns=columns, effort_scale=GAINS)
+        for run in runs
+    ]
+
+
+def ur10e(arm: Arm) -> Iterator[Case]:
     """Yield the UR10e: the run of 30 s, which predicts the others without load."""
-    folder = folder / "ur10e_innopolis"
-    robot = sdpid.load_robot(folder / "ur10e.urdf")
+    robot = sdpid.load_robot(arm.folder / "ur10e.urdf")
+    own, *logs = ur10e_logs(arm.folder, (UR10E_TRAINED, *UR10E.values()))
+    others = dict(zip(UR10E, logs, strict=True))
+    yield Case("UR10e, 30 s", "UR10e", robot, own, others, 10.0)
 
-    def read(run: str) -> sdpid.Recording:
-        columns = {"time": 1, **{k: list(range(2 + 6 * i, 8 + 6 * i)) for i, k in enumerate(KINDS)}}
-        return sdpid.read_recording(folder / f"{run}.csv", columns=columns, effort_scale=GAINS)
-
-    others = {label: read(run) for label, run in UR10E.items()}
-    yield Case("UR10e, 30 s", "UR10e", robot, read(UR10E_TRAINED), others, 10.0)
-
-
-KINDS = ("position", "velocity", "effort")
-TITLES = {
-    "ur10_unisa": "UR10",
-    "panda_unisa": "Panda",
-    "kuka_lwr4plus": "LWR 4+",
-    "staubli_tx40": "TX40",
-    "kinova_gen3_dynamapp": "Gen3",
-    "ur10e_innopolis": "UR10e",
-}
 
 # The cut-offs of the common rows are 30 times the motion of the training part, Hz, those of
 # version 0.1.0; the UR10e's is that of its README.
-READERS: tuple[tuple[str, Callable[[Path], Iterator[Case]]], ...] = (
-    ("ur10_unisa", partial(halves, "ur10_unisa", 5.45, 4.8, ())),
-    ("panda_unisa", partial(halves, "panda_unisa", 4.0, 1.75, ())),
-    ("kuka_lwr4plus", partial(pairs, "kuka_lwr4plus", 3.58, 2.25, "tau")),
-    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 10.0, ())),
-    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 6.0, DRIVES["staubli_tx40"])),
-    ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, 14.5, "tau")),
-    ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, None, "tau_current")),
+READERS: tuple[tuple[str, Callable[[Arm], Iterator[Case]]], ...] = (
+    ("ur10_unisa", partial(halves, 5.45, 4.8, ())),
+    ("panda_unisa", partial(halves, 4.0, 1.75, ())),
+    ("kuka_lwr4plus", partial(pairs, 3.58, 2.25, "tau")),
+    ("staubli_tx40", partial(halves, 25.3, 10.0, ())),
+    ("staubli_tx40", partial(halves, 25.3, 6.0, DRIVES["staubli_tx40"])),
+    ("kinova_gen3_dynamapp", partial(pairs, 12.66, 14.5, "tau")),
+    ("kinova_gen3_dynamapp", partial(pairs, 12.66, None, "tau_current")),
     ("ur10e_innopolis", ur10e),
 )
 QUICK = ("panda_unisa", "ur10_unisa")
@@ -204,10 +184,10 @@ LEAST_SQUARES = ("coulomb", "square_root", "viscous", "offset")
 
 def cases(data: Path, names: Iterable[str]) -> Iterator[Case]:
     """Yield the cases of the sets that are there, and say which are not."""
-    for name, _ in folders(data, names):
+    for arm in arms(data, names):
         for own, reader in READERS:
-            if own == name:
-                yield from reader(data)
+            if own == arm.name:
+                yield from reader(arm)
 
 
 def moving(samples: sdpid.Samples) -> Mask:

@@ -18,11 +18,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import ROBOTS, SETS, TRAINED, folders, part
+from data_sets import SETS, TRAINED, Arm, arms, part
 from study import Study, pivot
 
 import sdpid
@@ -102,24 +101,22 @@ class Case:
     """A robot's records: what is trained on, and what is predicted."""
 
     name: str
+    title: str
     robot: sdpid.RobotModel
     log: sdpid.Recording
     rest: sdpid.Recording
     second_run: bool
 
     def __str__(self) -> str:
-        return self.name
+        return self.title
 
     @classmethod
-    def read(cls, folder: Path, name: str) -> Case:
+    def of(cls, arm: Arm) -> Case:
         """Read a set: two runs, or one record whose rest is predicted."""
-        data = SETS[name]
-        logs = [sdpid.read_recording(folder / name / f"{run}.npz") for run in data.records]
-        robot = sdpid.load_robot(folder / name / data.urdf)
-        if len(logs) == 2:
-            return cls(name, robot, logs[0], logs[1], True)
-        cut = round(TRAINED * logs[0].n_samples)
-        return cls(name, robot, part(logs[0], 0, cut), logs[0], False)
+        first, *others = arm.logs()
+        cut = round(TRAINED * first.n_samples)
+        own = first if others else part(first, 0, cut)
+        return cls(arm.name, str(arm), arm.robot, own, [first, *others][-1], bool(others))
 
     def trained(self, processing: sdpid.Processing) -> sdpid.Samples:
         """Return the training samples, which saw nothing of the rest."""
@@ -172,7 +169,7 @@ def prepared(case: Case) -> Iterator[tuple[object, ...]]:
     case.problem(samples, METHODS[DEFAULT], terms_of(case))
     seconds = time.perf_counter() - start
     counts = len(samples.effort), len(case.held_out(processing).effort)
-    yield ROBOTS[case.name], processing.cutoff_hz, processing.velocity, *counts, seconds
+    yield case.title, processing.cutoff_hz, processing.velocity, *counts, seconds
 
 
 def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
@@ -195,7 +192,7 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             estimate, status = getattr(error, "found", None), type(error).__name__
         seconds = time.perf_counter() - start
         if estimate is None:
-            yield ROBOTS[case.name], name, *(None,) * 5, status, gap
+            yield case.title, name, *(None,) * 5, status, gap
             continue
         if estimate.method == "sdp":
             gap = sdpid.certify(estimate).gap
@@ -208,7 +205,7 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             least = "no body" if np.any(np.isnan(margins)) else float(np.min(margins))
             heaviest = float(links[:, 0].max())
         yield (
-            ROBOTS[case.name],
+            case.title,
             name,
             100.0 * sdpid.validate(estimate).relative,
             100.0 * sdpid.validate(estimate, fresh).relative,
@@ -293,7 +290,7 @@ def cutoffs(case: Case) -> Iterator[tuple[object, ...]]:
     """Yield the errors of the default estimate on rows that are filtered at other cut-offs, %."""
     processing = default_processing(case.log)
     estimate = default(case, case.trained(processing), terms_of(case))
-    line: list[object] = [ROBOTS[case.name]]
+    line: list[object] = [case.title]
     for factor in SCORED:
         changed = replace(processing, cutoff_hz=factor * processing.cutoff_hz)
         fits = changed.cutoff_hz < HIGHEST * case.log.rate_hz
@@ -335,7 +332,7 @@ def published(case: Case) -> Iterator[tuple[object, ...]]:
         for words, rows, shown in (("held out", trained, fresh), ("whole", samples, samples)):
             errors = joined(sdpid.validate(default(case, rows, terms), shown).rmse)
             lines.append((f"Coulomb friction asymmetric, {words}", errors))
-    yield from ((ROBOTS[name], *line) for line in lines)
+    yield from ((case.title, *line) for line in lines)
 
 
 def blocked(case: Case, way: str, terms: Terms, scored_at: float) -> tuple[Array, float]:
@@ -391,7 +388,7 @@ def main() -> None:
         sets=[*SETS],
         methods=[*METHODS],
     )
-    found = [Case.read(study.data, name) for name, _ in folders(study.data, study.sets)]
+    found = [Case.of(arm) for arm in arms(study.data, study.sets)]
     header = ("set", "cut-off, Hz", "velocity", "training samples", "held-out samples")
     study.rows("prepared.csv", (*header, "preparing, s"), found, prepared, digits=3)
     done = study.rows("methods.csv", HEADER, found, lambda case: rows(case, study.methods))

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from data_sets import QUICK, ROBOTS, SETS, folders
+from data_sets import QUICK, SETS, arms
 from study import Study
 
 import sdpid
@@ -78,9 +78,9 @@ def main() -> None:
     """Write the table."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
     cases = [
-        (folder / SETS[name].urdf, folder / f"{record}.npz", f"{ROBOTS[name]}, {record}")
-        for name, folder in folders(study.data, study.sets)
-        for record in SETS[name].records
+        (arm.urdf, path, f"{arm}, {record}")
+        for arm in arms(study.data, study.sets)
+        for record, path in arm.paths.items()
     ]
     study.rows("replay.csv", HEADER, cases, lambda case: [row(*case)])
 

@@ -13,10 +13,9 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-from data_sets import QUICK, ROBOTS, SETS, folders
+from data_sets import QUICK, SETS, Arm, arms
 from study import Study
 
 import sdpid
@@ -26,23 +25,21 @@ from sdpid.workflow.formulate import formulate
 HEADER = ("recording", "residual, % of the usual effort", "alike over, s")
 
 
-def residual(case: tuple[str, Path]) -> Iterator[tuple[object, ...]]:
+def residual(arm: Arm) -> Iterator[tuple[object, ...]]:
     """Yield the row of a set."""
-    name, folder = case
-    robot = sdpid.load_robot(folder / SETS[name].urdf)
-    problem = formulate(robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
+    problem = formulate(arm.robot, arm.logs()[0])
     noise = ExpectedNoise.of_residuals(problem, sdpid.solve_sdp(problem).theta)
     samples = problem.require_rows("the residuals").samples
     efforts = np.where(samples.used, samples.effort, 0.0)
     rms = np.sqrt((efforts**2).sum(axis=0) / np.maximum(samples.used.sum(axis=0), 1))
     share = np.median(100.0 * noise.deviation / usual_effort(rms))
-    yield ROBOTS[name], share, np.median(noise.density / noise.deviation**2)
+    yield str(arm), share, np.median(noise.density / noise.deviation**2)
 
 
 def main() -> None:
     """Measure and write the table."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
-    study.rows("residual_noise.csv", HEADER, folders(study.data, study.sets), residual)
+    study.rows("residual_noise.csv", HEADER, arms(study.data, study.sets), residual)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from held_out import QUICK, TITLES, Case, cases, error
+from data_sets import TITLES
+from held_out import QUICK, Case, cases, error
 from study import Study, grouped
 
 import sdpid

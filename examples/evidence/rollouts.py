@@ -18,8 +18,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from data_sets import part
-from held_out import QUICK, TITLES, Case, cases
+from data_sets import TITLES, part
+from held_out import QUICK, Case, cases
 from study import Study
 
 import sdpid

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import tempfile
 
-from data_sets import part
-from held_out import QUICK, TITLES, Case, cases
+from data_sets import TITLES, part
+from held_out import QUICK, Case, cases
 from study import Study
 
 import sdpid

@@ -22,7 +22,7 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from data_sets import SETS, folders
+from data_sets import SETS, arms
 from simulated_logs import drawn, log_of, there, with_gravity
 from study import Study, grouped, pivot
 
@@ -297,9 +297,8 @@ def simulated(seeds: int) -> Iterator[Good]:
 
 def recorded(data: Path) -> Iterator[Good]:
     """Yield the first recording of every real arm."""
-    for name, folder in folders(data, SETS):
-        robot = sdpid.load_robot(folder / SETS[name].urdf)
-        yield good(name, robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
+    for arm in arms(data, SETS):
+        yield good(arm.name, arm.robot, arm.logs()[0])
 
 
 def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
