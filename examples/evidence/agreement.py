@@ -46,9 +46,9 @@ def compared(pair: int) -> Iterator[tuple[object, ...]]:
 
 def main() -> None:
     """Count and write."""
-    study = Study(__doc__, quick={"pairs": 1}, pairs=40, first=(0, "number of the first pair"))
-    pairs = range(study.first, study.first + study.pairs)
-    found = study.rows("pairs.csv", ("case", "differ", "tested", "outside"), pairs, compared)
+    study = Study(__doc__, quick={"pairs": 1}, pairs=40)
+    header = ("case", "differ", "tested", "outside")
+    found = study.rows("pairs.csv", header, range(study.pairs), compared)
     rows = []
     for (case,), own in grouped(found, "case"):
         differ, outside = own["differ"].mean(), own["outside"].sum() / own["tested"].sum()

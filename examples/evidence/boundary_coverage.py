@@ -130,7 +130,7 @@ def measured(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray, BaseParamet
     return motion, problem.predict(problem.base_of(case.theta)), problem.base
 
 
-def drawn(name: str, seed: int, method: str) -> Iterator[tuple[object, ...]]:
+def drawn(name: str, seed: int) -> Iterator[tuple[object, ...]]:
     """Yield of each parameter whether its interval holds the truth, and its width."""
     case = CASES[name]()
     motion, exact, base = measured(case)
@@ -146,7 +146,7 @@ def drawn(name: str, seed: int, method: str) -> Iterator[tuple[object, ...]]:
     )
     estimate = sdpid.solve_sdp(problem)
     begin = time.perf_counter()
-    found = sdpid.confidence_intervals(estimate, method=method, n_jobs=1)  # type: ignore[arg-type]
+    found = sdpid.confidence_intervals(estimate, method="profile", n_jobs=1)
     seconds = time.perf_counter() - begin
     held = found.contains([truth[each] for each in found.names])
     for parameter, inside, width in zip(found.names, held, found.width, strict=True):
@@ -159,16 +159,13 @@ def main() -> None:
         __doc__,
         quick={"draws": 1, "cases": ["inside"]},
         draws=200,
-        first=(0, "seed of the first draw"),
         cases=[*CASES],
-        method=("profile", "of the intervals"),
     )
-    seeds = range(study.first, study.first + study.draws)
     found = study.rows(
         "draws.csv",
         ("case", "parameter", "held", "width", "seconds"),
-        itertools.product(study.cases, seeds),
-        lambda case: drawn(*case, study.method),
+        itertools.product(study.cases, range(study.draws)),
+        lambda case: drawn(*case),
     )
     rows = []
     for (name,), own in grouped(found, "case"):
@@ -178,7 +175,7 @@ def main() -> None:
         order = np.argsort(share, kind="stable")
         listed = ", ".join(f"{parameters[i]} {share[i]:.1f}" for i in order[:6])
         width = np.median(own["width"][of[order[0]]])
-        rows.append((name, len(seeds), listed, share.mean(), width, own["seconds"].mean()))
+        rows.append((name, study.draws, listed, share.mean(), width, own["seconds"].mean()))
     header = ("case", "draws", "held_least_percent", "mean_percent", "width_of_first", "seconds")
     study.write("boundary_coverage.csv", header, rows)
 

@@ -119,7 +119,6 @@ def log_of(
     twin: Twin,
     seed: int,
     reading: str,
-    exact: bool = False,
 ) -> sdpid.Recording:
     """Return what a run records."""
     _, drives = plant_parts(robot, trajectory, twin.theta, None)
@@ -135,7 +134,6 @@ def log_of(
         theta=twin.theta,
         drives=drives,
         seed=seed,
-        exact=exact,
         progress=False,
     )
     return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
@@ -163,12 +161,12 @@ def planned(name: str, reading: str, duration: float, quick: bool) -> tuple[Any,
 
 
 def run(
-    name: str, reading: str, seed: int, duration: float, quick: bool, exact: bool
+    name: str, reading: str, seed: int, duration: float, quick: bool
 ) -> Iterator[tuple[object, ...]]:
     """Simulate a run, identify, and compare with what was expected."""
     robot, trajectory, _, expected = planned(name, reading, duration, quick)
     twin = twin_of(robot, trajectory, seed)
-    log = log_of(robot, trajectory, twin, seed, reading, exact)
+    log = log_of(robot, trajectory, twin, seed, reading)
     try:
         result = sdpid.identify(robot, log, effects="none")
     except sdpid.errors.SdpidError as error:
@@ -339,14 +337,13 @@ def main() -> None:
         firsts=["random", "plan"],
         duration=(20.0, "of a period, s"),
         jobs=1,
-        exact=(False, "robots that follow the plan exactly"),
     )
     asked = study.duration, study.quick
     rows = study.rows(
         "runs.csv",
         ROW,
         itertools.product(study.robots, PERIODS, range(study.seeds)),
-        lambda case: run(*case, *asked, study.exact),
+        lambda case: run(*case, *asked),
         jobs=study.jobs,
     )
     header = (

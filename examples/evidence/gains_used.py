@@ -14,7 +14,7 @@ Sixty logs take some eight minutes on one core.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from simulated_logs import Conditions, Truth, drawn, log_of, other_log
@@ -38,17 +38,9 @@ HEADER = ("quantity", "intervals", "held_percent", "exact_held_percent", "wider"
 MOSTLY = 0.5
 
 
-@dataclass(frozen=True)
-class Found:
-    """Of one interval: the kind, whether it holds the truth with and without the gains' errors.
-
-    `wider` is by how much these widen it.
-    """
-
-    kind: str
-    held: bool
-    exact_held: bool
-    wider: float
+# Of one interval: the kind, whether it holds the truth with and without the gains' errors, and by
+# how much these widen it.
+Found = tuple[str, bool, bool, float]
 
 
 def covariance(n: int) -> Array:
@@ -94,7 +86,7 @@ def run(seed: int, conditions: Conditions) -> Iterator[Found]:
         for payload in payloads:
             low, high = float(payload.lower[k]), float(payload.upper[k])
             numbers += [low <= value <= high, high - low]
-        yield Found(kind, bool(numbers[0]), bool(numbers[2]), numbers[1] / numbers[3])
+        yield kind, bool(numbers[0]), bool(numbers[2]), numbers[1] / numbers[3]
 
 
 def parameters(truth: Truth, log: sdpid.Recording, gains: sdpid.DriveGains) -> Iterator[Found]:
@@ -117,7 +109,7 @@ def parameters(truth: Truth, log: sdpid.Recording, gains: sdpid.DriveGains) -> I
         assert row.profile_lower is not None
         assert row.profile_upper is not None
         kind = "most of the variance the gains'" if share[row.name] > MOSTLY else "the others"
-        yield Found(
+        yield (
             f"base parameters, {kind}",
             row.lower <= row.truth <= row.upper,
             row.profile_lower <= row.truth <= row.profile_upper,
@@ -141,8 +133,7 @@ def main() -> None:
         rate = min(conditions.rate_hz, 200.0)
         duration = 15.0 if study.quick else min(conditions.duration, LONGEST)
         try:
-            for each in run(seed, replace(conditions, rate_hz=rate, duration=duration)):
-                yield each.kind, each.held, each.exact_held, each.wider
+            yield from run(seed, replace(conditions, rate_hz=rate, duration=duration))
         except sdpid.errors.SdpidError as error:
             print(f"{seed}: {error}", flush=True)
 

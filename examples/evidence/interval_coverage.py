@@ -56,11 +56,6 @@ def counted(case: str, seed: int, study: Study) -> Iterator[tuple[object, ...]]:
     for method, (lower, upper) in ends.items():
         held, width = np.mean((lower <= truth) & (truth <= upper)), (upper - lower) / (2.0 * half)
         yield case, method, "base", held, np.median(width), pressed
-    if study.standard:
-        found = sdpid.confidence_intervals(estimate, parameters=base.theta_names[:60])
-        held, labels = found.contains(theta[:60]), np.array(found.label)
-        for label in np.unique(labels):
-            yield case, "profile", str(label), held[labels == label].mean(), None, pressed
 
 
 def main() -> None:
@@ -73,7 +68,6 @@ def main() -> None:
         period=(76.0, "s; the paper's is 380"),
         resamples=(200, "of the bootstrap"),
         cases=[*CASES],
-        standard=(False, "standard parameters too (slow)"),
     )
     cases = itertools.product(study.cases, range(study.seeds))
     header = ("case", "intervals", "parameters", "held", "width", "pressed")

@@ -115,7 +115,6 @@ def main() -> None:
         quick={"arms": [ARMS[0]], "runs": 1, "count": 100, "logs": 0},
         logs=(6, "logs of each robot"),
         runs=(40, "runs of each arm"),
-        first=(0, "the first seed"),
         count=(1000, "draws of each run"),
         arms=[*ARMS],
     )
@@ -127,7 +126,7 @@ def main() -> None:
 
     def run(case: tuple[str, int]) -> Iterator[tuple[object, ...]]:
         of = of_arm if case[0].startswith(ARM) else of_robot
-        yield from of(case[0], study.first + case[1], study.count)
+        yield from of(*case, study.count)
 
     found = study.rows("runs.csv", CELL, cases, run)
     rows = []

@@ -14,20 +14,24 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from simulated_logs import Conditions, Truth, drawn, log_of, there
-from study import Study
+from study import Study, grouped
 
 import sdpid
+from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.delta_method import friction_curve
 
 # Speeds at which friction curves are compared, rad/s, on joints that reach them and whose Coulomb
 # friction is so many times the noise of the effort.
 SPEEDS, ABOVE_NOISE = (0.1, 0.3, 1.0), 5.0
+
+# How kinds of quantities begin that are friction curves.
+AT = "friction at "
 
 # Standard normal quantile.
 NORMAL = 1.959963984540054
@@ -38,7 +42,6 @@ EFFECTS: dict[str, dict[str, float]] = {
     "tilt": {"tilt_deg": 1.5},
     "load": {"load": 0.1},
     "rotor": {"rotor": 0.5},
-    "stribeck": {"stribeck": 0.4},
 }
 
 KINDS = {"m": "mass", "mx": "first moment", "my": "first moment", "mz": "first moment"}
@@ -47,8 +50,7 @@ KINDS |= {"Fv": "viscous", "Fo": "offset", "Fs": "Coulomb", "Ia": "rotor inertia
 KINDS |= {"Gx": "tilt", "Gy": "tilt", "Fl": "load"}
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One quantity of one log: the truth, what was found, and its intervals.
 
     `error` is the stated standard error; ends are None where there is no interval.
@@ -69,7 +71,7 @@ class Row:
 
 
 # Of a quantity without a value the row tells of the log: what was chosen, and how it went.
-COLUMNS = (*Row.__dataclass_fields__, "chosen", "intervals", "outside", "seconds")
+COLUMNS = (*Row._fields, "chosen", "intervals", "outside", "seconds")
 
 
 def run(effect: str, conditions: Conditions, seed: int, profile: bool) -> Iterator[tuple[Any, ...]]:
@@ -96,7 +98,7 @@ def run(effect: str, conditions: Conditions, seed: int, profile: bool) -> Iterat
     yield (*known, "log", "", *none, chosen, len(found), outside, seconds)
     rows = friction_rows(known, truth, result.estimate)
     for row in (*rows, *base_rows(known, truth, result.estimate, found, exact)):
-        yield (*astuple(row), None, None, None, None)
+        yield (*row, None, None, None, None)
 
 
 def ends_of(intervals: Any) -> dict[str, tuple[float, float]]:
@@ -120,7 +122,7 @@ def friction_rows(known: tuple[str, str, int], truth: Truth, estimate: Any) -> l
             numbers = (
                 float(x) for x in (true[j], value, half / NORMAL, value - half, value + half)
             )
-            rows.append(Row(*known, f"friction at {speed:g}", f"joint {j + 1}", *numbers))
+            rows.append(Row(*known, f"{AT}{speed:g}", f"joint {j + 1}", *numbers))
     return rows
 
 
@@ -156,46 +158,42 @@ def base_rows(
     return rows
 
 
-def held(rows: Iterable[Row], profile: bool = False) -> list[bool]:
-    """Return whether each interval holds the truth, of the rows that have one."""
-    out = []
-    for row in rows:
-        ends = (row.profile_lower, row.profile_upper) if profile else (row.lower, row.upper)
-        if ends[0] is not None and ends[1] is not None:
-            out.append(ends[0] <= row.truth <= ends[1])
-    return out
+def held(own: Mapping[str, Array], kind: str = "") -> Array:
+    """Return whether each interval holds the truth; NaN where there is none."""
+    lower, upper = (own[f"{kind}{end}"].astype(float) for end in ("lower", "upper"))
+    inside = (lower <= own["truth"]) & (own["truth"] <= upper)
+    return np.where(np.isnan(lower), np.nan, inside)
 
 
-def percent(values: Sequence[bool]) -> float | None:
-    """Return a share in percent, or nothing."""
-    return 100.0 * float(np.mean(values)) if len(values) else None
+def percent(values: Any) -> float | None:
+    """Return the share in percent of what is known, or nothing."""
+    known = np.asarray(values, dtype=float)
+    known = known[~np.isnan(known)]
+    return 100.0 * float(np.mean(known)) if known.size else None
 
 
-def friction_table(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+def friction_table(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[object, ...]]:
     """Yield the errors of friction at each speed."""
-    for speed in SPEEDS:
-        own = [r for r in rows if r.kind == f"friction at {speed:g}"]
-        errors = np.array([r.estimate / r.truth - 1.0 for r in own])
-        if errors.size:
-            middle, tail = 100.0 * np.quantile(np.abs(errors), [0.5, 0.9])
-            yield f"{speed:g}", errors.size, middle, tail, 100.0 * np.median(errors)
+    for (kind,), own in grouped(rows, "kind"):
+        if kind.startswith(AT):
+            errors = 100.0 * (own["estimate"] / own["truth"] - 1.0)
+            middle, tail = np.quantile(np.abs(errors), [0.5, 0.9])
+            yield kind.removeprefix(AT), errors.size, middle, tail, np.median(errors)
 
 
-def interval_table(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+def interval_table(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[object, ...]]:
     """Yield errors in stated errors, and how often intervals hold, of each kind of quantity."""
-    for kind in dict.fromkeys(row.kind for row in rows):
-        own = [row for row in rows if row.kind == kind]
-        z = np.abs([(r.estimate - r.truth) / r.error for r in own])
-        names = dict.fromkeys((row.robot, row.name) for row in own)
-        groups = [[row for row in own if (row.robot, row.name) == name] for name in names]
-        worst = []
-        for profile in (False, True):
-            shares = [percent(h) for g in groups if (h := held(g, profile))]
-            worst.append(f"{min(shares):.0f}" if shares else "")
-        yield (
-            *(kind, len(own), ", ".join(f"{each:.2f}" for each in np.quantile(z, [0.5, 0.9]))),
-            *(percent(held(own)), percent(held(own, True)), ", ".join(worst)),
-        )
+    for (kind,), own in grouped(rows, "kind"):
+        z = np.abs((own["estimate"] - own["truth"]) / own["error"])
+        parameters = [*grouped([row for row in rows if row["kind"] == kind], "robot", "name")]
+        shares, worst = [], []
+        for way in ("", "profile_"):
+            shares.append(percent(held(own, way)))
+            each = [percent(held(one, way)) for _, one in parameters]
+            least = min((share for share in each if share is not None), default=None)
+            worst.append("" if least is None else f"{least:.0f}")
+        ends = ", ".join(f"{end:.2f}" for end in np.quantile(z, [0.5, 0.9]))
+        yield kind, len(z), ends, *shares, ", ".join(worst)
 
 
 # What the parameters of an effect are, and its name among those that `identify` chooses.
@@ -211,17 +209,18 @@ FOUND = (
 
 
 def found_row(
-    effect: str, logs: Sequence[Mapping[str, Any]], rows: Sequence[Row]
+    effect: str, logs: Sequence[Mapping[str, Any]], kinds: Mapping[str, Mapping[str, Array]]
 ) -> tuple[object, ...]:
     """Return how often an effect was chosen, and how right its parameters are."""
     kind, name = OF_EFFECT[effect]
-    inside = held([row for row in rows if row.kind == kind])
-    errors = [abs(r.estimate / r.truth - 1.0) for r in rows if r.kind == "friction at 0.3"]
+    inside = held(kinds[kind]) if kind in kinds else np.zeros(0)
     own = [name in each["chosen"] for each in logs]
     others = [any(each != name for each in log["chosen"]) for log in logs]
-    middle = 100.0 * float(np.median(errors)) if errors else None
-    shares = percent(own), percent(others), len(inside), percent(inside)
-    return effect, len(logs), *shares, middle
+    middle = None
+    if friction := kinds.get(f"{AT}0.3"):
+        middle = 100.0 * np.median(np.abs(friction["estimate"] / friction["truth"] - 1.0))
+    count = int(np.count_nonzero(~np.isnan(inside)))
+    return effect, len(logs), percent(own), percent(others), count, percent(inside), middle
 
 
 def main() -> None:
@@ -232,11 +231,9 @@ def main() -> None:
         robots=[*there()],
         effects=["none"],
         seeds=(10, "logs of each robot"),
-        first=(0, "the first seed"),
         jobs=1,
         no_profile=(False, "without profile intervals"),
     )
-    seeds = range(study.first, study.first + study.seeds)
 
     def rows_of(case: tuple[str, str, int]) -> Iterator[tuple[object, ...]]:
         effect, robot, seed = case
@@ -245,16 +242,16 @@ def main() -> None:
             conditions = replace(conditions, duration=15.0, rate_hz=100.0)
         return run(effect, conditions, seed, not study.no_profile)
 
-    cases = itertools.product(study.effects, study.robots, seeds)
+    cases = itertools.product(study.effects, study.robots, range(study.seeds))
     done = study.rows("truth.csv", COLUMNS, cases, rows_of, jobs=study.jobs)
     effects: list[tuple[object, ...]] = []
     for effect in study.effects:
         own = [row for row in done if row["effect"] == effect]
         logs = [row for row in own if row["kind"] in ("log", "refused")]
-        names = Row.__dataclass_fields__
-        rows = [Row(**{k: row[k] for k in names}) for row in own if row["truth"] is not None]
+        rows = [row for row in own if row["truth"] is not None]
         if effect in OF_EFFECT:
-            effects.append(found_row(effect, logs, rows))
+            kinds = {kind: each for (kind,), each in grouped(rows, "kind")}
+            effects.append(found_row(effect, logs, kinds))
         suffix = "" if effect == "none" else f"_{effect}"
         header = (
             "friction at, rad/s",
