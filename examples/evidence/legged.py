@@ -19,7 +19,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from study import Study, grouped
@@ -27,6 +27,7 @@ from study import Study, grouped
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
@@ -55,6 +56,9 @@ class Walker:
     seed: int
     seconds: float
 
+    # None has an IMU, and no sensors of forces.
+    sensors: ClassVar[Sensors | None] = None
+
     @cached_property
     def robot(self) -> sdpid.RobotModel:
         """The description."""
@@ -77,7 +81,7 @@ class Walker:
         """The terms of its friction; their sizes are not told."""
         return (*self.law.terms, "viscous", "rotor_inertia")
 
-    def run(self, motion: str, sensors: Sensors | None = None) -> LeggedRun:
+    def run(self, motion: str) -> LeggedRun:
         """Let it move."""
         order = (*ROBOTS[self.name], "walk").index(motion)
         return simulate_legged(
@@ -86,13 +90,13 @@ class Walker:
             theta=self.theta,
             duration=self.seconds,
             seed=10 * self.seed + order,
-            sensors=sensors,
+            sensors=self.sensors,
             friction=self.law,
         )
 
     @cached_property
     def runs(self) -> dict[str, LeggedRun]:
-        """All motions, with an IMU."""
+        """All motions."""
         return {motion: self.run(motion) for motion in (*ROBOTS[self.name], "walk")}
 
     @cached_property
@@ -148,7 +152,20 @@ class Walker:
     def mass_error(self, theta: Array) -> float:
         """Return the error of the total mass in %."""
         links = 10 * self.robot.n_links
-        return 100.0 * float(theta[:links:10].sum() / self.theta[:links:10].sum() - 1.0)
+        return 100.0 * abs(float(theta[:links:10].sum() / self.theta[:links:10].sum() - 1.0))
+
+    def identify(
+        self, logs: Sequence[sdpid.Recording], **options: Any
+    ) -> sdpid.workflow.result.Identification:
+        """Identify from logs, the terms of friction known unless the options say otherwise."""
+        known = {"friction": self.friction, "effects": "none", "intervals": False}
+        return sdpid.identify(self.robot, list(logs), **{**known, **options})
+
+    def judged(self, estimate: Estimate) -> tuple[float, float, float]:
+        """Return errors of joints in %, of the base in N, and of the mass in %."""
+        assert estimate.theta is not None
+        joints, force, _ = self.errors(self.predicted(estimate.problem, estimate.base))
+        return joints, force, self.mass_error(estimate.theta)
 
 
 def without_imu(log: sdpid.Recording) -> sdpid.Recording:
@@ -172,16 +189,16 @@ def identified(
     walker: Walker, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
 ) -> list[object]:
     """Identify a robot and return what is said of the result in a row."""
-    known = {} if chosen else {"friction": walker.friction, "effects": "none"}
     start = time.process_time()
-    result = sdpid.identify(walker.robot, list(logs), **known, **options)
+    known = {"friction": None, "effects": "auto"} if chosen else {}
+    result = walker.identify(logs, **known, **options)
     seconds = time.process_time() - start
     estimate, problem = result.estimate, result.problem
     certificate = result.certificate
     least = walker.errors(walker.predicted(problem, result.wls.base))
     return [
         *walker.errors(walker.predicted(problem, estimate.base)),
-        abs(walker.mass_error(estimate.theta)),
+        walker.mass_error(estimate.theta),
         *least[:2],
         certificate is not None and bool(certificate.passed),
         None if certificate is None else certificate.gap,
@@ -194,7 +211,7 @@ def cell(walker: Walker, number: int) -> list[object]:
     which, imu, chosen = CASES[number]
     logs = [walker.runs[motion].recording for motion in ROBOTS[walker.name][which]]
     logs = logs if imu else [without_imu(log) for log in logs]
-    row = identified(walker, logs, chosen=chosen, intervals=False)
+    row = identified(walker, logs, chosen=chosen)
     return [*row, *walker.described[:2]]
 
 

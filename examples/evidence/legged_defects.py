@@ -16,18 +16,17 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
-from legged import ROBOTS, THREE, Walker
+from legged import THREE, Walker
 from study import Study
 
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.inspect import REFUSED
 from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.recording.floating import BaseMotion, Contacts, Imu
 
 Log = sdpid.Recording
@@ -37,29 +36,22 @@ COLUMNS = (
     "robot", "defect", "projection_joints_percent", "projection_mass_percent", "projection_named",
     "fusion_joints_percent", "fusion_mass_percent", "fusion_named",
 )  # fmt: skip
-# What `--places` keeps.
-PLACES = (
-    "nothing", "contact at the ball's center", "shanks for feet", "IMU's place ignored",
-    "IMU's axes ignored", "gyroscope in deg/s", "accelerometer in g",
-    "accelerometer off by 0.2 m/s²",
-)  # fmt: skip
 # Of the weight: below it, a foot is said to be up; and what a force sensor shows without a load.
 THRESHOLD, BIAS = 0.1, 0.05
+# What an accelerometer is off by, m/s², and what it shows at rest.
+OFF, GRAVITY = 0.2, 9.81
 SENSORS = Sensors(forces=True)
 
 
 class Sensed(Walker):
     """A quadruped with force sensors in its feet."""
 
+    sensors = SENSORS
+
     @property
     def weight(self) -> float:
         """Of the robot as it is, N."""
-        return float(self.theta[: 10 * self.robot.n_links : 10].sum()) * 9.81
-
-    @cached_property
-    def runs(self) -> dict[str, LeggedRun]:
-        """All motions, with forces."""
-        return {motion: self.run(motion, SENSORS) for motion in (*ROBOTS[self.name], "walk")}
+        return float(self.theta[: 10 * self.robot.n_links : 10].sum()) * GRAVITY
 
 
 def effort(change: Callable[[Array], Array]) -> Change:
@@ -129,13 +121,27 @@ def one_foot_always_down(contacts: Contacts) -> dict[str, Any]:
     return {"down": down}
 
 
+# Mistakes in where things are, and in units and axes of sensors.
+PLACES: dict[str, Change] = {
+    "nothing": lambda log: log,
+    "contact at the ball's center": feet(lambda c: {"offset": np.zeros(3)}),
+    "shanks for feet": feet(lambda c: {"frames": [shank(name) for name in c.frames]}),
+    "IMU's place ignored": imu(lambda i: {"translation": np.zeros(3)}),
+    "IMU's axes ignored": imu(lambda i: {"rotation": np.eye(3)}),
+    "gyroscope in deg/s": imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}),
+    "accelerometer in g": imu(lambda i: {"accelerometer": i.accelerometer / GRAVITY}),
+    "accelerometer off by 0.2 m/s²": imu(
+        lambda i: {"accelerometer": i.accelerometer + np.array([OFF, 0.0, 0.0])}
+    ),
+}
+
+
 def defects(weight: float) -> dict[str, tuple[Change, bool]]:
     """Return what is wrong: the change that does it, and whether forces alone have it."""
     bias = np.array([0.0, 0.0, BIAS * weight])
-    gravity = 9.81
     # Recorded at 1 kHz.
     return {
-        "nothing": (lambda log: log, False),
+        **{name: (change, False) for name, change in PLACES.items()},
         "torques 2 ms late": (effort(lambda e: late(e, 2)), False),
         "IMU 2 ms late": (
             imu(lambda i: {k: late(getattr(i, k), 2) for k in ("gyroscope", "accelerometer")}),
@@ -152,8 +158,6 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
         "one foot always down": (feet(one_foot_always_down), False),
         "left and right feet swapped": (exchanged((1, 0, 3, 2)), False),
         "diagonal feet swapped": (exchanged((3, 2, 1, 0)), False),
-        "contact at the ball's center": (feet(lambda c: {"offset": np.zeros(3)}), False),
-        "shanks for feet": (feet(lambda c: {"frames": [shank(name) for name in c.frames]}), False),
         "forces 10 % low": (feet(lambda c: {"forces": 0.9 * c.forces}), True),
         "one foot's forces 10 % low": (
             feet(lambda c: {"forces": c.forces * np.array([0.9, 1.0, 1.0, 1.0])[:, None]}),
@@ -175,15 +179,7 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
             base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
             False,
         ),
-        "IMU's place ignored": (imu(lambda i: {"translation": np.zeros(3)}), False),
-        "IMU's axes ignored": (imu(lambda i: {"rotation": np.eye(3)}), False),
-        "gyroscope in deg/s": (imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), False),
         "gyroscope of zeros": (imu(lambda i: {"gyroscope": 0.0 * i.gyroscope}), False),
-        "accelerometer in g": (imu(lambda i: {"accelerometer": i.accelerometer / gravity}), False),
-        "accelerometer off by 0.2 m/s²": (
-            imu(lambda i: {"accelerometer": i.accelerometer + np.array([0.2, 0.0, 0.0])}),
-            False,
-        ),
         "torques in N·mm": (effort(lambda e: 1e3 * e), False),
         "torques 5 % high": (effort(lambda e: 1.05 * e), False),
     }
@@ -205,17 +201,16 @@ def cell(quadruped: Sensed, defect: str, fused: bool) -> list[object]:
     logs = [change(quadruped.runs[motion].recording) for motion in THREE]
     if not fused:
         logs = [without_forces(log) for log in logs]
-    known = {"friction": quadruped.friction, "effects": "none", "intervals": False}
     try:
-        result = sdpid.identify(quadruped.robot, logs, accept=REFUSED, **known, **options)
+        result = quadruped.identify(logs, accept=REFUSED, **options)
     except sdpid.errors.SdpidError as error:
         print(defect, error, flush=True)
         return ["refused", "refused", [], []]
-    problem, estimate = result.problem, result.estimate
+    joints, _, mass = quadruped.judged(result.estimate)
     found = [each for each in result.findings if each.severity != "note"]
     return [
-        quadruped.errors(quadruped.predicted(problem, estimate.base))[0],
-        abs(quadruped.mass_error(estimate.theta)),
+        joints,
+        mass,
         sorted({each.kind for each in found}),
         sorted({each.kind for each in found if each.severity == "refuse"}),
     ]
@@ -228,10 +223,9 @@ def main() -> None:
         quick={"robots": ["solo12"], "seconds": 2.0, "most": 2},
         seconds=3.0,
         robots=["solo12", "go1"],
-        places=(False, "mistakes in where things are: contact points, frames, and the IMU"),
         most=(len(defects(1.0)), "number of mistakes"),
     )
-    names = [*(PLACES if study.places else defects(1.0))][: study.most]
+    names = [*defects(1.0)][: study.most]
     quadruped = cache(lambda name: Sensed(name, 0, study.seconds))
 
     def cells(case: tuple[str, str, bool]) -> Iterator[tuple[object, ...]]:

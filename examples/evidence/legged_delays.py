@@ -125,7 +125,7 @@ def late_rows(walker: Walker, words: str) -> Iterator[tuple[object, ...]]:
         as_they_are = {f"{each}_delay_s": 0.0 for each in CHANNELS}
         ways["as recorded"] = (as_they_are, [0.0] * 3)
     for how, (changes, shown) in ways.items():
-        row = identified(walker, logs, intervals=False, processing=changes)
+        row = identified(walker, logs, processing=changes)
         yield words, how, row[0], row[1], row[3], *shown
 
 

@@ -54,16 +54,8 @@ def cell(walker: Walker, steps: int | None) -> list[object]:
         seed=10 * walker.seed,
         friction=walker.law,
     )
-    result = sdpid.identify(
-        walker.robot,
-        run.recording,
-        friction=walker.friction,
-        effects="none",
-        intervals=False,
-    )
-    joints, force, _ = walker.errors(walker.predicted(result.problem, result.estimate.base))
-    mass = abs(walker.mass_error(result.estimate.theta))
-    return [joints, force, mass, walker.described[0]]
+    result = walker.identify([run.recording])
+    return [*walker.judged(result.estimate), walker.described[0]]
 
 
 def main() -> None:

@@ -21,7 +21,6 @@ from legged import without_imu
 from legged_defects import Sensed
 from study import Study
 
-import sdpid
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.rows import RowSource
 
@@ -37,23 +36,15 @@ def rows(quadruped: Sensed, imu: bool) -> Iterator[tuple[object, ...]]:
     logs = [quadruped.runs[motion].recording for motion in ("stand", "trot")]
     logs = logs if imu else [without_imu(log) for log in logs]
     for stated in STATED:
-        result = sdpid.identify(
-            quadruped.robot,
-            logs,
-            processing={"contact_force_std": stated},
-            friction=quadruped.friction,
-            effects="none",
-            intervals=False,
-        )
-        problem, estimate = result.problem, result.estimate
+        result = quadruped.identify(logs, processing={"contact_force_std": stated})
+        problem = result.problem
         found = None
         if stated is not None and isinstance(problem.rows, RowSource):
             found = stated * np.sqrt(contact_noise(problem.rows.with_force_scale(1.0))[2])
-        joints, force, _ = quadruped.errors(quadruped.predicted(problem, estimate.base))
         held_out = result.held_out
         yield (
-            quadruped.name, "IMU" if imu else "pose", stated, found, joints, force,
-            abs(quadruped.mass_error(estimate.theta)),
+            quadruped.name, "IMU" if imu else "pose", stated, found,
+            *quadruped.judged(result.estimate),
             None if held_out is None else 100.0 * held_out.fit.moving.relative,
         )  # fmt: skip
 

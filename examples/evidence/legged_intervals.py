@@ -20,10 +20,9 @@ on time, and are not searched for delays.
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 from legged import Walker
@@ -35,7 +34,6 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import with_motion_bias
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.workflow.formulate import formulate
 
@@ -71,27 +69,21 @@ COLUMNS = (
 )  # fmt: skip
 
 
+@cache
 def recorded(
-    robot: sdpid.RobotModel,
-    theta: Array,
-    motion: str,
-    seed: int,
-    seconds: float,
-    kept: Path,
-    law: DryFriction | None = None,
+    name: str, seed: int, seconds: float, motion: str, *, own_law: bool
 ) -> sdpid.Recording:
-    """Return a simulated log; those that are kept are not simulated again."""
-    path = kept / f"{robot.name}_{seed}_{motion}_{seconds:g}{'_law' if law else ''}.pickle"
-    if path.exists():
-        log: sdpid.Recording = pickle.loads(path.read_bytes())
-        return log
+    """Return a simulated log, which several sets have."""
     number = 10 * seed + (STEPS if motion in STEPS else MOTIONS).index(motion)
-    run = sdpid.simulate_legged(
-        robot, motion, theta=theta, duration=seconds, seed=number, friction=law
-    )
-    kept.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(pickle.dumps(run.recording))
-    return run.recording
+    walker = Walker(name, seed, seconds)
+    return sdpid.simulate_legged(
+        walker.robot,
+        motion,
+        theta=walker.theta,
+        duration=seconds,
+        seed=number,
+        friction=walker.law if own_law else None,
+    ).recording
 
 
 def formulated(
@@ -131,13 +123,12 @@ def half_widths(estimate: Estimate, functions: Array) -> Array:
     return np.asarray(stdtrit(freedom, 0.5 * (1.0 + LEVEL)) * np.sqrt(variance))
 
 
-def cells(name: str, seed: int, number: int, kept: Path) -> Iterator[tuple[object, ...]]:
+def cells(name: str, seed: int, number: int) -> Iterator[tuple[object, ...]]:
     """Yield what one set of motions of one robot and seed says."""
     motions, seconds, friction, _ = SETS[number]
-    robot = sdpid.load_robot(name, root="free_flyer")
-    theta = changed_parameters(robot, seed=seed)
-    law = Walker(name, seed, seconds).law if friction == "chosen" else None
-    logs = [recorded(robot, theta, motion, seed, seconds, kept, law) for motion in motions]
+    walker, own_law = Walker(name, seed, seconds), friction == "chosen"
+    robot, theta = walker.robot, walker.theta
+    logs = [recorded(name, seed, seconds, motion, own_law=own_law) for motion in motions]
     problem, processing = formulated(robot, logs, friction)
     estimate = sdpid.solve_sdp(problem)
     default = with_motion_bias(problem, logs, processing)
@@ -178,8 +169,7 @@ def main() -> None:
         for seed in range(min(study.seeds, SETS[number][-1]))
         for name in (HUMANOIDS if SETS[number][0] == STEPS else study.robots)
     ]
-    logs = study.out / "logs"
-    found = study.rows("cells.csv", CELL, cases, lambda case: cells(*case, logs))
+    found = study.rows("cells.csv", CELL, cases, lambda case: cells(*case))
     rows = []
     for kind, own in grouped(found, *CELL[1:5]):
         of_robots = {name: own["robot"] == name for name in np.unique(own["robot"])}

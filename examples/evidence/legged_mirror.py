@@ -110,10 +110,8 @@ def cells(name: str, seed: int, seconds: float, alike: bool) -> Iterator[tuple[o
     )
     for what in SAID:
         estimate = sdpid.solve_sdp(said(problem, quadruped, what))
-        joints, force, _ = quadruped.errors(quadruped.predicted(estimate.problem, estimate.base))
-        assert estimate.theta is not None
-        mass = abs(quadruped.mass_error(estimate.theta))
-        yield name, "mirrored" if alike else "unlike", what, seed, joints, force, mass
+        truth = "mirrored" if alike else "unlike"
+        yield name, truth, what, seed, *quadruped.judged(estimate)
 
 
 def main() -> None:

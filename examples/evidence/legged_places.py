@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from legged import Walker
-from legged_defects import Change, Log, feet, imu, shank
+from legged_defects import OFF, PLACES, Log, imu
 from study import Study
 
 import sdpid
@@ -39,17 +38,6 @@ CHECKS: tuple[Check, ...] = (
     base_checks.imu,
     feet_checks.feet,
 )
-GRAVITY, BIAS, HIGH = 9.81, 0.2, 1.05
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """A mistake in a log, what is to be found, and the number that is to be told."""
-
-    change: Change
-    kind: str
-    number: str = ""
-    truth: Callable[[Log], float] = lambda log: 1.0
 
 
 def _radius(log: Log) -> float:
@@ -68,35 +56,21 @@ def _angle(log: Log) -> float:
     return float(np.arccos((np.trace(log.base.imu.rotation) - 1.0) / 2.0))
 
 
-MISTAKES = {
-    "nothing": Mistake(lambda log: log, ""),
-    "contact at the ball's center": Mistake(
-        feet(lambda c: {"offset": np.zeros(3)}), "contact_point", "distance", _radius
-    ),
-    "shanks for feet": Mistake(
-        feet(lambda c: {"frames": [shank(name) for name in c.frames]}), "contact_frame"
-    ),
-    "IMU's place ignored": Mistake(
-        imu(lambda i: {"translation": np.zeros(3)}), "imu_place", "distance", _arm
-    ),
-    "IMU's axes ignored": Mistake(
-        imu(lambda i: {"rotation": np.eye(3)}), "imu_axes", "angle", _angle
-    ),
-    "gyroscope in deg/s": Mistake(
-        imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), "imu_gyroscope"
-    ),
-    "gyroscope 5 % high": Mistake(
-        imu(lambda i: {"gyroscope": HIGH * i.gyroscope}), "imu_scale", "scale", lambda log: HIGH
-    ),
-    "accelerometer in g": Mistake(
-        imu(lambda i: {"accelerometer": i.accelerometer / GRAVITY}), "imu_accelerometer"
-    ),
-    "accelerometer off by 0.2 m/s²": Mistake(
-        imu(lambda i: {"accelerometer": i.accelerometer + np.array([BIAS, 0.0, 0.0])}),
-        "imu_bias",
-        "bias",
-        lambda log: BIAS,
-    ),
+# A scale of the gyroscope stands beside mistakes of the other study.
+HIGH = 1.05
+SCALED = "gyroscope 5 % high"
+CHANGES = {**PLACES, SCALED: imu(lambda i: {"gyroscope": HIGH * i.gyroscope})}
+# What is to be found, and the number that is to be told, where there is one.
+EXPECTED: dict[str, tuple[str, str, Callable[[Log], float]]] = {
+    "contact at the ball's center": ("contact_point", "distance", _radius),
+    "shanks for feet": ("contact_frame", "", lambda log: 1.0),
+    "IMU's place ignored": ("imu_place", "distance", _arm),
+    "IMU's axes ignored": ("imu_axes", "angle", _angle),
+    "gyroscope in deg/s": ("imu_gyroscope", "", lambda log: 1.0),
+    SCALED: ("imu_scale", "scale", lambda log: HIGH),
+    "accelerometer in g": ("imu_accelerometer", "", lambda log: 1.0),
+    "accelerometer off by 0.2 m/s²": ("imu_bias", "bias", lambda log: OFF),
+    "nothing": ("", "", lambda log: 1.0),
 }
 
 
@@ -109,19 +83,18 @@ def told(robot: sdpid.RobotModel, log: Log) -> list[Finding]:
 
 def row(name: str, motion: str, logs: Sequence[tuple[sdpid.RobotModel, Log]]) -> tuple[object, ...]:
     """Return the row of a mistake in all logs of a motion."""
-    mistake = MISTAKES[name]
+    kind, number, truth = EXPECTED[name]
     named, others, numbers = 0, 0, []
     for robot, log in logs:
-        found = told(robot, mistake.change(log))
-        right = [each for each in found if each.kind == mistake.kind]
+        found = told(robot, CHANGES[name](log))
+        right = [each for each in found if each.kind == kind]
         named += bool(right)
         # Shanks that move are frames that move: the same mistake.
-        others += any(each.kind not in (mistake.kind, "foot_moves") for each in found)
-        if mistake.number:
-            truth = mistake.truth(log)
-            numbers += [100.0 * abs(each.numbers[mistake.number] / truth - 1.0) for each in right]
+        others += any(each.kind not in (kind, "foot_moves") for each in found)
+        if number:
+            numbers += [100.0 * abs(each.numbers[number] / truth(log) - 1.0) for each in right]
     off = (float(np.median(numbers)), max(numbers)) if numbers else (None, None)
-    return (name, motion, len(logs), named if mistake.kind else None, mistake.kind, *off, others)
+    return (name, motion, len(logs), named if kind else None, kind, *off, others)
 
 
 def main() -> None:
@@ -144,7 +117,7 @@ def main() -> None:
     study.rows(
         "legged_places.csv",
         COLUMNS,
-        itertools.product(MISTAKES, study.motions),
+        itertools.product(CHANGES, study.motions),
         lambda case: [row(*case, logs(case[1]))],
     )
 
