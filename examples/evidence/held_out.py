@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 from data_sets import TITLES, TRAINED, Arm, arms, part
-from real_robots import DRIVES
 from study import Study
 
 import sdpid
@@ -42,6 +41,8 @@ UR10E = {
     "January": "20_01_31-unload",
     **{f"joint {j} alone": f"20_01_22-joint_{j}" for j in (1, 2, 4, 5)},
 }
+# What is known of a drive and stands in no log: the wrist's motors of the TX40 turn two joints.
+WRIST = ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05))
 UR10E_TRAINED = "20_02_10-30sec_12harm"
 
 
@@ -95,6 +96,28 @@ class Case:
 
     def __str__(self) -> str:
         return self.name
+
+    @property
+    def rest(self) -> sdpid.Recording:
+        """The first recording to predict."""
+        return next(iter(self.others.values()))
+
+    def trained(self, processing: sdpid.Processing) -> sdpid.Samples:
+        """Return the training samples, which saw nothing of the rest."""
+        return samples_of(self.robot, self.log, processing)
+
+    def held_out(self, processing: sdpid.Processing) -> sdpid.Samples:
+        """Return the samples of the first recording to predict.
+
+        A record's rest is filtered with its own past before it, which is what was measured then;
+        nothing of the rest reaches the training samples.
+        """
+        samples = samples_of(self.robot, self.rest, processing)
+        if self.after is None:
+            return samples
+        assert samples.time is not None
+        begin = int(np.searchsorted(samples.time, self.after, side="right"))
+        return samples.between(begin, samples.n_samples)
 
     def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the arguments of `identify`, with the terms of a known drive."""
@@ -164,7 +187,7 @@ READERS: tuple[tuple[str, Callable[[Arm], Iterator[Case]]], ...] = (
     ("panda_unisa", partial(halves, 4.0, 1.75, ())),
     ("kuka_lwr4plus", partial(pairs, 3.58, 2.25, "tau")),
     ("staubli_tx40", partial(halves, 25.3, 10.0, ())),
-    ("staubli_tx40", partial(halves, 25.3, 6.0, DRIVES["staubli_tx40"])),
+    ("staubli_tx40", partial(halves, 25.3, 6.0, WRIST)),
     ("kinova_gen3_dynamapp", partial(pairs, 12.66, 14.5, "tau")),
     ("kinova_gen3_dynamapp", partial(pairs, 12.66, None, "tau_current")),
     ("ur10e_innopolis", ur10e),

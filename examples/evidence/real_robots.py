@@ -21,7 +21,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TRAINED, Arm, arms, part
+from data_sets import SETS
+from held_out import QUICK, Case, cases
 from study import Study, pivot
 
 import sdpid
@@ -36,12 +37,6 @@ from sdpid.robot.inertia import Consistency, margin
 Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
 Solver = Callable[[Problem], Estimate]
 
-# What is known of a drive and stands in no log: the wrist's motors of the TX40 turn two joints.
-DRIVES: dict[str, Terms] = {
-    "staubli_tx40": ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)),
-}
-
-QUICK = ("panda_unisa", "ur10_unisa")
 QUICK_METHODS = ("description, friction fitted", "OLS", "SDP 4×4")
 
 # Strength in nats that holds the links at the description.
@@ -96,69 +91,27 @@ METHODS = {
 }
 
 
-@dataclass(frozen=True)
-class Case:
-    """A robot's records: what is trained on, and what is predicted."""
-
-    name: str
-    title: str
-    robot: sdpid.RobotModel
-    log: sdpid.Recording
-    rest: sdpid.Recording
-    second_run: bool
-
-    def __str__(self) -> str:
-        return self.title
-
-    @classmethod
-    def of(cls, arm: Arm) -> Case:
-        """Read a set: two runs, or one record whose rest is predicted."""
-        first, *others = arm.logs()
-        cut = round(TRAINED * first.n_samples)
-        own = first if others else part(first, 0, cut)
-        return cls(arm.name, str(arm), arm.robot, own, [first, *others][-1], bool(others))
-
-    def trained(self, processing: sdpid.Processing) -> sdpid.Samples:
-        """Return the training samples, which saw nothing of the rest."""
-        return samples_of(self.robot, self.log, processing)
-
-    def held_out(self, processing: sdpid.Processing) -> sdpid.Samples:
-        """Return the samples to predict.
-
-        A record's rest is filtered with its own past before it, which is what was measured then;
-        nothing of the rest reaches the training samples.
-        """
-        samples = samples_of(self.robot, self.rest, processing)
-        return samples if self.second_run else since(samples, float(self.log.time[-1]))
-
-    def problem(
-        self,
-        samples: sdpid.Samples,
-        method: Method,
-        terms: Iterable[str | sdpid.friction.FrictionTerm],
-    ) -> Problem:
-        """Return the problem of a method, with the default bounds."""
-        return sdpid.build_problem(
-            self.robot,
-            samples,
-            friction=terms,
-            weighting=method.weighting,
-            consistency=method.consistency,
-            constraints=sdpid.Constraints.of_size(self.robot),
-            prior=method.prior,
-        )
-
-
-def since(samples: sdpid.Samples, moment: float) -> sdpid.Samples:
-    """Return the samples after a time."""
-    assert samples.time is not None
-    begin = int(np.searchsorted(samples.time, moment, side="right"))
-    return samples.between(begin, samples.n_samples)
+def problem_of(
+    case: Case,
+    samples: sdpid.Samples,
+    method: Method,
+    terms: Iterable[str | sdpid.friction.FrictionTerm],
+) -> Problem:
+    """Return the problem of a method, with the default bounds."""
+    return sdpid.build_problem(
+        case.robot,
+        samples,
+        friction=terms,
+        weighting=method.weighting,
+        consistency=method.consistency,
+        constraints=sdpid.Constraints.of_size(case.robot),
+        prior=method.prior,
+    )
 
 
 def terms_of(case: Case) -> Terms:
     """Return the friction terms that all methods of a set have."""
-    return (*default_friction(case.log), *DRIVES.get(case.name, ()))
+    return (*default_friction(case.log), *case.terms)
 
 
 def prepared(case: Case) -> Iterator[tuple[object, ...]]:
@@ -166,10 +119,10 @@ def prepared(case: Case) -> Iterator[tuple[object, ...]]:
     start = time.perf_counter()
     processing = default_processing(case.log)
     samples = case.trained(processing)
-    case.problem(samples, METHODS[DEFAULT], terms_of(case))
+    problem_of(case, samples, METHODS[DEFAULT], terms_of(case))
     seconds = time.perf_counter() - start
     counts = len(samples.effort), len(case.held_out(processing).effort)
-    yield case.title, processing.cutoff_hz, processing.velocity, *counts, seconds
+    yield case.robot_name, processing.cutoff_hz, processing.velocity, *counts, seconds
 
 
 def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
@@ -177,12 +130,12 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
     processing = default_processing(case.log)
     samples, fresh = case.trained(processing), case.held_out(processing)
     # The speeds of friction are chosen once; all methods have the same terms.
-    closed = case.problem(samples, METHODS[DEFAULT], terms_of(case)).friction.terms
+    closed = problem_of(case, samples, METHODS[DEFAULT], terms_of(case)).friction.terms
     for number, name in enumerate(names):
         method = METHODS[name]
         gap, estimate, start = None, None, time.perf_counter()
         try:
-            problem = case.problem(samples, method, closed)
+            problem = problem_of(case, samples, method, closed)
             if number == 0:
                 method.solve(problem)  # the first solve loads libraries
             start = time.perf_counter()
@@ -192,7 +145,7 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             estimate, status = getattr(error, "found", None), type(error).__name__
         seconds = time.perf_counter() - start
         if estimate is None:
-            yield case.title, name, *(None,) * 5, status, gap
+            yield case.robot_name, name, *(None,) * 5, status, gap
             continue
         if estimate.method == "sdp":
             gap = sdpid.certify(estimate).gap
@@ -205,7 +158,7 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             least = "no body" if np.any(np.isnan(margins)) else float(np.min(margins))
             heaviest = float(links[:, 0].max())
         yield (
-            case.title,
+            case.robot_name,
             name,
             100.0 * sdpid.validate(estimate).relative,
             100.0 * sdpid.validate(estimate, fresh).relative,
@@ -242,25 +195,25 @@ def margins(row: Mapping[str, Any]) -> str:
 # Published root mean square errors, N·m, and on what; see the sets' sources in
 # docs/evidence/data.md.
 PUBLISHED: dict[str, tuple[str, tuple[float, ...]]] = {
-    "staubli_tx40": (
+    "TX40": (
         "FIGAROH, its own training rows (this whole record)",
         (6.39, 6.08, 2.67, 1.17, 1.57, 0.80),
     ),
-    "ur10_unisa": (
+    "UR10": (
         "UNISA's identified model, whole record (rebuilt to about 1 %)",
         (4.22, 4.90, 1.58, 0.70, 0.84, 1.32),
     ),
-    "kuka_lwr4plus": (
+    "LWR 4+": (
         "FloBaRoID, description alone, run 1",
         (0.36, 1.55, 0.49, 0.98, 0.63, 0.49, 0.27),
     ),
 }
 
 # Robots whose published model has friction that differs in the two directions of motion.
-ASYMMETRIC = ("ur10_unisa",)
+ASYMMETRIC = ("UR10",)
 
 # FIGAROH's filter, Hz: errors are compared on rows filtered alike.
-PUBLISHED_HZ = {"staubli_tx40": 100.0}
+PUBLISHED_HZ = {"TX40": 100.0}
 
 # Blocks of a record that are held out in turn.
 BLOCKS = 5
@@ -290,7 +243,7 @@ def cutoffs(case: Case) -> Iterator[tuple[object, ...]]:
     """Yield the errors of the default estimate on rows that are filtered at other cut-offs, %."""
     processing = default_processing(case.log)
     estimate = default(case, case.trained(processing), terms_of(case))
-    line: list[object] = [case.title]
+    line: list[object] = [case.robot_name]
     for factor in SCORED:
         changed = replace(processing, cutoff_hz=factor * processing.cutoff_hz)
         fits = changed.cutoff_hz < HIGHEST * case.log.rate_hz
@@ -301,12 +254,12 @@ def cutoffs(case: Case) -> Iterator[tuple[object, ...]]:
 
 def default(case: Case, samples: sdpid.Samples, terms: Terms) -> Estimate:
     """Return the estimate that `identify` solves for."""
-    return sdpid.solve_sdp(case.problem(samples, METHODS[DEFAULT], terms))
+    return sdpid.solve_sdp(problem_of(case, samples, METHODS[DEFAULT], terms))
 
 
 def published(case: Case) -> Iterator[tuple[object, ...]]:
     """Yield errors of joints, N·m: published ones, and those of estimates beside them."""
-    name, processing, terms = case.name, default_processing(case.log), terms_of(case)
+    name, processing, terms = case.robot_name, default_processing(case.log), terms_of(case)
     if name not in PUBLISHED:
         return
     words, numbers = PUBLISHED[name]
@@ -323,16 +276,16 @@ def published(case: Case) -> Iterator[tuple[object, ...]]:
             each, overall = blocked(case, way, terms, PUBLISHED_HZ[name])
             words = f"{way}, {BLOCKS} blocks in time, at {at}"
             lines.append((words, f"{joined(each)} ({overall:.3g} %)"))
-    everything = case.log if case.second_run else case.rest
+    everything = case.log if case.after is None else case.rest
     samples = samples_of(case.robot, everything, processing)
-    words = "default, trained on run 1" if case.second_run else "default, whole record"
+    words = "default, trained on run 1" if case.after is None else "default, whole record"
     lines.append((words, joined(sdpid.validate(default(case, samples, terms)).rmse)))
     if name in ASYMMETRIC:
         terms = (sdpid.friction.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
         for words, rows, shown in (("held out", trained, fresh), ("whole", samples, samples)):
             errors = joined(sdpid.validate(default(case, rows, terms), shown).rmse)
             lines.append((f"Coulomb friction asymmetric, {words}", errors))
-    yield from ((case.title, *line) for line in lines)
+    yield from ((case.robot_name, *line) for line in lines)
 
 
 def blocked(case: Case, way: str, terms: Terms, scored_at: float) -> tuple[Array, float]:
@@ -368,7 +321,7 @@ WAYS = ("SDP 4×4, no prior", DEFAULT)
 def gravities(case: Case) -> Iterator[tuple[object, ...]]:
     """Yield the Panda's gravity parameters, from the whole record, beside those of Gaz et al."""
     samples = samples_of(case.robot, case.rest, default_processing(case.log))
-    problems = [(case.problem(samples, METHODS[way], terms_of(case)), way) for way in WAYS]
+    problems = [(problem_of(case, samples, METHODS[way], terms_of(case)), way) for way in WAYS]
     found = [METHODS[way].solve(problem).theta for problem, way in problems]
     for words, (published, weights) in GAZ.items():
         cells = []
@@ -388,7 +341,12 @@ def main() -> None:
         sets=[*SETS],
         methods=[*METHODS],
     )
-    found = [Case.of(arm) for arm in arms(study.data, study.sets)]
+    # The first case of an arm, but that with the terms of its drive where they are known.
+    of_arms: dict[str, Case] = {}
+    for case in cases(study.data, study.sets):
+        if case.terms or case.robot_name not in of_arms:
+            of_arms[case.robot_name] = case
+    found = list(of_arms.values())
     header = ("set", "cut-off, Hz", "velocity", "training samples", "held-out samples")
     study.rows("prepared.csv", (*header, "preparing, s"), found, prepared, digits=3)
     done = study.rows("methods.csv", HEADER, found, lambda case: rows(case, study.methods))
@@ -397,7 +355,7 @@ def main() -> None:
     header = ("set", *(f"{factor:g} × its own" for factor in SCORED))
     study.rows("cutoffs.csv", header, found, cutoffs, digits=3)
     study.rows("published.csv", ("set", "model", "joints 1, 2, …"), found, published)
-    pandas = [case for case in found if case.name == "panda_unisa"]
+    pandas = [case for case in found if case.robot_name == "Panda"]
     study.rows("panda_gravity.csv", ("parameter", "Gaz et al.", *WAYS), pandas, gravities)
 
 
