@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from data_sets import Records
 
 import sdpid
 from sdpid.assurance.diagnostics.bands import held_out_blocks, predicted_by
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES, OURS
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.prior.prior import prior_terms
-
-# Folder of the data, description, and records; of two the second is predicted.
-ARMS = {
-    "UR10": ("ur10_unisa", "ur10.urdf", ("ur10_exciting",)),
-    "Panda": ("panda_unisa", "panda.urdf", ("panda_exciting",)),
-    "LWR 4+": ("kuka_lwr4plus", "kuka_lwr4.urdf", ("measurements_1", "measurements_2")),
-    "TX40": ("staubli_tx40", "tx40.urdf", ("tx40_rows_0_24750",)),
-    "Gen3": ("kinova_gen3_dynamapp", "gen3.urdf", ("opti_traj_testing1", "opti_traj_testing2")),
-}
 
 # The second differs from ours by the inequality alone.
 METHODS = ("least squares", "ridge, our prior", "ridge, cross-validated", "this package")
@@ -151,14 +142,12 @@ class Arm:
         return {name: fit.moving.relative for name, fit in zip(METHODS, fits, strict=True)}
 
 
-def read_arm(data: Path, name: str) -> Arm:
-    """Return an arm with its estimates, from its records in the folder of the data."""
-    folder, urdf, records = ARMS[name]
-    logs = [sdpid.read_recording(data / folder / f"{record}.npz") for record in records]
-    robot = sdpid.load_robot(data / folder / urdf)
-    other = logs[1] if len(logs) > 1 else None
-    result = sdpid.identify(robot, logs[0], validation=other, intervals=False)
-    return Arm(name, logs[0], result, *_ridges(result))
+def read_arm(records: Records) -> Arm:
+    """Return an arm with its estimates, from its records; of two the second is predicted."""
+    log, *others = records.logs()
+    other = others[0] if others else None
+    result = sdpid.identify(records.robot, log, validation=other, intervals=False)
+    return Arm(str(records), log, result, *_ridges(result))
 
 
 def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:

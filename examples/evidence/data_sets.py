@@ -129,7 +129,7 @@ def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
 
 
 @dataclass(frozen=True)
-class Arm:
+class Records:
     """A robot of the public records: name and folder of its set."""
 
     name: str
@@ -164,9 +164,9 @@ class Arm:
         return [sdpid.read_recording(path, columns=columns) for path in self.paths.values()]
 
 
-def arms(data: Path, names: Iterable[str]) -> Iterator[Arm]:
-    """Yield the arms that are there, and say which are not."""
-    yield from (Arm(*each) for each in folders(data, names))
+def records_of(data: Path, names: Iterable[str]) -> Iterator[Records]:
+    """Yield the records of arms that are there, and say which are not."""
+    yield from (Records(*each) for each in folders(data, names))
 
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
@@ -215,7 +215,7 @@ def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
     )
 
 
-def cases(arm: Arm) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording | None]]:
+def cases(arm: Records) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording | None]]:
     """Yield what is trained on, in words and as a recording, and what is predicted."""
     for effort in arm.data.efforts:
         logs = arm.logs(effort)
@@ -261,7 +261,7 @@ def solved(problem: Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
 
 
 def rows(
-    arm: Arm, terms: str, trained: tuple[Any, ...], study: Study
+    arm: Records, terms: str, trained: tuple[Any, ...], study: Study
 ) -> Iterator[tuple[object, ...]]:
     """Yield the rows of a record with a friction model."""
     words, log, other = trained
@@ -319,7 +319,7 @@ def main() -> None:
         models=(max(len(data.models) for data in SETS.values()), "friction models of a set"),
         priors=(False, "compare kinds and strengths of priors"),
     )
-    found = {arm.name: arm for arm in arms(study.data, study.sets)}
+    found = {arm.name: arm for arm in records_of(study.data, study.sets)}
     trained = {name: {case[0]: case for case in cases(arm)} for name, arm in found.items()}
     wanted = [
         (name, words, terms)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from data_sets import QUICK, SETS, Arm, arms
+from data_sets import QUICK, SETS, Records, records_of
 from study import Study
 
 import sdpid
@@ -20,7 +20,7 @@ import sdpid
 HEADER = ("robot", "record", "mass_kg", "lower_kg", "upper_kg", "shown")
 
 
-def payloads(arm: Arm) -> Iterator[tuple[object, ...]]:
+def payloads(arm: Records) -> Iterator[tuple[object, ...]]:
     """Yield the payload that is found in each record of a set."""
     for run, path in arm.paths.items():
         found = sdpid.identify_payload(arm.urdf, path)
@@ -31,7 +31,7 @@ def payloads(arm: Arm) -> Iterator[tuple[object, ...]]:
 def main() -> None:
     """Find a payload in every record."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
-    study.rows("described_payloads.csv", HEADER, arms(study.data, study.sets), payloads)
+    study.rows("described_payloads.csv", HEADER, records_of(study.data, study.sets), payloads)
 
 
 if __name__ == "__main__":

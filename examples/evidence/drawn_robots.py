@@ -21,7 +21,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from data_sets import Arm, arms
+from data_sets import Records, records_of
 from study import Study
 
 import sdpid
@@ -85,7 +85,7 @@ def main() -> None:
         __doc__, data=True, quick={"arms": [*ARMS[:1]], "count": 10}, count=1000, arms=[*ARMS]
     )
 
-    def drawn(source: Arm) -> Iterator[tuple[object, ...]]:
+    def drawn(source: Records) -> Iterator[tuple[object, ...]]:
         run, *_ = source.paths.values()
         result = sdpid.identify(source.urdf, run, intervals=False)
         start = time.process_time()
@@ -100,7 +100,7 @@ def main() -> None:
         ranges = [[*each] for each in ranged(samples)]
         yield str(source), study.count, *cells, *seconds, *found, ranges
 
-    found = study.rows("arms.csv", (*FILES, "ranges"), arms(study.data, study.arms), drawn)
+    found = study.rows("arms.csv", (*FILES, "ranges"), records_of(study.data, study.arms), drawn)
     study.write("files.csv", FILES, ([row[name] for name in FILES] for row in found))
     ranges = ((row["arm"], *each) for row in found for each in row["ranges"])
     study.write("ranges.csv", RANGES, ranges)

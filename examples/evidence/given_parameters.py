@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from data_sets import Arm, arms
+from data_sets import Records, records_of
 from study import Study
 
 import sdpid
@@ -57,7 +57,7 @@ def denso(periods: int, period: float) -> Iterator[tuple[object, ...]]:
         yield judged("Denso, the truth", problem, GivenParameters(source="truth", values=truth))
 
 
-def tx40(arm: Arm) -> tuple[object, ...]:
+def tx40(arm: Records) -> tuple[object, ...]:
     """Return the links of the description, friction and drives refitted."""
     coupling = sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)
     robot = arm.robot
@@ -75,7 +75,7 @@ def tx40(arm: Arm) -> tuple[object, ...]:
 def main() -> None:
     """Judge all and write the table."""
     study = Study(__doc__, data=True, quick={"period": 19.0}, period=(76.0, "of the log, s"))
-    found = [*arms(study.data, ["staubli_tx40"])]
+    found = [*records_of(study.data, ["staubli_tx40"])]
     parts = {"denso": lambda: denso(8, study.period), "tx40": lambda: [tx40(found[0])]}
     study.rows(
         "given_parameters.csv", HEADER, [*parts][: 1 + len(found)], lambda part: parts[part]()

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TITLES, Arm, arms, part
+from data_sets import SETS, TITLES, Records, part, records_of
 from held_out import QUICK, ur10e_logs
 from study import Study, grouped
 
@@ -60,7 +60,7 @@ Joint = Mapping[str, Any]
 Case = tuple[str, sdpid.RobotModel, sdpid.Recording, dict[str, sdpid.Recording]]
 
 
-def cases(arm: Arm) -> Iterator[Case]:
+def cases(arm: Records) -> Iterator[Case]:
     """Yield cases: a title, the robot, a recording, and others by name."""
     if arm.name not in SETS:
         yield from _ur10e(arm.folder)
@@ -171,7 +171,9 @@ def main() -> None:
     """Measure and write the tables."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
     found = {
-        case[0]: (str(arm), case) for arm in arms(study.data, study.sets) for case in cases(arm)
+        case[0]: (str(arm), case)
+        for arm in records_of(study.data, study.sets)
+        for case in cases(arm)
     }
     joints = study.rows("grades.csv", CELL, found, lambda title: measure(*found[title]))
     robots = dict.fromkeys(each["robot"] for each in joints)

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import TITLES, TRAINED, Arm, arms, part
+from data_sets import TITLES, TRAINED, Records, part, records_of
 from study import Study
 
 import sdpid
@@ -127,7 +127,7 @@ class Case:
         return out
 
 
-def halves(scored_hz: float, limit: float, terms: tuple[Any, ...], arm: Arm) -> Iterator[Case]:
+def halves(scored_hz: float, limit: float, terms: tuple[Any, ...], arm: Records) -> Iterator[Case]:
     """Yield a set of one record: its first part, which predicts the rest."""
     (log,) = arm.logs()
     cut = round(TRAINED * log.n_samples)
@@ -144,7 +144,7 @@ def halves(scored_hz: float, limit: float, terms: tuple[Any, ...], arm: Arm) -> 
     )
 
 
-def pairs(scored_hz: float, limit: float | None, effort: str, arm: Arm) -> Iterator[Case]:
+def pairs(scored_hz: float, limit: float | None, effort: str, arm: Records) -> Iterator[Case]:
     """Yield a set of two runs, each of which predicts the other."""
     logs = arm.logs(effort)
     title = f"{arm}{'' if effort == 'tau' else ' currents'}"
@@ -172,7 +172,7 @@ def ur10e_logs(folder: Path, runs: Iterable[str]) -> list[sdpid.Recording]:
     ]
 
 
-def ur10e(arm: Arm) -> Iterator[Case]:
+def ur10e(arm: Records) -> Iterator[Case]:
     """Yield the UR10e: the run of 30 s, which predicts the others without load."""
     robot = sdpid.load_robot(arm.folder / "ur10e.urdf")
     own, *logs = ur10e_logs(arm.folder, (UR10E_TRAINED, *UR10E.values()))
@@ -182,7 +182,7 @@ def ur10e(arm: Arm) -> Iterator[Case]:
 
 # The cut-offs of the common rows are 30 times the motion of the training part, Hz, those of
 # version 0.1.0; the UR10e's is that of its README.
-READERS: tuple[tuple[str, Callable[[Arm], Iterator[Case]]], ...] = (
+READERS: tuple[tuple[str, Callable[[Records], Iterator[Case]]], ...] = (
     ("ur10_unisa", partial(halves, 5.45, 4.8, ())),
     ("panda_unisa", partial(halves, 4.0, 1.75, ())),
     ("kuka_lwr4plus", partial(pairs, 3.58, 2.25, "tau")),
@@ -207,7 +207,7 @@ LEAST_SQUARES = ("coulomb", "square_root", "viscous", "offset")
 
 def cases(data: Path, names: Iterable[str]) -> Iterator[Case]:
     """Yield the cases of the sets that are there, and say which are not."""
-    for arm in arms(data, names):
+    for arm in records_of(data, names):
         for own, reader in READERS:
             if own == arm.name:
                 yield from reader(arm)

@@ -13,11 +13,9 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import arm_pictures
-from arms import ARMS, METHODS, Arm, read_arm
-from data_sets import folders
+from arms import METHODS, Arm, read_arm
+from data_sets import QUICK, SETS, Records, records_of
 from joblib import Parallel, delayed
 from release import Fall, release
 from study import Study
@@ -41,9 +39,9 @@ COLUMNS = (
 DURATION, QUICK_DURATION = 1.0, 0.3
 
 
-def _compared(data: Path, name: str, duration: float) -> tuple[Arm, dict[str, Fall]]:
+def _compared(records: Records, duration: float) -> tuple[Arm, dict[str, Fall]]:
     """Return an arm with its estimates, and its motion after the release with each."""
-    arm = read_arm(data, name)
+    arm = read_arm(records)
     start = arm.log.position[0]
     falls = {method: release(arm.model(method), start, duration) for method in METHODS}
     arm.smallest  # noqa: B018 - looked for here, arm beside arm
@@ -79,15 +77,12 @@ def main() -> None:
     study = Study(
         __doc__,
         data=True,
-        quick={"arms": ["Panda"], "duration": QUICK_DURATION},
-        arms=[*ARMS],
+        quick={"sets": [*QUICK], "duration": QUICK_DURATION},
+        sets=[*SETS],
         duration=(DURATION, "of the fall, s"),
     )
-    names = {ARMS[name][0]: name for name in study.arms}
-    there = [names[name] for name, _ in folders(study.data, names)]
-    done = Parallel(n_jobs=-1)(
-        delayed(_compared)(study.data, name, study.duration) for name in there
-    )
+    there = records_of(study.data, study.sets)
+    done = Parallel(n_jobs=-1)(delayed(_compared)(each, study.duration) for each in there)
     arms = [arm for arm, _ in done]
     falls = {(arm.name, method): fall for arm, found in done for method, fall in found.items()}
     study.write("real_arms.csv", COLUMNS, (row for arm, own in done for row in _rows(arm, own)))

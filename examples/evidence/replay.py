@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from data_sets import QUICK, SETS, arms
+from data_sets import QUICK, SETS, records_of
 from study import Study
 
 import sdpid
@@ -79,7 +79,7 @@ def main() -> None:
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
     cases = [
         (arm.urdf, path, f"{arm}, {record}")
-        for arm in arms(study.data, study.sets)
+        for arm in records_of(study.data, study.sets)
         for record, path in arm.paths.items()
     ]
     study.rows("replay.csv", HEADER, cases, lambda case: [row(*case)])

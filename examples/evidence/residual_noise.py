@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from data_sets import QUICK, SETS, Arm, arms
+from data_sets import QUICK, SETS, Records, records_of
 from study import Study
 
 import sdpid
@@ -25,7 +25,7 @@ from sdpid.workflow.formulate import formulate
 HEADER = ("recording", "residual, % of the usual effort", "alike over, s")
 
 
-def residual(arm: Arm) -> Iterator[tuple[object, ...]]:
+def residual(arm: Records) -> Iterator[tuple[object, ...]]:
     """Yield the row of a set."""
     problem = formulate(arm.robot, arm.logs()[0])
     noise = ExpectedNoise.of_residuals(problem, sdpid.solve_sdp(problem).theta)
@@ -39,7 +39,7 @@ def residual(arm: Arm) -> Iterator[tuple[object, ...]]:
 def main() -> None:
     """Measure and write the table."""
     study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*SETS])
-    study.rows("residual_noise.csv", HEADER, arms(study.data, study.sets), residual)
+    study.rows("residual_noise.csv", HEADER, records_of(study.data, study.sets), residual)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from data_sets import SETS, arms
+from data_sets import SETS, records_of
 from simulated_logs import drawn, log_of, there, with_gravity
 from study import Study, grouped, pivot
 
@@ -297,7 +297,7 @@ def simulated(seeds: int) -> Iterator[Good]:
 
 def recorded(data: Path) -> Iterator[Good]:
     """Yield the first recording of every real arm."""
-    for arm in arms(data, SETS):
+    for arm in records_of(data, SETS):
         yield good(arm.name, arm.robot, arm.logs()[0])
 
 
