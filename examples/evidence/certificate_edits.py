@@ -19,13 +19,17 @@ SECTIONS = ("problem", "theta", "multipliers", "claims")
 HUGE = (1e308, -1e308, 1e30, 5e-324, 1e-300, -0.0, 0.0, 2**53 + 1, 10**25)
 
 
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], float]]:
-    """Yield path and value of every number."""
-    if type(value) in (int, float):
-        yield path, value
-    elif isinstance(value, (dict, list)):
+def walk(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Yield path and value of everything, what is outside first."""
+    yield path, value
+    if isinstance(value, (dict, list)):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from places(item, (*path, key))
+            yield from walk(item, (*path, key))
+
+
+def inside(value: Any, *kinds: type) -> list[Any]:
+    """Return everything of some types, what is outside first."""
+    return [item for _, item in walk(value) if type(item) in kinds]
 
 
 def at(data: Any, path: tuple[Any, ...]) -> Any:
@@ -40,8 +44,12 @@ def number(rng: Random, data: Data, nonzero: bool = True) -> tuple[Any, Any, flo
     fields = [(section, key) for section in SECTIONS for key in _keys(data.get(section))]
     rng.shuffle(fields)
     for section, key in fields:
-        inside = data[section] if key is None else data[section][key]
-        found = [path for path, value in places(inside) if value or not nonzero]
+        field = data[section] if key is None else data[section][key]
+        found = [
+            path
+            for path, value in walk(field)
+            if type(value) in (int, float) and (value or not nonzero)
+        ]
         if found:
             path = (section, *(() if key is None else (key,)), *rng.choice(found))
             where = at(data, path[:-1])
@@ -94,7 +102,7 @@ def swap(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     found = number(rng, data, nonzero=False)
     if found is None:
         return False
-    lists = [each for each in lists_of(data[rng.choice(SECTIONS)]) if len(each) > 1]
+    lists = [each for each in inside(data[rng.choice(SECTIONS)], list) if len(each) > 1]
     if not lists:
         return False
     chosen = rng.choice(lists)
@@ -102,15 +110,6 @@ def swap(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     same = chosen[i] == chosen[j]
     chosen[i], chosen[j] = chosen[j], chosen[i]
     return not same
-
-
-def lists_of(value: Any) -> Iterator[list[Any]]:
-    """Yield every list, outer ones first."""
-    if isinstance(value, list):
-        yield value
-    if isinstance(value, (dict, list)):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from lists_of(item)
 
 
 def extreme(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
@@ -138,19 +137,8 @@ def odd_type(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
 
 def odd_key(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     """Add a key that no format knows, somewhere."""
-    objects = [data, *(each for each in _objects(data) if each is not data)]
-    rng.choice(objects)["approved"] = rng.choice([True, "by all", {}])
+    rng.choice(inside(data, dict))["approved"] = rng.choice([True, "by all", {}])
     return True
-
-
-def _objects(value: Any) -> Iterator[Data]:
-    """Yield every object."""
-    if isinstance(value, dict):
-        yield value
-    if isinstance(value, (dict, list)):
-        for item in value.values() if isinstance(value, dict) else value:
-            if isinstance(item, (dict, list)):
-                yield from _objects(item)
 
 
 EDITS: dict[str, Mutation] = {

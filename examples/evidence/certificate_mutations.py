@@ -11,7 +11,7 @@ import math
 from random import Random
 
 import numpy as np
-from certificate_edits import EDITS, SECTIONS, Data, Mutation, lists_of
+from certificate_edits import EDITS, SECTIONS, Data, Mutation, inside
 from certificate_optimum import second_moments
 
 CLAIMS = ("lower_bound", "cost", "gap", "violation")
@@ -42,7 +42,7 @@ def drop(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
         if multipliers["W"]:
             multipliers["W"].pop(k)
     else:
-        lists = [each for each in lists_of(data[rng.choice(SECTIONS)]) if each]
+        lists = [each for each in inside(data[rng.choice(SECTIONS)], list) if each]
         if not lists:
             return False
         chosen = rng.choice(lists)

@@ -209,13 +209,9 @@ class Geometry:
         A robot that was loaded from a URDF.
     package_dirs : iterable of paths, optional
         Folders in which ``package://`` names are looked up.
-    kind : {"collision", "visual"}, optional
-        Which shapes.
     """
 
-    def __init__(
-        self, robot: sdpid.RobotModel, package_dirs: Iterable[Any] = (), kind: str = "collision"
-    ) -> None:
+    def __init__(self, robot: sdpid.RobotModel, package_dirs: Iterable[Any] = ()) -> None:
         import pinocchio as pin
 
         from sdpid.robot.description.catalog import example_robots
@@ -230,10 +226,9 @@ class Geometry:
             for folder in (inner.parent, inner / "robots")
         }
         folders = [*map(os.fspath, package_dirs), *sorted(share)]
-        which = pin.GeometryType.COLLISION if kind == "collision" else pin.GeometryType.VISUAL
         self.robot = robot
         self.shapes = pin.buildGeomFromUrdfString(
-            robot.pin_model, robot.urdf, which, package_dirs=folders
+            robot.pin_model, robot.urdf, pin.GeometryType.COLLISION, package_dirs=folders
         )
         self.obstacles: list[str] = []
         bodies = [f for f in robot.pin_model.frames if f.type == pin.FrameType.BODY]
@@ -282,16 +277,13 @@ class Geometry:
 
 
 def distances_reached(
-    geometry: Geometry,
-    states: States,
-    wanted: Mapping[tuple[str, str], float],
-    grids_hz: tuple[float, float] = (COARSE_HZ, FINE_HZ),
+    geometry: Geometry, states: States, wanted: Mapping[tuple[str, str], float]
 ) -> list[Reached]:
     """Return the least distance of pairs of links on a fine grid, against what each must keep."""
     asked = {frozenset(pair): clearance for pair, clearance in wanted.items()}
     pairs = geometry.pairs(wanted)
     rate = 1.0 / np.median(np.diff(states.time))
-    every, fine = (max(1, round(rate / hz)) for hz in grids_hz)
+    every, fine = (max(1, round(rate / hz)) for hz in (COARSE_HZ, FINE_HZ))
     coarse = np.arange(0, len(states.time), every)
     first = geometry.distances(states.position[coarse], pairs)
     least: dict[frozenset[str], tuple[float, float]] = {}
