@@ -15,7 +15,13 @@ from sdpid.errors import ModelError
 from sdpid.robot.description.dh_table import DhJoint
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
-from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
+from sdpid.robot.friction.term import (
+    EffortCurve,
+    FrictionTerm,
+    OpenParameter,
+    SampledMotion,
+    simulated_curves,
+)
 from sdpid.robot.friction.terms import (
     BY_NAME,
     AsymmetricCoulomb,
@@ -52,6 +58,65 @@ TERMS = [
     Stribeck(velocity=0.3, width=0.1, exponent=1.0),
     Coupling("a", "b", 0.1),
 ]
+
+
+class Waves(sdpid.friction.JointwiseTerm):
+    """A term of one's own that is a line between the speeds at which a simulation looks."""
+
+    symbol, unit, nonnegative = "Fw", "N.m.s/rad", True
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        return np.asarray(0.5 * velocity)
+
+
+# Smooth curves by their kind, at a speed.
+CURVES = {
+    "tanh": lambda s, _, edge, w: np.where(s < edge, 0.0, np.tanh(s / w) - np.tanh(edge / w)),
+    "root": lambda s, *_: np.sqrt(s),
+    "peak": lambda s, a, b, _: np.exp(-((s / a) ** b)) - 1.0,
+    "smooth_peak": lambda s, a, b, w: np.exp(-((s / a) ** b)) * np.tanh(s / w),
+    "line": lambda s, _, begin, end: np.clip(s, begin, end) - begin,
+}
+
+
+def effort_of(curve: EffortCurve, v: Array) -> Array:
+    """Return what a curve says of the efforts (K, n), away from jumps."""
+    (j, other), size, effort = curve.joints, curve.size, np.zeros_like(v)
+    if curve.kind in ("slope", "constant"):
+        effort[:, j] = size * (v[:, other] if curve.kind == "slope" else 1.0)
+        return effort
+    s = v[:, j] + (v[:, other] if other >= 0 else 0.0)
+    if curve.kind == "jump":
+        value = np.where(s > curve.numbers[0], size, curve.numbers[1])
+    else:
+        value = size * np.sign(s) * CURVES[curve.kind](np.abs(s), *curve.numbers)
+        value = np.where(curve.side * s < 0.0, 0.0, value)
+    for joint in {j, other} - {-1}:
+        effort[:, joint] = value
+    return effort
+
+
+@pytest.mark.parametrize("term", [*TERMS, Waves()], ids=lambda term: type(term).__name__)
+@given(seed=SEEDS)
+def test_a_simulation_takes_the_efforts_of_the_columns(term: FrictionTerm, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    v = rng.uniform(-2.0, 2.0, (50, 2))
+    values = rng.uniform(0.1, 2.0, len(term.parameters(NAMES)))
+    curves = list(simulated_curves(term, values, NAMES))
+    found = np.sum([np.zeros_like(v), *(effort_of(each, v) for each in curves)], axis=0)
+    wanted = term.columns(v, np.zeros_like(v), NAMES) @ values
+    # A term of one's own is taken as constant below the first speed that is looked at.
+    atol = 2e-4 if isinstance(term, Waves) else 1e-9
+    np.testing.assert_allclose(found, wanted, atol=atol)
+
+
+def test_what_has_no_curves_is_refused_by_a_simulation() -> None:
+    class Unknown(FrictionTerm):
+        parameters, columns = Waves.parameters, Waves.columns
+
+    refuses(
+        ModelError, "neither one of sdpid's own", simulated_curves, Unknown(), np.ones(2), NAMES
+    )
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
