@@ -38,7 +38,6 @@ def main() -> None:
     robot = sdpid.load_robot("double_pendulum_simple" if options.quick else "ur10_robot")
     result = sdpid.identify(robot, sdpid.simulate(robot, seed=1), intervals=False)
     model = result.estimate.model()
-    print(model)
 
     # Feedforward: the efforts of a motion that was not fitted, and those of the description.
     other = sdpid.process(sdpid.simulate(robot, seed=2))
