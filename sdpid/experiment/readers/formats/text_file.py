@@ -333,7 +333,9 @@ def _matrix(path: Path) -> NDArray[Any]:
         line = (str(cause).splitlines() or [type(cause).__name__])[0]
         raise DataError(f"{path}: is no matrix of numbers ({printable(line)}).") from None
     rows, columns = matrix.shape
-    if rows == columns or not matrix.size:
+    if not matrix.size:
+        raise DataError(f"{path}: is no matrix of numbers (it holds none).")
+    if rows == columns:
         raise DataError(
             f"{path}: is {rows} × {columns} numbers, so that it is not known which side is time."
         )
