@@ -48,6 +48,7 @@ NAMES = ("a", "b")
 TERMS = [
     Coulomb(),
     Coulomb(width=0.1, dead_zone=0.05),
+    AsymmetricCoulomb(),
     AsymmetricCoulomb(width=0.1),
     Viscous(),
     Offset(),
@@ -114,9 +115,38 @@ def test_what_has_no_curves_is_refused_by_a_simulation() -> None:
     class Unknown(FrictionTerm):
         parameters, columns = Waves.parameters, Waves.columns
 
-    refuses(
-        ModelError, "neither one of sdpid's own", simulated_curves, Unknown(), np.ones(2), NAMES
-    )
+    class Columns(Waves):
+        columns = Coupling.columns
+
+    class Inertia(Waves):
+        def shape(self, velocity: Array, acceleration: Array) -> Array:
+            return acceleration
+
+    def curves(term: FrictionTerm) -> list[EffortCurve]:
+        return list(simulated_curves(term, np.ones(2), NAMES))
+
+    for term in (Unknown(), Columns()):
+        refuses(ModelError, "neither one of sdpid's own", curves, term)
+    refuses(ModelError, "depends on the acceleration", curves, Inertia())
+
+
+def test_a_load_is_simulated_with_a_jump_where_its_sign_is_exact() -> None:
+    values = np.array([0.1, 0.2])
+    term = LoadFriction(width=(0.0, 0.3), share=(0.5, 0.0), velocity=(0.2, 0.4))
+    curves = list(simulated_curves(term, values, NAMES))
+    assert curves == [
+        EffortCurve("load", (0, -1), 0.1, (0.5, 0.2, 0.0)),
+        EffortCurve("jump", (0, -1), 0.0, (0.0, 0.0, 0.0)),
+        EffortCurve("load", (1, -1), 0.2, (0.0, 0.4, 0.3)),
+    ]
+    assert not list(simulated_curves(Tilt(), values, NAMES))
+    refuses(ModelError, r"numbers in \[0, 1\]", LoadFriction, share=(2.0,), velocity=(0.1,))
+    refuses(ModelError, "give ten numbers", Tilt, ((1.0,) * 9,))
+
+
+def test_both_sides_of_a_joint_are_believed_alike() -> None:
+    model = FrictionModel.from_terms((Viscous(), AsymmetricCoulomb()), NAMES)
+    assert model.alike == ((2, 4), (3, 5))
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
