@@ -1,15 +1,15 @@
 """Estimate five real robots from their public recordings, with default settings.
 
 Every record of docs/evidence/data.md, with every friction model that fits it, under both
-inequalities, with
-the default prior and without one; nothing is tuned to a robot. What was not trained on is
-predicted: the other run where there are two, the last 40 % of a record otherwise. Data that leave
-base parameters undetermined must be refused without a prior. Errors are rows like any other.
+inequalities, with the default prior and without one; nothing is tuned to a robot. What was not
+trained on is predicted: the other run where there are two, the last 40 % of a record otherwise.
+Data that leave base parameters undetermined must be refused without a prior. Errors are rows like
+any other.
 
     python examples/evidence/data_sets.py --data /path/to/data --out results
 
-With --priors, kinds and strengths of priors are compared instead, under the 4×4 inequality and with
-one friction model a set. The folder of the data may also be named by the environment variable
+With --priors, kinds and strengths of priors are compared instead, under the 4×4 inequality and
+with one friction model a set. The folder of the data may also be named by the environment variable
 SDPID_DATA.
 """
 

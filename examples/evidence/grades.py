@@ -4,8 +4,7 @@ Each recording of six real robots is identified with defaults, without hints, an
 recording, or the other part of the only one. A joint that is trusted on its own blocks keeps its
 grade where the other recording gives it too. The table of margins shows what each margin between
 blocks and other motion would have trusted and kept, room for other motion asked for as by default.
-The table of bands shows the share of moving rows of the other recording
-within the 95 % bands.
+The table of bands shows the share of moving rows of the other recording within the 95 % bands.
 
     python examples/evidence/grades.py --data /path/to/data --out results
 

@@ -1,13 +1,12 @@
 """What `identify` predicts with its defaults on recordings of six real robots it did not see.
 
 Every set of docs/evidence/data.md is trained on one run, or on the first 60 % of its only record,
-without
-any hint, and predicts the rest. Two errors are shown: on the rows as `identify` itself processes
-them, and on common rows, filtered alike whatever the defaults are and with none masked, so that
-no default wins by leaving out what is hard. Of the common rows those that move are shown apart: at
-rest friction is anything up to its limit, which no function of the velocity tells. Least squares
-stands beside, with Coulomb, square-root and viscous friction and offsets, fitted to the common
-rows that move.
+without any hint, and predicts the rest. Two errors are shown: on the rows as `identify` itself
+processes them, and on common rows, filtered alike whatever the defaults are and with none masked,
+so that no default wins by leaving out what is hard. Of the common rows those that move are shown
+apart: at rest friction is anything up to its limit, which no function of the velocity tells. Least
+squares stands beside, with Coulomb, square-root and viscous friction and offsets, fitted to the
+common rows that move.
 
     python examples/evidence/held_out.py --data /path/to/data --out results
 

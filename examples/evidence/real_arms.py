@@ -1,10 +1,9 @@
 """Compare what five real arms are simulated with: which estimate is a robot.
 
 Five public records (docs/evidence/data.md), each fitted by least squares, by ridge regression
-towards the
-description, and by `sdpid.identify` with its defaults. Of each: the least eigenvalue of the mass
-matrix on the recorded motion, errors on what was held out, and how long the arm can be simulated
-once it is let go of.
+towards the description, and by `sdpid.identify` with its defaults. Of each: the least eigenvalue
+of the mass matrix on the recorded motion, errors on what was held out, and how long the arm can be
+simulated once it is let go of.
 
     python examples/evidence/real_arms.py --data /path/to/data --out results
 

@@ -1,11 +1,10 @@
 """Five real robots, many methods: what each predicts on motion that it was not trained on.
 
 Every set of docs/evidence/data.md is processed with default settings that are chosen on its
-training part
-alone, and fitted by least squares, ridge regression, the semidefinite program with several priors,
-and two local solvers, all with the same friction terms. Held out are the second run where there
-are two, otherwise all rows behind the first 60 % of the record. The published numbers that can be
-compared stand beside.
+training part alone, and fitted by least squares, ridge regression, the semidefinite program with
+several priors, and two local solvers, all with the same friction terms. Held out are the second
+run where there are two, otherwise all rows behind the first 60 % of the record. The published
+numbers that can be compared stand beside.
 
     python examples/evidence/real_robots.py --data /path/to/data --out results
 

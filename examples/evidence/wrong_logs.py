@@ -2,8 +2,8 @@
 
 Simulated logs of robots whose parameters are known (simulated_logs.py), inertias 15 % off the
 description's, and the first public recording of every real arm of docs/evidence/data.md are
-spoiled in some
-twenty ways. Each must be found and named; findings on the logs as they are are counted as well.
+spoiled in some twenty ways. Each must be found and named; findings on the logs as they are are
+counted as well.
 
     python examples/evidence/wrong_logs.py --data /path/to/data [--seeds 3] [--quick]
 

@@ -121,4 +121,4 @@ def _shifted(log: Recording, owner: T, delay: float | None) -> T:
     if "orientation" in later:
         norms = np.linalg.norm(later["orientation"], axis=1, keepdims=True)
         later["orientation"] = later["orientation"] / norms
-    return replace(owner, **later)  # type: ignore[type-var]
+    return replace(owner, **later)

@@ -69,8 +69,9 @@ def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool =
     return field(default=default, metadata={"samples": (column, axes, what)})
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Sampled(Shown):
-    """A frozen dataclass with channels of as many samples each, of which some may be missing."""
+    """A base of dataclasses with channels of as many samples each, of which some may be missing."""
 
     # What it is called in messages, what files say of it beside its columns, and the largest
     # magnitude of its numbers.
@@ -93,7 +94,7 @@ class Sampled(Shown):
         """Return some samples."""
         taken: Any = {name: table[rows] for name, table in self.channels.items()}
         taken |= {name: part.rows(rows) for name, part in self._parts}
-        return replace(self, **taken)  # type: ignore[type-var]
+        return replace(self, **taken)
 
     def columns(self) -> dict[str, Array]:
         """Return all samples by the names that readers find columns by."""
@@ -120,7 +121,7 @@ class Sampled(Shown):
     @cache
     def _fields(cls) -> dict[str, tuple[str, _Axes, str]]:
         """Return what `samples` says of each channel."""
-        found = {each.name: each.metadata.get("samples") for each in fields(cls)}  # type: ignore[arg-type]
+        found = {each.name: each.metadata.get("samples") for each in fields(cls)}
         return {name: said for name, said in found.items() if said is not None}
 
     def settings(self) -> dict[str, dict[str, Any]]:
@@ -138,7 +139,7 @@ class Sampled(Shown):
 
     def _keep_samples(self, **parts: type[Sampled]) -> None:
         """Check all channels and the parts of a class, and put channels back read-only."""
-        needed = {each.name for each in fields(self) if each.default is MISSING}  # type: ignore[arg-type]
+        needed = {each.name for each in fields(self) if each.default is MISSING}
         for name, (_, _, what) in self._fields().items():
             if name in needed and getattr(self, name) is None:
                 raise DataError(f"{self._called}{name}: is missing; give {what}.")

@@ -210,6 +210,7 @@ class _Rerun:
         several: Any = [logs] if alone else logs
         self.given_logs: list[Any] = [*several]
         for log in self.given_logs:
+            # os.path's, because it does not raise for a name that is too long to be one.
             if isinstance(log, (str, os.PathLike)) and not os.path.exists(log):  # noqa: PTH110
                 raise DataError(f"{log}: there is no such file.")
 
