@@ -20,6 +20,7 @@ from sdpid.robot.friction.term import (
     FrictionTerm,
     OpenParameter,
     SampledMotion,
+    TermParameter,
     simulated_curves,
 )
 from sdpid.robot.friction.terms import (
@@ -142,6 +143,20 @@ def test_a_load_is_simulated_with_a_jump_where_its_sign_is_exact() -> None:
     assert not list(simulated_curves(Tilt(), values, NAMES))
     refuses(ModelError, r"numbers in \[0, 1\]", LoadFriction, share=(2.0,), velocity=(0.1,))
     refuses(ModelError, "give ten numbers", Tilt, ((1.0,) * 9,))
+
+
+def test_base_parameters_are_called_as_the_friction_of_ones_own() -> None:
+    class Numbered(Waves):
+        def parameters(self, joint_names: Any) -> tuple[TermParameter, ...]:
+            count = range(len(joint_names))
+            return tuple(TermParameter(f"Foo_{j + 1}", "1", True, j) for j in count)
+
+        def shape(self, velocity: Array, acceleration: Array) -> Array:
+            return np.asarray(velocity**3)
+
+    names = base_of(ARM, Numbered()).names
+    assert {f"Foo_{j + 1}" for j in range(ARM.n)} <= set(names)
+    assert any(name.startswith("xxr") for name in names)
 
 
 def test_both_sides_of_a_joint_are_believed_alike() -> None:

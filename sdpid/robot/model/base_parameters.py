@@ -248,12 +248,14 @@ def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameter
     listing = _listing(robot, friction, leading)
     matrix, leading = matrix[listing], leading[listing]
     leading.setflags(write=False)
+    plain = [name.replace("_", "") for name in robot.parameter_names]
+    plain += names[len(plain) :]
     # Expressions read well without entries that are integers but for rounding.
     rounded = np.round(matrix)
     matrix = np.where(np.abs(matrix - rounded) < ZERO, rounded, matrix)
     return BaseParameters(
         names=tuple(
-            _name(names[column], int(np.count_nonzero(row)))
+            _name(plain[column], int(np.count_nonzero(row)))
             for row, column in zip(matrix, leading, strict=True)
         ),
         units=tuple(units[column] for column in leading),
@@ -309,7 +311,7 @@ def _listing(robot: RobotModel, friction: FrictionModel, leading: Indices) -> li
 def _name(name: str, count: int) -> str:
     """Return the name of a base parameter of so many ones of theta, which leads: ``xxr2``."""
     symbol = name.rstrip("0123456789_")
-    return f"{symbol}{'r' if count > 1 else ''}{name[len(symbol) :].removeprefix('_')}"
+    return f"{symbol}{'r' if count > 1 else ''}{name[len(symbol) :]}"
 
 
 def kinematics_digest(robot: RobotModel) -> str:
