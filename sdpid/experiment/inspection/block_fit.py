@@ -16,9 +16,9 @@ SURE = 5.0
 _KNOWN = 0.5
 
 
-def block_error(scores: Array, blocks: int = _BLOCKS) -> Array:
+def block_error(scores: Array) -> Array:
     """Return the standard error of the sum of scores (N, ...) over their rows."""
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, blocks)])
+    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, _BLOCKS)])
     return np.asarray(np.sqrt(np.sum(sums**2, axis=0)))
 
 

@@ -293,10 +293,11 @@ def _all_closed(robot: RobotModel, log: Recording) -> Recording:
     contacts = log.contacts
     if contacts is None:
         return log
-    ever = np.any(contacts.closed, axis=0)
+    closed = contacts.closed
+    ever = np.any(closed, axis=0)
     if robot.n - ever @ [TRANSMITS[kind] for kind in contacts.kind] < _LEAST_FREE:
         return log
-    down = np.array(np.broadcast_to(ever, contacts.closed.shape))
+    down = np.array(np.broadcast_to(ever, closed.shape))
     return replace(log, contacts=replace(contacts, down=down))
 
 

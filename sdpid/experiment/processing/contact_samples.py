@@ -77,11 +77,13 @@ class ContactSamples(Sampled):
     against: tuple[str | None, ...] = ()
     kind: tuple[Kind, ...] = ("point",)
     offset: Array = field(default_factory=lambda: np.zeros(3))
-    down: Mask = samples("down", "frames", what="one column for each frame", needed=True)
+    down: Mask = samples(
+        "down", "frames", what="one column for each frame", needed=True, flags=True
+    )
     forces: Array | None = samples("forces", "frames", WRENCH, what="forces, then moments")
     force_covariance: Array | None = None
     widened_s: float | None = None
-    landed: Mask | None = samples("landed", what="one for each sample")
+    landed: Mask | None = samples("landed", what="one for each sample", flags=True)
     _called: ClassVar[str] = "contacts."
 
     def __post_init__(self) -> None:

@@ -16,14 +16,13 @@ from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.processing.contact_samples import ASYMMETRY, TRANSMITS, ContactSamples
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
-from sdpid.experiment.recording.floating import Sampled, samples
+from sdpid.experiment.recording.floating import EACH_JOINT, Sampled, samples
 from sdpid.experiment.recording.recording import checked_names
 
 # Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
 # at the default decimation, so that filtering a run costs less than twice its own number.
 _RUN = 256
 
-_EACH = "one column for each joint"
 
 # Results that are kept: those of the terms of a model, with room for those tried beside them.
 _KEPT = 12
@@ -175,10 +174,10 @@ class Samples(Sampled):
     Samples(1000 samples, 6 joints, 6000 rows used)
     """
 
-    effort: Array = samples("effort", "names", what=_EACH, needed=True)
-    position: Array = samples("position", "_coordinates", what=_EACH, needed=True)
-    velocity: Array = samples("velocity", "names", what=_EACH, needed=True)
-    acceleration: Array = samples("acceleration", "names", what=_EACH, needed=True)
+    effort: Array = samples("effort", "names", what=EACH_JOINT, needed=True)
+    position: Array = samples("position", "_coordinates", what=EACH_JOINT, needed=True)
+    velocity: Array = samples("velocity", "names", what=EACH_JOINT, needed=True)
+    acceleration: Array = samples("acceleration", "names", what=EACH_JOINT, needed=True)
     time: Array | None = samples("time", what="one time for each sample")
     covariance: Array | None = None
     mask: Mask | None = None
@@ -505,7 +504,7 @@ class Samples(Sampled):
     def _keep(self, name: str, ndim: int, *shapes: tuple[int | None, ...]) -> Array:
         """Check the array in a field and put it back as a read-only contiguous view."""
         array = np.ascontiguousarray(real_array(getattr(self, name), name, ndim=ndim))
-        if shapes and array.shape not in shapes:
+        if array.shape not in shapes:
             raise DataError(
                 f"{name}: has shape {array.shape}, expected {' or '.join(map(str, shapes))} to "
                 "match effort."

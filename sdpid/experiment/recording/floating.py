@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache
 from itertools import product
-from typing import Any, ClassVar, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,10 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
 
 T = TypeVar("T", bound="Sampled")
-# Names along each axis, or the attribute that has them.
-_Axes = tuple[str | tuple[str, ...], ...]
 
 XYZ, WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 XYZW = (*XYZ, "w")
+EACH_JOINT = "one column for each joint"
 # Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
 LARGEST = 1e12
 
@@ -50,7 +49,26 @@ _CLOSED_SHARE, _STRONG = 0.03, 0.99
 ContactKind = Literal["point", "line", "plane"]
 
 
-def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool = False) -> Any:
+# Names along each axis, or the attribute that has them.
+_Axes = tuple[str | tuple[str, ...], ...]
+
+
+class _Channel(NamedTuple):
+    """What `samples` declares of a field."""
+
+    column: str
+    axes: _Axes
+    what: str
+    flags: bool
+
+
+def samples(
+    column: str,
+    *axes: str | tuple[str, ...],
+    what: str,
+    needed: bool = False,
+    flags: bool = False,
+) -> Any:
     """Return a field of samples (N, ...), by which they are checked, taken, written and counted.
 
     Parameters
@@ -64,9 +82,11 @@ def samples(column: str, *axes: str | tuple[str, ...], what: str, needed: bool =
         What the columns are, for the message.
     needed : bool
         Whether it has no default, which is None else.
+    flags : bool
+        Whether samples are true or false.
     """
     default: Any = MISSING if needed else None
-    return field(default=default, metadata={"samples": (column, axes, what)})
+    return field(default=default, metadata={"samples": _Channel(column, axes, what, flags)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -112,14 +132,15 @@ class Sampled(Shown):
         """Return the names of the columns of each channel, of an object with the names on axes."""
         return {
             name: [
-                "_".join(ends) for ends in product([column.format(self=known)], *_on(axes, known))
+                "_".join(ends)
+                for ends in product([channel.column.format(self=known)], *_on(channel.axes, known))
             ]
-            for name, (column, axes, _) in cls._fields().items()
+            for name, channel in cls._fields().items()
         }
 
     @classmethod
     @cache
-    def _fields(cls) -> dict[str, tuple[str, _Axes, str]]:
+    def _fields(cls) -> dict[str, _Channel]:
         """Return what `samples` says of each channel."""
         found = {each.name: each.metadata.get("samples") for each in fields(cls)}
         return {name: said for name, said in found.items() if said is not None}
@@ -140,13 +161,13 @@ class Sampled(Shown):
     def _keep_samples(self, **parts: type[Sampled]) -> None:
         """Check all channels and the parts of a class, and put channels back read-only."""
         needed = {each.name for each in fields(self) if each.default is MISSING}
-        for name, (_, _, what) in self._fields().items():
+        for name, channel in self._fields().items():
             if name in needed and getattr(self, name) is None:
-                raise DataError(f"{self._called}{name}: is missing; give {what}.")
+                raise DataError(f"{self._called}{name}: is missing; give {channel.what}.")
         first = count = None
         for name, given in self.channels.items():
-            called, (_, axes, what) = f"{self._called}{name}", self._fields()[name]
-            if name in ("down", "landed"):
+            called, (_, axes, what, flags) = f"{self._called}{name}", self._fields()[name]
+            if flags:
                 array = _flags(given, called, len(axes))
             else:
                 array = _numbers(given, called, len(axes), self._most)
@@ -387,7 +408,7 @@ class Contacts(Sampled):
 
     frames: tuple[str, ...]
     kind: tuple[ContactKind, ...] = ("point",)
-    down: Mask | None = samples("contact", "frames", what="one column for each frame")
+    down: Mask | None = samples("contact", "frames", what="one column for each frame", flags=True)
     forces: Array | None = samples(
         "contact_force", "frames", XYZ, what="x, y, z in N for each frame"
     )

@@ -19,6 +19,7 @@ from sdpid._common.tables import Table
 from sdpid.errors import DataError, ExportError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.recording.floating import (
+    EACH_JOINT,
     LARGEST,
     BaseMotion,
     Contacts,
@@ -39,7 +40,6 @@ _MADE = "# What the columns of the log beside it cannot tell; written with it."
 # A number this near to one of nine decimals, in m or a cosine, was that one before rounding: radii
 # of feet are measured in meshes, and rotations are made of cosines.
 _DECIMALS, _ROUNDED = 9, 1e-10
-_EACH = "one column for each joint"
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.
 _PERIOD_SLACK = 0.5
@@ -130,10 +130,10 @@ class Recording(Sampled):
     """
 
     time: Array = samples("time", what="time stamps in s", needed=True)
-    position: Array = samples("position", "names", what=_EACH, needed=True)
-    effort: Array = samples("{self._efforts}", "names", what=_EACH, needed=True)
-    velocity: Array | None = samples("velocity", "names", what=_EACH)
-    reference: Array | None = samples("reference", "names", what=_EACH)
+    position: Array = samples("position", "names", what=EACH_JOINT, needed=True)
+    effort: Array = samples("{self._efforts}", "names", what=EACH_JOINT, needed=True)
+    velocity: Array | None = samples("velocity", "names", what=EACH_JOINT)
+    reference: Array | None = samples("reference", "names", what=EACH_JOINT)
     joint_names: tuple[str, ...] | None = None
     period: float | None = None
     start: float | None = None

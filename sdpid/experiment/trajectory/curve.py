@@ -499,6 +499,11 @@ class SampledCurve(Pieces):
         if self.acceleration is not None and self.velocity is None:
             raise DataError("sampled motion: accelerations without velocities; give both.")
 
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.position.shape[1])
+
     @cached_property
     def duration(self) -> float:  # type: ignore[override]
         """Duration in s."""

@@ -14,9 +14,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import read_regular
 from sdpid._common.tables import Table
 from sdpid.errors import DataError
-from sdpid.experiment.recording.floating import XYZ, XYZW, Sampled, samples
-
-_EACH = "one column for each joint"
+from sdpid.experiment.recording.floating import EACH_JOINT, XYZ, XYZW, Sampled, samples
 
 # Minutes of a humanoid's motion have less.
 _MOST_BYTES = 256 * 2**20
@@ -68,14 +66,14 @@ class WholeBodyMotion(Sampled):
 
     joint_names: tuple[str, ...]
     time: Array = samples("time", what="stamps in s", needed=True)
-    position: Array = samples("position", "joint_names", what=_EACH, needed=True)
-    velocity: Array = samples("velocity", "joint_names", what=_EACH, needed=True)
-    acceleration: Array = samples("acceleration", "joint_names", what=_EACH, needed=True)
-    effort: Array = samples("effort", "joint_names", what=_EACH, needed=True)
+    position: Array = samples("position", "joint_names", what=EACH_JOINT, needed=True)
+    velocity: Array = samples("velocity", "joint_names", what=EACH_JOINT, needed=True)
+    acceleration: Array = samples("acceleration", "joint_names", what=EACH_JOINT, needed=True)
+    effort: Array = samples("effort", "joint_names", what=EACH_JOINT, needed=True)
     base_position: Array = samples("base_position", XYZ, what="x, y, z in m", needed=True)
     base_orientation: Array = samples("base_orientation", XYZW, what="x, y, z, w", needed=True)
     frames: tuple[str, ...]
-    down: Mask = samples("contact", "frames", what="one flag a foot", needed=True)
+    down: Mask = samples("contact", "frames", what="one flag a foot", needed=True, flags=True)
     forces: Array = samples("contact_force", "frames", XYZ, what="x, y, z in N", needed=True)
 
     def __post_init__(self) -> None:
