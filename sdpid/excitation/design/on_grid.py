@@ -87,7 +87,7 @@ class ArmInequalities:
 
     def learn(self, check: LimitCheck) -> None:
         """Hold the torques that a check found broken, and widen margins of what was held."""
-        wrong = [row for row in check.rows if row.verdict != "held"]
+        wrong = check.broken
         missing = max((-row.slack for row in wrong if row.kind == "distance"), default=0.0)
         if missing:
             self.margin += _BEYOND * max(missing, 1e-4)

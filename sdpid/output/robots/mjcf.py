@@ -214,7 +214,7 @@ class Mjcf(RobotText):
             found = read_mjcf(text, what, folder=folder)
         except ModelError as cause:
             raise ExportError(str(cause)) from None
-        self.bodies, self._source = found.bodies, found
+        self.bodies, self._source, self._values = found.bodies, found, found.joint_values()
         self.elements = self._elements()
         model = RobotModel.from_pinocchio(found.pin_model)
         names = {str(name): k for k, name in enumerate(found.pin_model.names) if k}
@@ -285,7 +285,7 @@ class Mjcf(RobotText):
             if model.joints[i].nv != 1:
                 continue
             name = str(model.names[i])
-            before, new = self._source.joint_values()[name], dict(values.get(name, {}))
+            before, new = self._values[name], dict(values.get(name, {}))
             if name not in self.robot.joint_names:
                 new = {key: 0.0 for key in attributes if before[key] != 0.0}
             if "armature" not in attributes and before["armature"] != 0.0:

@@ -489,7 +489,6 @@ class RobotModel:
         """
         q, v, a = self._states(q, v, a)
         count = 10 * self.n_links
-        route = np.arange(count) if places is None else places
         if out is not None:
             shape = len(q), self.n, count if places is None else out.shape[-1]
             if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
@@ -497,10 +496,12 @@ class RobotModel:
                     f"out: shape {out.shape} of {out.dtype}, expected {shape} of float64, "
                     "C-contiguous."
                 )
-            if len(route) != count or np.max(route, initial=-1) >= shape[2]:
+            if places is not None and (
+                len(places) != count or np.max(places, initial=-1) >= shape[2]
+            ):
                 raise DataError(
-                    f"places: {len(route)} entries up to {np.max(route, initial=-1)}; expected one "
-                    f"for each of {count} parameters, below {shape[2]} columns."
+                    f"places: {len(places)} entries up to {np.max(places, initial=-1)}; expected "
+                    f"one for each of {count} parameters, below {shape[2]} columns."
                 )
         found = kernels.regressor(
             self.tree, q, v, a, out=out, places=places, worth=compiled, entries=entries
@@ -510,8 +511,11 @@ class RobotModel:
         Y = self._pinocchio_regressor(q, v, a)
         if out is None:
             return Y
-        out[:] = 0.0
-        out[:, :, route[route >= 0]] = Y[:, :, route >= 0]
+        if places is None:
+            out[:] = Y
+        else:
+            out[:] = 0.0
+            out[:, :, places[places >= 0]] = Y[:, :, places >= 0]
         if entries is not None:
             values, rows, columns = entries
             out[:, rows, columns] = values

@@ -107,8 +107,9 @@ def link_shapes(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
 
 def _sizes(element: Any, keys: Sequence[str], what: str) -> Array:
     """Return the lengths in some attributes."""
-    texts = [element.get(key) for key in keys]
-    for key, text in zip(keys, texts, strict=True):
+    sizes = []
+    for key in keys:
+        text = element.get(key)
         try:
             size = float(text)
         except (TypeError, ValueError):
@@ -117,7 +118,8 @@ def _sizes(element: Any, keys: Sequence[str], what: str) -> Array:
             raise ModelError(f"{what}: <{element.tag}> has {key}={text!r}; give numbers.")
         if size < 0.0:
             raise ModelError(f"{what}: <{element.tag}> has a size of {size} m, the least is 0.")
-    return np.array([float(text) for text in texts])
+        sizes.append(size)
+    return np.array(sizes)
 
 
 def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) -> Shape:
