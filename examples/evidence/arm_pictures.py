@@ -22,7 +22,6 @@ COLORS = {
     "ridge, cross-validated": "#E69F00",
     "this package": "#0072B2",
 }
-GRAY = "#6B7280"
 
 # Below this the axis of eigenvalues is linear, kg·m².
 LINEAR = 1e-4

@@ -104,15 +104,17 @@ class Walker:
         """The walk as it was, some of its samples, and their true efforts without the ground's."""
         whole = self.runs["walk"].motion
         motion = TrueMotion(**{key: value[::STRIDE] for key, value in vars(whole).items()})
-        needed = self.robot.inverse_dynamics(
-            self.theta[: 10 * self.robot.n_links].reshape(-1, 10),
-            motion.position,
-            motion.velocity,
-            motion.acceleration,
+        bodies = self.theta[: 10 * self.robot.n_links].reshape(-1, 10)
+        return motion, self._efforts(bodies, motion)
+
+    def _efforts(self, bodies: Array, motion: TrueMotion) -> Array:
+        """Return the efforts of bodies without the ground's, with the true friction and rotors."""
+        efforts = self.robot.inverse_dynamics(
+            bodies, motion.position, motion.velocity, motion.acceleration
         )
         rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
-        needed[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
-        return motion, needed
+        efforts[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
+        return efforts
 
     def errors(self, predicted: Array) -> tuple[float, float, float]:
         """Return errors of joints in % of rms effort, of the base in N and N·m."""
@@ -142,12 +144,7 @@ class Walker:
     def described(self) -> tuple[float, float, float]:
         """Errors of the description, with the true friction."""
         motion, _ = self.walk
-        predicted = self.robot.inverse_dynamics(
-            self.robot.prior, motion.position, motion.velocity, motion.acceleration
-        )
-        rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
-        predicted[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
-        return self.errors(predicted)
+        return self.errors(self._efforts(self.robot.prior, motion))
 
     def mass_error(self, theta: Array) -> float:
         """Return the error of the total mass in %."""

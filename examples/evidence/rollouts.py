@@ -72,9 +72,9 @@ def spacing(case: Case, count: int) -> float:
     return max(EVERY, (chosen(case).duration - HORIZONS[-1]) / count)
 
 
-def identified(case: Case, **options: object) -> Identification:
+def identified(case: Case, **options: Any) -> Identification:
     """Return what identify finds with its defaults, and the drive's terms where they are known."""
-    return sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(options))  # type: ignore[arg-type]
+    return sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(options))
 
 
 def models(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
@@ -104,7 +104,8 @@ def rolled(
         start_every=spacing(case, starts),
         # The processing of the training part.
         processing=default_processing(case.log),
-        **{"horizons": HORIZONS, **how},
+        horizons=horizons,
+        **how,
     )
 
 

@@ -72,9 +72,12 @@ class Study:
             elif default is not None:
                 how["type"] = type(default)
             parser.add_argument(f"--{name.replace('_', '-')}", **how)
-        vars(self).update(vars(parser.parse_args()))
-        if self.quick:
-            vars(self).update(quick or {})
+        asked = parser.parse_args()
+        if asked.quick:
+            # What is named beside --quick is kept.
+            parser.set_defaults(**(quick or {}))
+            asked = parser.parse_args()
+        vars(self).update(vars(asked))
         self.out.mkdir(parents=True, exist_ok=True)
 
     def __getattr__(self, name: str) -> Any:

@@ -40,7 +40,10 @@ SELDOM = 4
 
 MAIN = ("lowPosition", "standard", "highPosition")
 
-# Levels of noise of each robot, where noise is fed back and where it is not.
+# Levels of noise of each robot, where noise is fed back and where it is not. The TX40 without the
+# coupling of its wrist, with it, and without it but with the sign of Coulomb friction that the
+# source has, tanh(100·v), in place of the exact one; the RV2SQ, which has no coupling, and the
+# same with logs of half the rate.
 LEVELS = {
     "tx40_uncoupled": {"fed_back": tuple(NOISE), "sensor_only": MAIN},
     "tx40": {"fed_back": ("standard",)},

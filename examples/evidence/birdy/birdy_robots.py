@@ -20,11 +20,6 @@ from sdpid.robot.model.dynamics import RobotDynamics
 
 HERE = Path(__file__).resolve().parent
 
-# The TX40 without the coupling of its wrist, with it, and without it but with the sign of Coulomb
-# friction that the source has, tanh(100·v), in place of the exact one; the RV2SQ, which has no
-# coupling, and the same with logs of half the rate.
-ROBOTS = ("tx40_uncoupled", "tx40", "tx40_smooth", "rv2sq", "rv2sq_slow")
-
 # Width of the source's sign, rad/s.
 SMOOTH = 0.01
 
@@ -85,7 +80,7 @@ class Benchmark:
 
     @classmethod
     def of(cls, name: str) -> Benchmark:
-        """Read one of `ROBOTS`."""
+        """Read a robot by its name, one of `birdy.LEVELS`."""
         data: dict[str, Any] = load_toml(HERE / f"{name.partition('_')[0]}.toml")
         table, links, control = data["kinematics"], data["links"], data["control"]
         limits, noise = data["limits"], data["noise"]
