@@ -33,6 +33,7 @@ extensions = [
     "command_line",
     "evidence",
     "docstrings",
+    "findings",
     "offline_math",
     "root_pages",
     "summaries",

@@ -56,20 +56,25 @@ KINDS.update(
         "signs, units and orders of columns are not found",
         "check them by hand{give}",
     ),
-    effort_sign=refuse("effort of {of} has the wrong sign{mended}", "flip {its}"),
+    effort_sign=refuse(
+        "effort of {of} has the wrong sign{mended}",
+        "flip {its}: signs in [motors] of a mapping, with applies_to = ['effort']",
+    ),
     position_sign=refuse(
         "position of {of} has the wrong sign{mended}",
-        "flip its sign, and that of its velocity",
+        "flip its sign, and that of its velocity: signs in [motors] of a mapping, with applies_to "
+        "= ['position', 'velocity', 'reference']",
         hides=("feet",),
     ),
     axis_sign=refuse(
         "position and effort of {of} count the other way round than the description's axis{mended}",
-        "flip the signs of both, or turn the axis in the description",
+        "flip the signs of both (signs in [motors] of a mapping), or turn the axis in the "
+        "description",
         hides=("feet",),
     ),
     position_zero=refuse(
         "position of {of} has another zero than the description{mended}",
-        "add {add:+.0f °} ({add:+.4f} rad)",
+        "add {add:+.0f °} ({add:+.4f} rad): offsets in [motors] of a mapping",
         hides=("feet",),
     ),
     gravity_direction=refuse(
@@ -104,7 +109,8 @@ KINDS.update(
     effort_unlike_description=warning(
         "effort of {joint} does not follow from the motion: the description and friction leave "
         "{unexplained:.3g %} of its variance unexplained, limit {limit:g %}",
-        "check the columns, the units, the mounting and the description of this joint",
+        "check the columns, the units, the mounting and the description of this joint; with a "
+        "spring or a counterweight leave its effort out (without_effort)",
         hides=("forces",),
     ),
     payload_differs=refuse(
