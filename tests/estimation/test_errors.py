@@ -10,29 +10,18 @@ from scipy.signal import lfilter
 from scipy.stats import t
 
 import sdpid
-from sdpid import Constraints, Prior, RobotModel, Samples, build_problem, solve_sdp, solve_wls
+from sdpid import Constraints, Prior, Samples, build_problem, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError, IdentifiabilityError
-from sdpid.estimation import noise_spectrum
+from sdpid.estimation import information, motion_noise, noise_spectrum
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.information import (
-    UNDETERMINED,
-    Excitation,
-    information_root,
-    information_rows,
-)
-from sdpid.estimation.motion_noise import (
-    beyond_noise,
-    friction_bias,
-    landings_used,
-    with_motion_bias,
-    with_noise,
-)
+from sdpid.estimation.information import UNDETERMINED, Excitation
+from sdpid.estimation.motion_noise import friction_bias, landings_used, with_motion_bias
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import Groups, Posterior, gain_errors
 from sdpid.estimation.problem import Problem
@@ -40,32 +29,14 @@ from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.robot.friction.terms import SigmoidFriction
-from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers import world
 from tests.helpers.arm import ARM, BODIES, CONDITIONS, THETA, arm_problem
-from tests.helpers.data import (
-    FRICTION,
-    friction_model,
-    make_samples,
-    random_covariance,
-    random_theta,
-    raw_rows,
-)
+from tests.helpers.data import FRICTION, make_samples, random_covariance, random_theta, raw_rows
 from tests.helpers.legged import quadruped
 from tests.helpers.motions import sines, slow_motion
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 from tests.helpers.world import gauss_markov
-
-
-def estimated(noise: float, prior: sdpid.Prior | None, *, count: int = 40) -> Estimate:
-    samples = make_samples(ARM, THETA, np.random.default_rng(1), count=count, noise=noise)
-    return sdpid.solve_sdp(build_problem(ARM, samples, prior=prior))
-
-
-def test_without_a_prior_it_is_the_fit() -> None:
-    estimate = estimated(0.1, None)
-    same_covariance(estimate.covariance, NoiseSpectrum.of(estimate.problem).covariance)
 
 
 def same_covariance(found: Array, expected: Array) -> None:
@@ -86,8 +57,9 @@ class Known:
 
 @pytest.mark.parametrize("kind", ["pullback", "entropic"])
 def test_with_right_weights_it_is_bayes(kind: str) -> None:
-    estimate = estimated(0.1, sdpid.Prior(bodies=BODIES, kind=kind))  # type: ignore[arg-type]
-    problem = estimate.problem
+    samples = make_samples(ARM, THETA, np.random.default_rng(1), count=40, noise=0.1)
+    problem = build_problem(ARM, samples, prior=Prior(bodies=BODIES, kind=kind))  # type: ignore[arg-type]
+    estimate = solve_sdp(problem)
     rows = [term.curvature_rows(estimate.theta) for term in problem.prior.terms]
     G = problem.A @ problem.base.matrix
     expected = np.linalg.inv(G.T @ G + sum(R.T @ R for R in rows))
@@ -128,7 +100,7 @@ def test_unseen_directions_are_open_up_to_limits() -> None:
 # ---- Standard errors that hold what they promise, on white and on filtered noise.
 
 
-BASE = structural_base(ARM, friction_model(ARM, FRICTION))
+BASE = world.problem(ARM).base
 RUNS = 60
 
 # Of RUNS × 12 parameters at 95 %, correlated within a run: the share that is covered spreads by
@@ -272,30 +244,18 @@ def test_errors_are_as_large_as_stated(noise: Noise, count: int) -> None:
     assert 0.7 < np.median(squares) < 1.5
 
 
-def short_problem() -> Problem:
+def test_records_too_short_for_blocks_have_satterthwaites_freedom() -> None:
     noise = white_noise(np.random.default_rng(4), 60)
-    return build_problem(ARM, moving(60, noise, block=20), base=BASE)
-
-
-def test_records_too_short_for_blocks_have_errors() -> None:
-    problem = short_problem()
+    problem = build_problem(ARM, moving(60, noise, block=20), base=BASE)
     refuses(DataError, "3 blocks of 20 samples, at least 8", ScoreBlocks.of, problem)
     found = NoiseSpectrum.of(problem)
     freedom = found.freedom(found.root)
-    assert np.all(freedom > 2.0)
-    assert np.all(freedom < problem.n_rows - BASE.count)
-
-
-def test_freedom_is_satterthwaites() -> None:
-    found = NoiseSpectrum.of(short_problem())
-    H = found.information()
-    c = np.eye(BASE.count)[3]
-    moved = np.linalg.solve(H, c)
+    assert np.all((freedom > 2.0) & (freedom < problem.n_rows - BASE.count))
+    moved = np.linalg.solve(found.information(), np.eye(BASE.count)[3])
     parts = np.array([np.sum((R[:, :-1] @ moved[own]) ** 2) for own, R in found.groups])
     parts *= found.density
     assert found.covariance[3, 3] == pytest.approx(parts.sum())
-    expected = parts.sum() ** 2 / np.sum(parts**2 / found.room)
-    assert found.freedom(c[None] @ found.root)[0] == pytest.approx(expected)
+    assert freedom[3] == pytest.approx(parts.sum() ** 2 / np.sum(parts**2 / found.room))
 
 
 @pytest.mark.parametrize("size", [1.0, 4.0])
@@ -405,8 +365,8 @@ def test_errors_of_gains_are_counted_by_their_slopes() -> None:
 ARM3 = small_arm(3)
 
 
-def plain_samples(robot: RobotModel = ARM3, count: int = 60) -> Samples:
-    return world.samples(robot, count=count)[0]
+def plain_samples(count: int = 60) -> Samples:
+    return world.samples(ARM3, count=count)[0]
 
 
 def still(samples: Samples, joint: int) -> Samples:
@@ -415,53 +375,24 @@ def still(samples: Samples, joint: int) -> Samples:
     return replace(samples, **{name: moves * getattr(samples, name) for name in names})
 
 
-def test_a_joint_that_stands_still_is_named() -> None:
-    samples = still(plain_samples(), 2)
-    found = refuses(IdentifiabilityError, "do not excite", build_problem, ARM3, samples)
-    for words in ("Fs3", "Fv3", "limit 1e-10", "moves"):
-        assert words in str(found)
-    # Nor do masked rows excite.
-    mask = np.ones((60, 3), dtype=bool)
-    mask[1:, 2] = False
-    samples = replace(plain_samples(), mask=mask)
-    refuses(IdentifiabilityError, "do not excite", build_problem, ARM3, samples)
+STILL = still(plain_samples(), 2)
+SPEEDS = np.abs(np.asarray(plain_samples().velocity))
+MOVED_ONCE = np.tile([True, True, False], (60, 1)) | (np.arange(60) == 0)[:, None]
 
 
-def test_two_joints_that_move_as_one() -> None:
-    """Equal speeds leave the frictions apart, since they act on different joints."""
-    samples = plain_samples()
-    velocity = np.array(samples.velocity)
-    velocity[:, 2] = velocity[:, 1]
-    assert build_problem(ARM3, replace(samples, velocity=velocity)).base.count > 0
-
-
-def test_too_few_samples(denso: RobotModel) -> None:
-    with pytest.raises(IdentifiabilityError, match=r"excite (\d+) of 48"):
-        build_problem(denso, plain_samples(denso, count=5))
-    assert build_problem(denso, plain_samples(denso, count=20)).excitation.weak() == ()
-
-
-def test_a_coulomb_term_without_reversal_is_an_offset() -> None:
-    samples = plain_samples()
-    forward = replace(samples, velocity=np.abs(np.asarray(samples.velocity)))
-    with pytest.raises(IdentifiabilityError, match=r"Fo1 with Fs1|Fs1 with Fo1"):
-        build_problem(ARM3, forward, friction=("coulomb", "offset"))
-
-
-def test_weak_directions_are_listed_but_not_refused() -> None:
-    samples = plain_samples()
-    slow = np.array(samples.velocity)
-    slow[:, 2] *= 1e-6
-    problem = build_problem(ARM3, replace(samples, velocity=slow))
-    # A column's length does not count, only its direction: Fv3 alone is still distinct.
-    assert problem.excitation.condition_number < 1e4
-    nearly = np.array(samples.velocity)
-    nearly[:, 2] = 1.0 + 1e-6 * nearly[:, 2]
-    problem = build_problem(ARM3, replace(samples, velocity=nearly))
-    (value, names), *rest = problem.excitation.weak()
-    assert not rest
-    assert 1e-10 < value < 1e-3
-    assert set(names) == {"Fs3", "Fv3"}
+@pytest.mark.parametrize(
+    ("samples", "friction", "words"),
+    [
+        (STILL, FRICTION, "do not excite.*limit 1e-10.*Fs3.*Fv3.*moves"),
+        # Nor do masked rows excite.
+        (replace(plain_samples(), mask=MOVED_ONCE), FRICTION, "do not excite"),
+        (replace(plain_samples(), velocity=SPEEDS), ("coulomb", "offset"), "Fo1 with Fs1|Fs1 with"),
+        (plain_samples(count=2), FRICTION, r"excite \d+ of \d+"),
+    ],
+    ids=["a joint that stands still", "masked", "without reversal", "too few"],
+)
+def test_what_is_not_excited_is_named(samples: Samples, friction: Any, words: str) -> None:
+    refuses(IdentifiabilityError, words, build_problem, ARM3, samples, friction=friction)
 
 
 def test_excitation_of_a_known_matrix() -> None:
@@ -475,17 +406,12 @@ def test_excitation_of_a_known_matrix() -> None:
     assert excitation.condition_number == pytest.approx(np.sqrt(2.0) / value)
 
 
-def test_a_column_of_zeros() -> None:
-    excitation = Excitation.of(np.diag([1.0, 0.0]), ("a", "b"))
-    assert excitation.condition_number == float("inf")
-    assert excitation.weak() == ((0.0, ("b",)),)
-
-
 def test_columns_of_zeros_are_named_one_by_one() -> None:
     A = np.random.default_rng(3).standard_normal((5, 5))
     A[:, [1, 2, 4]] = 0.0
     excitation = Excitation.of(A, tuple("abcde"))
     assert excitation.weak() == ((0.0, ("b",)), (0.0, ("c",)), (0.0, ("e",)))
+    assert excitation.condition_number == float("inf")
     np.testing.assert_allclose(np.linalg.norm(A @ excitation.root, axis=0), 1.0)
     np.testing.assert_allclose(A @ excitation.root @ excitation.inverse, A, atol=1e-12)
 
@@ -523,7 +449,7 @@ def test_rows_of_an_information_have_no_column_where_it_has_none() -> None:
     X = np.random.default_rng(0).standard_normal((200, 40))
     X[:, [7, 23]], X[:, 30] = 0.0, X[:, 3]
     H = X.T @ X
-    T = information_root(information_rows(H))
+    T = information.information_root(information.information_rows(H))
     assert T.shape[1] == 37
     np.testing.assert_allclose(T[[7, 23]], 0.0, atol=1e-12)
     np.testing.assert_allclose(T.T @ H @ T, np.eye(37), atol=1e-9)
@@ -612,7 +538,7 @@ def test_a_copy_has_the_noise_of_the_recording_once_more() -> None:
     )
     base = sdpid.BaseMotion(orientation=turn, position=np.zeros((log.n_samples, 3)), imu=imu)
     log = replace(log, base=base)
-    first = with_noise(log, np.random.default_rng(0))
+    first = motion_noise.with_noise(log, np.random.default_rng(0))
     assert np.std(first.position - log.position) == pytest.approx(NOISE, rel=0.1)
     added = first.base.imu.accelerometer - imu.accelerometer
     assert np.std(added) == pytest.approx(0.03, rel=0.15)
@@ -708,7 +634,7 @@ def counted(rng: np.random.Generator, wrong: float) -> float:
     ]
     fits = [sdpid.solve_wls(each).base for each in problems]
     moved = fits[0] - fits[1]
-    bias = beyond_noise(*problems, moved)
+    bias = motion_noise.beyond_noise(*problems, moved)
     return float(np.linalg.norm(bias) / np.linalg.norm(moved))
 
 
@@ -784,6 +710,13 @@ def test_the_bias_is_what_the_fit_is_off_by() -> None:
     # Intervals count it, say so, and name what it moves.
     counted = replace(wls, problem=replace(problem, errors=(ErrorSource.bias("friction", bias),)))
     honest, _ = with_and_without(counted, wls.problem, "friction")
+    # A law that is right has next to none, and where the data chose no speed, none is doubted.
+    right = peaked(0.0)[0]
+    sizes = [
+        np.linalg.norm(bias_of(each) / solve_wls(each).standard_errors) for each in (right, problem)
+    ]
+    assert sizes[0] < 0.3 * sizes[1]
+    assert bias_of(peaked(0.8, ("coulomb", "viscous"))[0]) is None
     assert "from friction's law, %" in honest.table()
     words = replace(honest, shares={"friction": np.full(len(honest), 0.9)}).noise_in_words()
     assert "a law of friction that is not the model's moves" in words
@@ -801,14 +734,3 @@ def test_motion_and_friction_are_asked_together() -> None:
     found = with_motion_bias(problem, [log], PROCESSING)
     np.testing.assert_array_equal(moved_by(found, "friction"), bias)
     assert [source.name for source in found.errors] == ["motion", "filter", "friction"]
-
-
-def test_a_law_that_is_right_has_next_to_none() -> None:
-    sizes = []
-    for peak in (0.0, 0.8):
-        problem, _ = peaked(peak)
-        bias = bias_of(problem)
-        sizes.append(np.linalg.norm(bias / sdpid.solve_wls(problem).standard_errors))
-    assert sizes[0] < 0.3 * sizes[1]
-    # Where the data chose no speed, no law is doubted.
-    assert bias_of(peaked(0.8, ("coulomb", "viscous"))[0]) is None
