@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.linalg import null_space
-from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid import RobotModel, Samples
@@ -21,15 +19,11 @@ from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.whitening import compress, weights_and_shares, weights_of
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.preparation.prepare import without_efforts
-from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
+from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.output.report.verdict import _forces
-from sdpid.robot.legs import find_legs
-from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
-from tests.helpers import linkages
-from tests.helpers.data import row_source
+from tests.helpers import linkages, world
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
@@ -171,14 +165,6 @@ def test_a_constant_error_beside_eliminated_forces_is_no_correlation() -> None:
     assert contact_noise(problem(replace(stand, effort=effort)).rows)[1] < 1.5  # type: ignore[arg-type]
 
 
-def test_what_a_sensor_shows_of_a_foot_in_the_air_changes_nothing() -> None:
-    made = gait(60)
-    contacts = made.samples.contacts
-    shown = np.where(contacts.down[:, :, None], made.forces, [3.0, -2.0, 5.0])
-    known, offset = (problem(made.measured(0.01 * np.eye(6), f)) for f in (made.forces, shown))
-    assert np.array_equal(gram(known), gram(offset))
-
-
 def test_fits_are_compared_with_forces_eliminated() -> None:
     made = gait(60)
     felt = replace(made.measured(4.0 * np.eye(6), 1.3 * made.forces), covariance=SIGMA)
@@ -216,14 +202,16 @@ def test_known_forces_are_efforts() -> None:
     np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
 
 
-def test_flight_is_a_robot_without_contacts() -> None:
-    samples = gait(60).noisy()
+def test_what_no_foot_feels_and_the_order_of_feet_change_nothing() -> None:
+    made = gait(60)
+    samples = replace(made.noisy(), covariance=SIGMA)
+    # What a sensor shows of a foot in the air, and feet of a robot that flies.
+    shown = np.where(made.samples.contacts.down[:, :, None], made.forces, [3.0, -2.0, 5.0])
+    known, offset = (problem(made.measured(0.01 * np.eye(6), f)) for f in (made.forces, shown))
+    assert np.array_equal(gram(known), gram(offset))
     flying = changed(samples, down=np.zeros((60, 4), dtype=bool))
     assert_alike(problem(flying), problem(replace(samples, contacts=None)))
-
-
-def test_the_order_of_feet_and_repeated_feet_change_nothing() -> None:
-    samples = replace(gait(60).noisy(), covariance=SIGMA)
+    # Feet in another order, one of them twice.
     found, contacts = problem(samples), samples.contacts
     order = [2, 0, 3, 1, 2]
     again = ContactSamples(
@@ -232,7 +220,7 @@ def test_the_order_of_feet_and_repeated_feet_change_nothing() -> None:
     other = problem(replace(samples, contacts=again))
     assert_alike(found, other)
     assert found.n_rows == other.n_rows
-    base = found.base_of(gait(60).theta)
+    base = found.base_of(made.theta)
     np.testing.assert_allclose(found.predict(base), other.predict(base), atol=1e-8)
 
 
@@ -328,7 +316,7 @@ def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
         sdpid.cost_of_constraints(estimate)
 
 
-# ---- Rows of samples in contact beside MuJoCo: its own contact forces, and forces that it applies.
+# ---- Rows of samples in contact beside MuJoCo, with its own contact forces.
 
 
 # What true parameters may leave of the rows; rounding leaves 1e-12.
@@ -350,122 +338,14 @@ def test_the_simulators_contact_forces_leave_nothing(turning: bool) -> None:
     assert EXACT < made.left("point", offset=(0.0, 0.0, -made.legs.radius)) < 2e-3
 
 
-@pytest.mark.parametrize(
-    ("kind", "moments"), [("point", []), ("line", [0, 2]), ("plane", [0, 1, 2])]
-)
-def test_what_a_kind_transmits_leaves_nothing_and_more_does(kind: Kind, moments: list[int]) -> None:
-    """Two feet of MuJoCo's robot in the air, which are pushed and twisted."""
-    robot, rng, K = quadruped(), np.random.default_rng(0), 8
-    legs = find_legs(robot)
-    theta = np.concatenate([robot.prior.ravel(), np.zeros(36)])
-    built = build_legged(legs, theta, held=False, timestep=1e-3, start=np.zeros(6))
-    data = mujoco.MjData(built.model)
-    q, v, a = np.zeros((K, 19)), np.zeros((K, 18)), np.zeros((K, 18))
-    for k in range(K):
-        turn = Rotation.random(random_state=k)
-        q[k, 2], q[k, 3:7], q[k, 7:] = 1.0, turn.as_quat(), rng.normal(size=12)
-        v[k] = rng.normal(size=18)
-        data.qpos[built.qpos], data.qvel[built.dof] = q[k, 7:], v[k, 6:]
-        data.qpos[:3], data.qpos[3:7] = q[k, :3], np.roll(q[k, 3:7], 1)
-        data.qvel[:3], data.qvel[3:6] = turn.apply(v[k, :3]), v[k, 3:6]
-        data.qfrc_applied[:] = 0.0
-        mujoco.mj_forward(built.model, data)
-        axes = frame_axes(robot, q[k : k + 1], FEET)[0]
-        for foot in range(2):
-            geom = built.feet[foot]
-            twist = axes[foot][:, moments] @ rng.normal(size=len(moments))
-            mujoco.mj_applyFT(
-                built.model, data, 10.0 * rng.normal(size=3), twist,
-                data.geom_xpos[geom] + RADIUS, built.model.geom_bodyid[geom], data.qfrc_applied,
-            )  # fmt: skip
-        mujoco.mj_forward(built.model, data)
-        a[k, :3] = turn.inv().apply(data.qacc[:3]) - np.cross(v[k, 3:6], v[k, :3])
-        a[k, 3:6], a[k, 6:] = data.qacc[3:6], data.qacc[built.dof]
-    for said in get_args(Kind):
-        contacts = ContactSamples(
-            frames=FEET[:2], kind=said, offset=RADIUS, down=np.ones((K, 2), dtype=bool)
-        )
-        states = {"position": q, "velocity": v, "acceleration": a, "effort": np.zeros((K, 18))}
-        rows = row_source(robot, sdpid.Samples(**states, contacts=contacts), ())
-        T, index = weights_of(rows, slice(None), np.eye(18))
-        needed = rows.regressor(slice(None)) @ (rows.base.matrix @ theta[:130])
-        left, size = (
-            np.linalg.norm(T[index] @ each[..., None]) for each in (needed, np.ones((K, 18)))
-        )
-        carries = {"point": 0, "line": 2, "plane": 3}[said]
-        assert (left < EXACT * size) == (carries >= len(moments))
+# ---- A loop that closes is a contact of two links: tests/workflow/test_loops.py identifies such.
 
 
-# ---- A loop that closes is a contact of two links: a four-bar linkage beside MuJoCo.
-
-
-def description() -> str:
-    """Return the URDF, cut where coupler and rocker meet, with frames at their ends."""
-    ends = "".join(
-        f'<link name="{name}_end"/><joint name="{name}_fixed" type="fixed"><parent link="{name}"/>'
-        f'<child link="{name}_end"/><origin xyz="{length} 0 0"/></joint>'
-        for name, length in (("coupler", 0.3), ("rocker", 0.25))
-    )
-    return linkages.urdf("four_bar").partition("<loop_joint")[0] + ends + "</robot>"
-
-
-def turning(K: int = 300) -> Samples:
-    """Return a run in which a motor drives the crank, and the other joints have none."""
-    model = mujoco.MjModel.from_xml_string(linkages.mjcf("four_bar"))
-    data, states = mujoco.MjData(model), np.zeros((4, K, 3))
-    robot = sdpid.load_robot(linkages.urdf("four_bar"))
-    data.qpos[:] = close_loops(robot, np.array([[1.0, 0.0, 0.0]]), robot.passive)[0]
-    for k in range(20 * K):
-        data.qfrc_applied[0] = (
-            0.6 * np.sin(1e-3 * k) + 0.5 * np.sin(3.5e-3 * k) - 0.05 * data.qvel[0]
-        )
-        mujoco.mj_forward(model, data)
-        if k % 20 == 0:
-            states[:, k // 20] = data.qpos, data.qvel, data.qacc, data.qfrc_applied
-        mujoco.mj_step(model, data)
-    loop = ContactSamples(
-        frames=["coupler_end"], against=["rocker_end"], down=np.ones((K, 1), dtype=bool)
-    )
-    names = ("position", "velocity", "acceleration", "effort")
-    return Samples(**dict(zip(names, states, strict=True)), contacts=loop)  # type: ignore[arg-type]
-
-
-@pytest.fixture(scope="module")
-def linkage(tmp_path_factory: pytest.TempPathFactory) -> tuple[RobotModel, Samples]:
-    path = Path(tmp_path_factory.mktemp("loop")) / "four_bar.urdf"
-    path.write_text(description())
-    return sdpid.load_robot(path), turning()
-
-
-def test_truth_leaves_nothing_where_the_loop_is_told(linkage: tuple[RobotModel, Samples]) -> None:
-    robot, samples = linkage
-    found = problem(samples, robot)
-    # The pin bears two forces in the plane; across it no joint can move.
-    assert found.n_rows == len(samples.effort)
-    base = found.base_of(robot.prior.ravel())
-    size = float(np.sum(samples.effort**2))
-    assert found.cost(base) < 1e-16 * size
-    open_chain = problem(replace(samples, contacts=None), robot)
-    assert open_chain.cost(base) > 0.1 * size
-    np.testing.assert_allclose(found.predict(base), samples.effort, atol=1e-7)
-
-
-def test_a_linkage_is_identified(linkage: tuple[RobotModel, Samples]) -> None:
-    robot, samples = linkage
-    rng = np.random.default_rng(0)
-    noisy = replace(samples, effort=samples.effort + 1e-3 * rng.normal(size=samples.effort.shape))
-    found = sdpid.build_problem(robot, noisy, friction=(), prior=sdpid.Prior())
-    estimate = sdpid.solve_sdp(found)
-    assert sdpid.certify(estimate).passed
-    errors = sdpid.validate(estimate, samples)
-    assert errors.floating is None
-    assert errors.relative < 1e-2
-
-
-def test_refuses_a_loop_that_is_open(linkage: tuple[RobotModel, Samples]) -> None:
-    robot, samples = linkage
-    moved = samples.position + np.array([0.0, 0.0, 0.2])
-    with pytest.raises(DataError, match=r"coupler_end and rocker_end are up to .* mm apart"):
-        sdpid.build_problem(robot, replace(samples, position=moved), friction=())
-    with pytest.raises(DataError, match="expected a frame other than its own"):
-        ContactSamples(frames=["a"], against=["a"], down=np.ones((1, 1), dtype=bool))
+def test_refuses_a_loop_that_is_open() -> None:
+    robot, down = sdpid.load_robot(linkages.urdf("four_bar")), np.ones((60, 1), dtype=bool)
+    samples, _ = world.samples(robot, friction=())
+    loop = ContactSamples(frames=["coupler"], against=["rocker"], down=down)
+    words = "coupler and rocker are up to .* mm apart"
+    refuses(DataError, words, problem, replace(samples, contacts=loop), robot)
+    own = {"frames": ["a"], "against": ["a"], "down": down}
+    refuses(DataError, "expected a frame other than its own", ContactSamples, **own)
