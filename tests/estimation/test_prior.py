@@ -24,7 +24,7 @@ from sdpid.estimation.prior.prior import prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia
 from sdpid.workflow.verify import verify
-from tests.helpers.arm import ARM, BODIES, FIRST, LAST, REFLECTION, arm_problem
+from tests.helpers.arm import ARM, BODIES, FIRST, LAST, PAIR, REFLECTION, arm_problem
 from tests.helpers.data import make_samples, random_links, row_source
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import LIFT, described_arm
@@ -546,9 +546,6 @@ def test_what_makes_no_sense_is_refused():
 
 
 # ---- The belief that links are nearly mirror images of each other.
-
-
-PAIR = MirrorPair(FIRST, LAST, reflection=REFLECTION)
 
 
 def test_what_a_prior_says_and_refuses() -> None:

@@ -24,6 +24,7 @@ THETA = np.concatenate([BODIES.ravel(), np.random.default_rng(4).uniform(0.5, 2.
 CUBE = np.stack(np.meshgrid(*[[-0.02, 0.01]] * 3), axis=-1).reshape(-1, 3)
 TURNED = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
 REFLECTION = np.diag([1.0, -1.0, 1.0, 1.0])
+PAIR = constraints.MirrorPair(FIRST, LAST, reflection=REFLECTION)
 
 # Without it, mass that nobody sees would make room for most conditions.
 LIGHT = constraints.TotalMass(MASS, tolerance=0.1)
@@ -46,7 +47,7 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "fixed link": (constraints.FixedLink(LAST, body=BODIES[0]),),
     "equal": (LIGHT, constraints.EqualLinks(FIRST, LAST)),
     "symmetric": (LIGHT, constraints.MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
-    "pair": (LIGHT, constraints.MirrorPair(FIRST, LAST, reflection=REFLECTION)),
+    "pair": (LIGHT, PAIR),
     "friction": (LIGHT, constraints.EqualFriction(*ARM.joint_names, within=0.2)),
 }
 
