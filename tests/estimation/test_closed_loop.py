@@ -109,13 +109,6 @@ def test_instruments_take_the_bias_of_a_noisy_loop_away(felt: sdpid.Recording) -
         assert "sdpid.solve_instrumental, or a lower cut-off" in test.verdict
 
 
-def test_several_recordings_have_one_estimate(felt: sdpid.Recording) -> None:
-    logs = [felt, recorded(NOISE, 1, 15.0)]
-    problem = problem_of(logs)
-    second = sdpid.solve_instrumental(problem, logs, processing=OPEN, controller=STIFF)
-    assert off(second.base, problem) < 0.3 * off(sdpid.solve_sdp(problem).base, problem)
-
-
 def test_a_log_without_noise_shows_no_bias() -> None:
     log, options = recorded(0.0), {"processing": OPEN, "instruments": "reference"}
     test = sdpid.check_bias(problem_of(log), log, level=1e-3, **options)

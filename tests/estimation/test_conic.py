@@ -267,12 +267,6 @@ def test_without_a_usable_solution_the_last_status_says_why() -> None:
     assert solve_with_retries(solutions.__getitem__, (), by_error).status == "not attempted"
 
 
-def test_all_attempts_are_made_where_none_is_ever_enough() -> None:
-    solutions = scripted([0.5, 0.0, 0.25])
-    found = solve_with_retries(solutions.__getitem__, range(3), by_error, enough=-np.inf)
-    assert (found.value, found.accepted, found.solves) == (1, False, 3)
-
-
 def test_what_a_solver_calls_solved() -> None:
     solved = ("Solved", "AlmostSolved", "solved")
     for status in (*solved, "Unsolved", "MaxIterations", "PrimalInfeasible", "unfinished"):

@@ -17,7 +17,7 @@ from sdpid.assurance.diagnostics.bands import Folds, _left_open, parameter_root,
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
-from sdpid.estimation.compression.whitening import compress, weights_and_shares, weights_of
+from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import without_efforts
 from sdpid.experiment.processing.contact_samples import ContactSamples
@@ -87,19 +87,6 @@ def test_samples_without_a_row_in_use_have_no_basis() -> None:
     touching = ContactRows.of(quadruped(), gait(4).samples, slice(None))
     mask = np.repeat([[True], [False], [True], [False]], 18, axis=1)
     assert sorted(np.concatenate([some for some, _ in touching.unforced(mask)])) == [0, 2]
-
-
-def test_independent_rows_have_the_products_of_all() -> None:
-    samples = replace(gait(60).samples, covariance=SIGMA)
-    rows = problem(samples).rows
-    T, index = weights_of(rows, slice(None), SIGMA)
-    X = (T[index] @ rows.rows(slice(None))).reshape(-1, rows.base.count + 1)
-    triangle, count = compress(rows, SIGMA)
-    size = np.linalg.norm(X, axis=0)
-    np.testing.assert_allclose(
-        triangle.R.T @ triangle.R, X.T @ X, atol=1e-12 * np.outer(size, size).max()
-    )
-    assert count == np.linalg.matrix_rank(T).sum()
 
 
 def test_rounding_decides_no_correlation_time() -> None:

@@ -10,23 +10,19 @@ import pytest
 from scipy.optimize import nnls
 
 import sdpid
-import sdpid.estimation.effects.choose as profile_module
 from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.factor import Factor
+from sdpid.estimation.effects import choose as effects_module
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.effects.choose import VariableProjection, close_terms, closed, opened
 from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, describe
-from sdpid.estimation.selection.choose import (
-    with_chosen_effects,
-    with_effects,
-    with_every_term,
-    without_terms,
-)
+from sdpid.estimation.selection import choose as selection
+from sdpid.estimation.selection.choose import with_effects, with_every_term
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
 from sdpid.robot.friction.terms import (
@@ -38,7 +34,6 @@ from sdpid.robot.friction.terms import (
     Stribeck,
     Viscous,
 )
-from sdpid.robot.model.base_parameters import generic_states
 from tests.helpers import world
 from tests.helpers.arm import ARM
 from tests.helpers.data import (
@@ -204,24 +199,12 @@ def test_only_rows_in_use_count() -> None:
     assert (unseen.flat_from, unseen.flat_to) == (unseen.lower, unseen.upper)
 
 
-def test_a_floating_base() -> None:
-    robot = load_robot(TREE, root="free_flyer")
-    rng = np.random.default_rng(4)
-    terms = (Coulomb(width=2.0), "viscous")
-    theta, mask = random_theta(robot, rng, terms), np.tile(np.arange(robot.n) >= 6, (300, 1))
-    moved: dict[str, Any] = {"states": generic_states(robot, 300, 9), "friction": terms}
-    samples = make_samples(robot, theta, rng, mask=mask, **moved)
-    model = friction_model(robot, (Coulomb(width=None), "viscous"))
-    _, chosen = close_terms(model, robot, samples, lambda _: np.eye(robot.n))
-    np.testing.assert_allclose([p.value for p in chosen], 2.0, rtol=FOUND)
-
-
 def test_long_records_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     sigma = random_covariance(np.random.default_rng(2), 3, 400)
     samples = made(Coulomb(width=0.5), "viscous", covariance=sigma)
     asked = (Coulomb(width=None), "viscous")
     whole = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
-    monkeypatch.setattr(profile_module, "_MOST_SAMPLES", 130)
+    monkeypatch.setattr(effects_module, "_MOST_SAMPLES", 130)
     thinned = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
     for a, b in zip(whole.origin.profiled, thinned.origin.profiled, strict=True):
         assert a.value == pytest.approx(b.value, rel=FOUND)
@@ -250,6 +233,7 @@ def test_the_choice_is_shown() -> None:
 
 def test_derivatives_are_those_of_the_shape() -> None:
     problem, values = saturating(np.random.default_rng(1)), SATURATED[20:]
+    assert Bending.of(problem.friction, (), values).deviations.size == 0
     found = Bending.of(problem.friction, problem.origin.profiled, values)
     v = np.linspace(-2.0, 2.0, 30)[:, None] * np.ones(2)
     motion = SampledMotion(position=v, velocity=v, acceleration=v, robot=ARM)
@@ -263,13 +247,6 @@ def test_derivatives_are_those_of_the_shape() -> None:
     assert not columns[:, [0, 1], [1, 0]].any()
     limits = [np.log(each.upper / each.lower) / np.sqrt(12.0) for each in problem.origin.profiled]
     np.testing.assert_allclose(found.deviations, limits)
-
-
-def test_without_chosen_speeds_there_are_none() -> None:
-    problem = saturating(np.random.default_rng(1))
-    found = Bending.of(problem.friction, (), SATURATED[20:])
-    assert found.deviations.size == 0
-    assert NoiseSpectrum.of(problem).covariance.shape == (problem.base.count,) * 2
 
 
 def test_errors_count_the_speeds_that_the_data_chose() -> None:
@@ -362,7 +339,7 @@ def builder(samples: Samples, robot: RobotModel = ARM4, **options: Any) -> Any:
 def chosen(samples: Samples, robot: RobotModel = ARM4) -> Problem:
     prior = Prior(bodies=1.1 * LINKS)
     build = builder(samples, robot, weighting="residual", prior=prior)
-    return with_chosen_effects(build(TERMS), TERMS, prior, build)
+    return selection.with_chosen_effects(build(TERMS), TERMS, prior, build)
 
 
 def names(problem: Problem) -> set[str]:
@@ -401,9 +378,7 @@ def test_what_is_absent_is_not_chosen(count: int, color: float) -> None:
         assert names(problem) == set()
         assert {each.name for each in problem.origin.effects} == {*TRUTHS}
         assert all("would lower" in each.words for each in problem.origin.effects)
-
-
-def test_records_too_short_to_tell_choose_nothing() -> None:
+    # Nor is what is there, in a record too short to tell.
     assert names(chosen(logged("tilt", count=12))) == set()
 
 
@@ -452,14 +427,14 @@ def test_effects_by_name() -> None:
     assert with_effects(problem, TERMS, ("tilt",), build) is problem
 
 
-def test_an_effect_without_a_place_is_refused_by_name() -> None:
+def test_effects_without_a_place_or_rows_are_refused() -> None:
     robot = small_arm(1)
     build = builder(world.samples(robot)[0], robot)
     words = r"coupling has no place on 'arm1'.*two joints"
     refuses(DataError, words, with_effects, build(TERMS), TERMS, ("coupling",), build)
-
-
-def test_an_effect_has_no_place_twice_or_on_a_floating_base() -> None:
+    problem = build_problem(ARM4, logged(), friction=TERMS, weighting="residual")
+    refuses(DataError, "rows", with_every_term, problem.without_rows(), (), None)
+    # Nor have they one twice or, some of them, on a floating base.
     floating = load_robot(TREE, root="free_flyer")
     for effect in EFFECTS:
         if effect.name in ("tilt", "load"):
@@ -478,7 +453,7 @@ def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
     sigma = Factor.of(largest.rows, "residual").sigma
     known, rng = replace(samples, covariance=sigma), np.random.default_rng(0)
     for absent in ((), every[-2:-1], every[-1:], every[-2:]):
-        trial = without_terms(largest, absent)
+        trial = selection.without_terms(largest, absent)
         present = tuple(term for term in every if term not in absent)
         whole = build_problem(ARM4, known, friction=present, weighting="gls", prior=prior)
         theta = dict(zip(whole.base.theta_names, rng.uniform(0.0, 1.0, whole.n_theta), strict=True))
@@ -487,11 +462,6 @@ def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:
         assert trial.cost_of(all_of_it) == pytest.approx(expected, rel=COST)
         assert len(trial.feasible.rows) == trial.n_theta - whole.n_theta
     assert independent < samples.effort.size
-
-
-def test_rows_elsewhere_are_refused() -> None:
-    problem = build_problem(ARM4, logged(), friction=TERMS, weighting="residual")
-    refuses(DataError, "rows", with_every_term, problem.without_rows(), (), None)
 
 
 @pytest.mark.parametrize("found", [False, True])

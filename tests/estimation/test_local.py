@@ -15,7 +15,7 @@ from sdpid import constraints as of
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.duality.bound import cost_scale
-from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.local import log_cholesky, slsqp
 from sdpid.estimation.local.log_cholesky import LogCholesky, solve_log_cholesky
 from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariables
@@ -30,11 +30,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, planar_arm, small_arm
 from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS
-from tests.helpers.tolerances import LOCAL_COST, SAME_OPTIMUM
-
-# The boundary is reached from inside only: the cost that a result called optimal may be above
-# the optimum, relative: what its own test lets pass, which is an upper bound of the excess.
-ABOVE = 1.001 * STATIONARY
+from tests.helpers.tolerances import SAME_OPTIMUM
 
 
 def noisy(
@@ -122,13 +118,6 @@ def test_jacobian_of_the_residual(consistency: Consistency) -> None:
         np.testing.assert_allclose(J[:rows, k], slope[:rows], rtol=1e-5, atol=1e-8)
         # The rows that only add curvature have a residual that never changes.
         np.testing.assert_array_equal(slope[rows:], 0.0)
-
-
-def test_the_optimum_promises_nothing_and_a_start_does(narrow_planar: Problem) -> None:
-    best = solve_sdp(narrow_planar)
-    assert stationarity_gap(narrow_planar, np.asarray(best.theta)) <= 0.01 * STATIONARY
-    start = random_start(narrow_planar, np.random.default_rng(0))
-    assert stationarity_gap(narrow_planar, start) > STATIONARY
 
 
 def test_a_start_on_the_boundary(narrow_planar: Problem) -> None:
@@ -335,29 +324,6 @@ def test_eigenvalues_that_meet_do_not_stall() -> None:
     assert np.any(np.sum(np.linalg.eigvalsh(inertia) < 0.002 + 1e-6, axis=1) >= 2)
 
 
-@pytest.mark.parametrize("consistency", BOTH)
-@pytest.mark.parametrize(
-    ("solve", "margin", "starts", "least"),
-    [(solve_slsqp, 0.01, 8, 6), (solve_log_cholesky, 0.002, 6, 3)],
-)
-def test_hidden_convexity_from_many_starts(
-    solve: Any, margin: float, starts: int, least: int, consistency: Consistency
-) -> None:
-    """Starts that converge all reach the one optimum; none finds anything below it."""
-    problem = noisy(planar_arm(), 0, consistency, margin=margin)
-    best, own = solve_sdp(problem), solve is solve_log_cholesky
-    found = [solve(problem, seed=seed, max_iterations=ENOUGH) for seed in range(starts)]
-    for local in found:
-        # The coordinates have none but feasible points, to rounding.
-        assert local.violation <= (FEASIBLE if own else np.inf)
-        assert (local.violation <= FEASIBLE_LOCAL) == (local.status != "infeasible")
-        if local.status != "infeasible":
-            assert best.cost <= local.cost * (1.0 + (SAME_OPTIMUM if own else LOCAL_COST))
-        if local.status == "optimal":
-            assert local.cost <= best.cost * (1.0 + (ABOVE if own else LOCAL_COST))
-    assert sum(local.status == "optimal" for local in found) >= least
-
-
 @given(SEEDS, st.sampled_from(BOTH), st.sampled_from([0.0, 0.05]), st.floats(0.001, 5.0))
 @settings(max_examples=20)
 def test_random_starts_are_feasible(
@@ -483,7 +449,7 @@ def test_nothing_ends_above_the_optimum_unexplained(
 
 @pytest.mark.parametrize("consistency", BOTH)
 @pytest.mark.parametrize("kind", ["none", "equation", "rows", "cone"])
-def test_the_optimum_is_stationary(consistency: Consistency, kind: str) -> None:
+def test_the_optimum_is_stationary_and_a_start_is_not(consistency: Consistency, kind: str) -> None:
     """The inequality is no idle one: at the optimum it promises nothing.
 
     What is promised is an upper bound: where active constraints all but agree, the rounding of a
@@ -491,3 +457,6 @@ def test_the_optimum_is_stationary(consistency: Consistency, kind: str) -> None:
     """
     best = solved("arm2", consistency, 0.01, kind)
     assert stationarity_gap(best.problem, np.asarray(best.theta)) <= 1e-3
+    if kind == "none":
+        start = random_start(best.problem, np.random.default_rng(0))
+        assert stationarity_gap(best.problem, start) > STATIONARY

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid import Constraints, Recording, RobotModel, Samples, load_robot, solve_sdp, solve_wls
+from sdpid import Constraints, Recording, RobotModel, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
@@ -21,7 +21,6 @@ from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model.base_parameters import generic_states
 from tests.helpers import world
 from tests.helpers.arm import BOTH
 from tests.helpers.data import (
@@ -82,27 +81,6 @@ def test_cost_is_that_of_the_raw_rows(
     if weighting in ("eq9", "eq18"):
         assert problem.floor == 0.0
         assert problem.cost(solve_wls(problem).base) < 1e-15 * float(problem.rhs @ problem.rhs)
-
-
-def test_a_floating_base() -> None:
-    """Six unactuated coordinates whose efforts are not measured are masked."""
-    robot = load_robot(TREE, root="free_flyer")
-    rng = np.random.default_rng(12)
-    q, v, a = generic_states(robot, 150, 12)
-    theta = random_theta(robot, rng, ("viscous",))
-    effort = robot.inverse_dynamics(theta, q, v, a)
-    effort[:, 6:] += v[:, 6:] * theta[10 * robot.n_links :]
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
-    problem = build_problem(robot, samples, friction=("viscous",))
-    base = solve_wls(problem).base
-    np.testing.assert_allclose(base, problem.base_of(theta), rtol=0, atol=1e-8)
-
-
-def test_prediction_is_the_effort_on_exact_data() -> None:
-    problem, theta, _ = exact(ARM, 13)
-    fresh = make_samples(ARM, theta, np.random.default_rng(13))
-    predicted = problem.predict(problem.base_of(theta), fresh)
-    np.testing.assert_allclose(predicted, fresh.effort, rtol=0, atol=1e-10)
 
 
 def test_other_constraints_keep_the_cost() -> None:
@@ -252,10 +230,3 @@ def test_local_solvers_from_some_start(solve: Any, near: bool, consistency: Cons
     assert estimate.status == "optimal"
     assert error_of(problem, estimate.base, truth) <= LOCAL_PARAMETERS
     np.testing.assert_array_equal(np.asarray(estimate.start), start)
-
-
-def test_slsqp_at_the_truth_stays_there(denso: RobotModel) -> None:
-    problem, theta, truth = exact(denso, 6)
-    estimate = solve_slsqp(problem, start=theta)
-    assert estimate.iterations <= 5
-    assert error_of(problem, estimate.base, truth) <= EXACT

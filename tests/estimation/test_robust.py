@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import null_space
 
 import sdpid
-from sdpid import Constraints, Prior, RobotModel, Samples, certify, solve_sdp, solve_wls
+from sdpid import Constraints, RobotModel, Samples, certify, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.errors import DataError, SolverError
@@ -142,20 +142,6 @@ def test_with_a_huge_threshold_it_is_the_quadratic_cost() -> None:
     assert robust.robust_gap <= GAP
 
 
-def test_the_message_and_the_numbers() -> None:
-    problem, _ = spoiled(ARM3, 1)
-    found = solve_robust(problem)
-    assert "Huber" in found.message
-    assert f"{found.rounds} rounds" in found.message
-    loss = HuberLoss.of(problem, threshold=1.345)
-    assert loss.cost(found.base) == pytest.approx(found.robust_cost, rel=1e-9)
-    # The weighted problem's cost is above, and equal to within what counts as settled.
-    assert found.robust_cost <= found.cost * (1.0 + 1e-12)
-    assert found.cost == pytest.approx(found.robust_cost, rel=1e-6)
-    assert found.method == "sdp"
-    assert found.status == "optimal"
-
-
 def test_rows_too_large_to_keep_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, theta = spoiled(ROBOTS["planar"], 6, masked=True)
     kept = HuberLoss.of(problem, threshold=1.0)
@@ -225,27 +211,6 @@ def test_exact_data_need_no_deviation() -> None:
     np.testing.assert_allclose(found.base, problem.base_of(theta), atol=1e-6)
 
 
-def test_masked_rows_do_not_count() -> None:
-    problem, _ = spoiled(ARM3, 12, masked=True, weighting="residual")
-    samples = problem.samples
-    effort = np.where(samples.mask, samples.effort, 1e5)
-    other = build_problem(ARM3, replace(samples, effort=effort), weighting="residual")
-    first, second = (solve_robust(p) for p in (problem, other))
-    assert first.robust_cost == pytest.approx(second.robust_cost, rel=1e-9)
-
-
-def test_with_a_prior() -> None:
-    rng = np.random.default_rng(13)
-    prior = Prior(bodies=random_theta(ARM3, rng)[:30].reshape(3, 10), strength=1.0)
-    problem, _ = spoiled(ARM3, 13, weighting="residual", prior=prior)
-    found = solve_robust(problem)
-    assert found.robust_gap <= GAP
-    assert certify(found).passed
-    loss = HuberLoss.of(problem, threshold=1.345)
-    believed = problem.cost_of(np.asarray(found.theta)) - problem.cost(found.base)
-    assert loss.cost(found.base) + believed == pytest.approx(found.robust_cost, rel=1e-9)
-
-
 def test_standard_errors_are_those_of_repeated_estimates() -> None:
     robot = ROBOTS["planar"]
     rng = np.random.default_rng(14)
@@ -264,7 +229,12 @@ def test_standard_errors_are_those_of_repeated_estimates() -> None:
 
 def test_what_has_not_settled_is_no_result() -> None:
     problem, _ = spoiled(ARM3, 1)
-    assert solve_robust(problem).rounds > 1
+    found = solve_robust(problem)
+    assert found.rounds > 1
+    assert "Huber" in found.message
+    assert f"{found.rounds} rounds" in found.message
+    # The weighted problem's cost is above, and equal to within what counts as settled.
+    assert 0.0 <= found.cost * (1.0 + 1e-12) - found.robust_cost <= 1e-6 * found.cost
     error = refuses(SolverError, "not settled after 1 rounds", solve_robust, problem, max_rounds=1)
     assert error.problem is problem
     assert isinstance(error.found, RobustEstimate)

@@ -34,10 +34,6 @@ SAME_OPTIMUM = 1e-6
 # conditioning of the problem; a thousandfold allowance covers the small arms of the tests.
 LOCAL_PARAMETERS = 1e-3
 
-# A local solver may come out below the global optimum by what its constraints were violated
-# by (1e-7 scaled), relative to the cost.
-LOCAL_COST = 1e-5
-
 
 def assert_same(actual: Array, expected: Array, tolerance: float = DYNAMICS) -> None:
     """Assert that arrays differ by no more than a share of the largest entry, or of one."""
