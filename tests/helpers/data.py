@@ -12,7 +12,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import point_masses
-from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from tests.helpers.strategies import random_states
 
 FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")
@@ -31,6 +31,17 @@ def friction_model(
 ) -> FrictionModel:
     """Return the friction model of a robot."""
     return FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+
+
+def random_bodies(robot: sdpid.RobotModel, seed: int) -> tuple[tuple[float, ...], ...]:
+    """Return bodies of a robot as terms of friction take them."""
+    links = random_links(np.random.default_rng(seed), robot.n_links)
+    return tuple(map(tuple, links.tolist()))
+
+
+def base_of(robot: sdpid.RobotModel, *friction: str | FrictionTerm) -> BaseParameters:
+    """Return the base parameters of a robot with these terms of friction."""
+    return structural_base(robot, friction_model(robot, friction))
 
 
 def random_theta(

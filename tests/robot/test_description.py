@@ -24,7 +24,7 @@ from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.linkages import mjcf, urdf
 from tests.helpers.refusals import refuses
-from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
+from tests.helpers.strategies import ANGLES, SEEDS, bodies, dh_tables, rotations
 from tests.helpers.tolerances import KINEMATICS
 
 DENSO = bundled_folder("denso_vp6242")
@@ -119,26 +119,19 @@ def test_denso_limits_are_those_of_the_table(denso: sdpid.RobotModel) -> None:
     np.testing.assert_array_equal(denso.position_limits, [(j.lower, j.upper) for j in table.joints])
     np.testing.assert_array_equal(denso.velocity_limits, [j.velocity for j in table.joints])
     assert np.all(np.isinf(denso.effort_limits))
-
-
-def test_unlimited_joints_have_infinite_limits() -> None:
+    # Joints of which none are told have none.
     robot = sdpid.RobotModel.from_mdh([DhJoint(), DhJoint(kind="prismatic")])
     np.testing.assert_array_equal(robot.position_limits, [[-np.inf, np.inf]] * 2)
     assert np.all(np.isinf(robot.velocity_limits))
 
 
-@given(rotations())
-def test_rpy_round_trip(R: Array) -> None:
-    rpy = matrix_rpy(R)
-    np.testing.assert_allclose(rpy_matrix(rpy), R, rtol=0, atol=KINEMATICS)
-    np.testing.assert_allclose(rpy_matrix(rpy), pin.rpy.rpyToMatrix(*rpy), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
-@pytest.mark.parametrize(("roll", "yaw"), [(0.3, 0.0), (0.0, -2.0), (1.0, 2.5)])
-def test_rpy_at_gimbal_lock(roll: float, pitch: float, yaw: float) -> None:
-    R = rpy_matrix((roll, pitch, yaw))
-    np.testing.assert_allclose(rpy_matrix(matrix_rpy(R)), R, rtol=0, atol=KINEMATICS)
+@given(rotations(), ANGLES, st.sampled_from([math.pi / 2, -math.pi / 2]), ANGLES)
+def test_rpy_round_trip(R: Array, roll: float, pitch: float, yaw: float) -> None:
+    # Also where roll and yaw turn about the same axis.
+    for turned in (R, rpy_matrix((roll, pitch, yaw))):
+        rpy = matrix_rpy(turned)
+        np.testing.assert_allclose(rpy_matrix(rpy), turned, rtol=0, atol=KINEMATICS)
+        np.testing.assert_allclose(rpy_matrix(rpy), pin.rpy.rpyToMatrix(*rpy), rtol=0, atol=1e-14)
 
 
 ROW = {"alpha": 0.0, "d": 0.1, "theta": 0.0, "r": 0.2}
@@ -161,42 +154,56 @@ def test_sources_of_a_table_agree() -> None:
         np.testing.assert_allclose(robot.regressor(q, v, a), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("table", "says"),
-    [
-        ([], "no joints"),
-        ({}, "no \\[\\[joint\\]\\]"),
-        ({"joint": "revolute"}, "no \\[\\[joint\\]\\]"),
-        ([{**ROW, "kind": "helical"}], "helical"),
-        ([{**ROW, "beta": 1.0}], "beta"),
-        ([{**ROW, "d": math.nan}], "row 1: d is nan"),
-        ([ROW, {**ROW, "alpha": math.inf}], "row 2: alpha"),
-        ([{**ROW, "r": "0.2"}], "r is '0.2'"),
-        ([{**ROW, "lower": -1.0}], "both limits"),
-        ([{**ROW, "lower": 1.0, "upper": -1.0}], "above the upper"),
-        ([{**ROW, "lower": math.nan, "upper": 1.0}], "lower"),
-        ([{**ROW, "lower": "-1", "upper": 1.0}], "lower"),
-        ([{**ROW, "velocity": math.nan}], "velocity"),
-        ([{**ROW, "name": "a"}, {**ROW, "name": "a"}], "repeat"),
-        ([3.0], "a row is 3.0"),
-        ({"joint": [ROW], "convention": "denavit"}, "denavit"),
-        ({"joint": [3.0]}, "not understood|a row is"),
-        ({"joint": [{"a": 0.1}, {"r": 0.1}]}, "row 2: r is 0.1 in a table with lengths a"),
-        ({"joint": [{}, {"d": 0.1}], "convention": "standard"}, "row 2: d is 0.1.*along z or x"),
-        ({"joint": [ROW], "gravity": [0.0, -9.81]}, "gravity"),
-        ({"joint": [ROW], "gravity": [0.0, 0.0, math.nan]}, "gravity"),
-        ({"joint": [ROW], "base": {"translation": [0.0, 1.0]}}, "base_translation"),
-        ({"joint": [ROW], "base": {"rpy": [0.0, 1.0, math.inf]}}, "base_rpy"),
-        ({"joint": [ROW], "base": {"rpy": "none"}}, "base_rpy"),
-        ({"joint": [ROW], "base": 3.0}, "base is 3.0"),
-        ({"joint": [ROW], "gravity": 9.81}, "gravity"),
-        ({"joint": [ROW], "name": 3}, "name 3"),
-        ([{**ROW, "name": 3}], "name 3"),
-        (5, "got int"),
-    ],
-)
-def test_bad_tables_are_model_errors(table: Any, says: str) -> None:
-    refuses(ModelError, says, sdpid.RobotModel.from_mdh, table)
+def one(**changes: Any) -> list[dict[str, Any]]:
+    return [ROW | changes]
+
+
+# What is no table, or goes with none, by what is said of it.
+NO_TABLES: dict[str, tuple[Any, dict[str, Any]]] = {
+    "no joints": ([], {}),
+    r"no \[\[joint\]\]": ({}, {}),
+    r"no \[\[joint\]\].*": ({"joint": "revolute"}, {}),
+    "helical": (one(kind="helical"), {}),
+    "beta": (one(beta=1.0), {}),
+    "row 1: d is nan": (one(d=math.nan), {}),
+    "row 2: alpha": ([ROW, *one(alpha=math.inf)], {}),
+    "r is '0.2'": (one(r="0.2"), {}),
+    "both limits": (one(lower=-1.0), {}),
+    "above the upper": (one(lower=1.0, upper=-1.0), {}),
+    "lower is nan": (one(lower=math.nan, upper=1.0), {}),
+    "lower is '-1'": (one(lower="-1", upper=1.0), {}),
+    "velocity": (one(velocity=math.nan), {}),
+    "repeat": (one(name="a") * 2, {}),
+    "a row is 3.0": ([3.0], {}),
+    "denavit": ({"joint": [ROW], "convention": "denavit"}, {}),
+    "row 2: r is 0.1 in a table with lengths a": ({"joint": [{"a": 0.1}, {"r": 0.1}]}, {}),
+    "row 2: d is 0.1.*along z or x": ({"joint": [{}, {"d": 0.1}], "convention": "standard"}, {}),
+    "gravity": ({"joint": [ROW], "gravity": [0.0, 0.0, math.nan]}, {}),
+    "gravity: has 0 axes": ({"joint": [ROW], "gravity": 9.81}, {}),
+    "base_translation": ({"joint": [ROW], "base": {"translation": [0.0, 1.0]}}, {}),
+    "base_rpy": ({"joint": [ROW], "base": {"rpy": [0.0, 1.0, math.inf]}}, {}),
+    "base_rpy: not a rectangular array": ({"joint": [ROW], "base": {"rpy": "none"}}, {}),
+    "base is 3.0": ({"joint": [ROW], "base": 3.0}, {}),
+    "name 3": ({"joint": [ROW], "name": 3}, {}),
+    "name 3 ": (one(name=3), {}),
+    "got int": (5, {}),
+    "gravity has 2 numbers": ([ROW], {"gravity": (0.0, -9.81)}),
+    "inertias": ([ROW], {"inertias": np.ones((2, 10))}),
+    "mass": ([ROW], {"inertias": np.zeros((1, 10))}),
+    r"nothing\.toml": (Path("nothing.toml"), {}),
+}
+
+
+@pytest.mark.parametrize("words", NO_TABLES)
+def test_bad_tables_are_model_errors(words: str) -> None:
+    table, options = NO_TABLES[words]
+    refuses((ModelError, DataError), words, sdpid.RobotModel.from_mdh, table, **options)
+
+
+def test_a_broken_file(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.toml"
+    broken.write_text("joint = [[")
+    refuses((ModelError, DataError), "not a TOML file", sdpid.RobotModel.from_mdh, broken)
 
 
 @pytest.mark.parametrize("convention", ["modified", "standard"])
@@ -206,22 +213,6 @@ def test_lengths_a_and_d_are_khalils_d_and_r(convention: Any) -> None:
     one, other = (DhTable.of(rows, convention=convention) for rows in (khalil, others))
     assert other.to_urdf() == one.to_urdf()
     np.testing.assert_array_equal(*(t.forward_kinematics([0.1, 0.2, 0.3]) for t in (one, other)))
-
-
-def test_bad_options_are_model_errors() -> None:
-    rows = [DhJoint(r=0.2)]
-    refuses(ModelError, "gravity", sdpid.RobotModel.from_mdh, rows, gravity=(0.0, -9.81))
-    refuses(ModelError, "gravity", sdpid.RobotModel.from_mdh, rows, gravity=(0.0, math.nan, 0.0))
-    refuses(ModelError, "inertias", sdpid.RobotModel.from_mdh, rows, inertias=np.ones((2, 10)))
-    refuses(ModelError, "mass", sdpid.RobotModel.from_mdh, rows, inertias=np.zeros((1, 10)))
-
-
-def test_a_missing_or_broken_file(tmp_path: Path) -> None:
-    path = tmp_path / "nothing.toml"
-    refuses((ModelError, DataError), r"nothing\.toml", sdpid.RobotModel.from_mdh, path)
-    broken = tmp_path / "broken.toml"
-    broken.write_text("joint = [[")
-    refuses((ModelError, DataError), "not a TOML file", sdpid.RobotModel.from_mdh, broken)
 
 
 # Loops as descriptions tell them.
@@ -257,24 +248,6 @@ def test_equalities_of_an_mjcf_close_loops(kind: str) -> None:
     # MuJoCo joins what is at one place when joints are at zero.
     assert frame_gaps(robot, np.zeros((1, 3)), [loop.frame], [loop.against]) < 1e-15
     assert loop.kind == ("point" if kind == "connect" else "plane")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('type="continuous"><link1', 'type="planar"><link1', "of kind 'planar'; supported are"),
-        ('link="coupler" xyz', 'link="nobody" xyz', "there is no link 'nobody'"),
-        ('<link2 link="rocker"', '<link2 link="coupler"', "do not move against each other"),
-        ("<link2 ", "<link_2 ", "has no <link2 link=...>"),
-        ('xyz="0.3 0 0"/><link2', 'xyz="0.3 0"/><link2', "expected 3 finite numbers"),
-        ('"0 -1 0"/></loop', '"0 0 0"/></loop', "the axis is zero"),
-        ('position="1.9"', 'position="left"', "position='left'>: expected the name"),
-        ('passive_joint name="coupler_joint"', 'passive_joint name="x"', "x is said to have no"),
-        ("<passive", '<passive_joint name="crank_joint"/><passive', "no joint has a motor"),
-    ],
-)
-def test_refuses_what_is_no_loop(old: str, new: str, says: str) -> None:
-    refuses(ModelError, says, load_robot, URDF.replace(old, new, 1))
 
 
 def test_what_only_the_parser_refuses(capfd: pytest.CaptureFixture[str]) -> None:
@@ -369,24 +342,48 @@ def test_names_limits_and_bodies() -> None:
 
 def test_a_free_joint_floats_the_base() -> None:
     robot = sdpid.load_robot(FLOATING)
-    assert robot.free_flyer
-    assert (robot.n, robot.n_links) == (10, 5)
+    assert (robot.free_flyer, robot.n, robot.n_links) == (True, 10, 5)
     assert robot.link_names[0] == "base"
+    assert sdpid.load_robot(FLOATING, root="free_flyer").free_flyer
+    words = "an MJCF says itself whether its base floats"
+    refuses(ModelError, words, sdpid.load_robot, ARM, root="free_flyer")
 
 
-REFUSED = [
-    (ARM.replace('name="j4" axis="0 0 -1" ref="0.1"', 'name="j4" type="ball"'), "'j4' is a ball"),
-    (FOLLOWER.replace("-2 0 0 0", "-2 1 0 0"), "joint equality, which is not supported"),
-    ("<mujoco><worldbody><nonsense/></worldbody></mujoco>", "MuJoCo cannot parse it"),
-    ("<mujoco><worldbody><body/></worldbody></mujoco>", "no moving joint"),
-    ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "MuJoCo cannot compile it"),
-    (FLOATING.replace("<worldbody>", "<worldbody><body><freejoint/><geom size='1'/></body>"), "Fr"),
-]
+def spoilt(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
 
 
-@pytest.mark.parametrize(("text", "says"), REFUSED)
-def test_refusals(text: str, says: str) -> None:
-    refuses(ModelError, says, sdpid.load_robot, text)
+# Descriptions of loops and of MuJoCo that cannot be read, by what is said of them.
+REFUSED = {
+    "of kind 'planar'; supported are": spoilt(
+        URDF, 'type="continuous"><link1', 'type="planar"><link1'
+    ),
+    "there is no link 'nobody'": spoilt(URDF, 'link="coupler" xyz', 'link="nobody" xyz'),
+    "do not move against each other": spoilt(URDF, '<link2 link="rocker"', '<link2 link="coupler"'),
+    "has no <link2 link=...>": spoilt(URDF, "<link2 ", "<link_2 "),
+    "expected 3 finite numbers": spoilt(URDF, 'xyz="0.3 0 0"/><link2', 'xyz="0.3 0"/><link2'),
+    "the axis is zero": spoilt(URDF, '"0 -1 0"/></loop', '"0 0 0"/></loop'),
+    "position='left'>: expected the name": spoilt(URDF, 'position="1.9"', 'position="left"'),
+    "x is said to have no": spoilt(
+        URDF, 'passive_joint name="coupler_joint"', 'passive_joint name="x"'
+    ),
+    "no joint has a motor": spoilt(URDF, "<passive", '<passive_joint name="crank_joint"/><passive'),
+    "'j4' is a ball": spoilt(ARM, 'name="j4" axis="0 0 -1" ref="0.1"', 'name="j4" type="ball"'),
+    "joint equality, which is not supported": spoilt(FOLLOWER, "-2 0 0 0", "-2 1 0 0"),
+    "MuJoCo cannot parse it": "<mujoco><worldbody><nonsense/></worldbody></mujoco>",
+    "no moving joint": "<mujoco><worldbody><body/></worldbody></mujoco>",
+    "MuJoCo cannot compile it": "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
+    "Fr": spoilt(FLOATING, "<worldbody>", "<worldbody><body><freejoint/><geom size='1'/></body>"),
+    "gravity is": spoilt(ARM, 'gravity="1 -2 -9"', 'gravity="1 -2 inf"'),
+    "body_quat is not finite": spoilt(ARM, 'quat="0.9 ', 'quat="inf '),
+    "qpos0 is not finite": spoilt(ARM, 'ref="0.4"', 'ref="nan"'),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_no_robot_is_refused(words: str) -> None:
+    refuses(ModelError, words, load_robot, REFUSED[words])
 
 
 SPRING = """<mujoco><worldbody><body name="a" gravcomp="1"><joint name="j" stiffness="3"
@@ -404,24 +401,6 @@ def test_what_the_model_lacks_is_told() -> None:
     assert told["forces_ignored"].severity == "warning"
     assert "p (gain 5, gear 1), 3 (gain 1, gear 9); efforts" in told["actuators_ignored"].message
     assert not sdpid.load_robot(ARM).forces + sdpid.load_robot(ARM).actuators
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (('gravity="1 -2 -9"', 'gravity="1 -2 inf"'), "gravity is"),
-        (('quat="0.9 ', 'quat="inf '), "body_quat is not finite"),
-        (('ref="0.4"', 'ref="nan"'), "qpos0 is not finite"),
-    ],
-)
-def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
-    refuses(ModelError, words, sdpid.load_robot, ARM.replace(*change))
-
-
-def test_a_root_is_that_of_the_file() -> None:
-    words = "an MJCF says itself whether its base floats"
-    refuses(ModelError, words, sdpid.load_robot, ARM, root="free_flyer")
-    assert sdpid.load_robot(FLOATING, root="free_flyer").free_flyer
 
 
 def test_a_file_that_includes_itself_is_refused(tmp_path: Path) -> None:

@@ -38,13 +38,9 @@ any_vector = hnp.arrays(float, 10, elements=reals(-5.0, 5.0))
 assert_close = partial(assert_same, tolerance=ALGEBRA)
 
 
-@given(any_vector)
-def test_pseudo_inertia_round_trip(theta: Array) -> None:
+@given(any_vector, bodies())
+def test_parameters_are_found_again(theta: Array, body: Array) -> None:
     assert_close(from_pseudo_inertia(pseudo_inertia(theta)), theta)
-
-
-@given(bodies())
-def test_physical_round_trip(body: Array) -> None:
     assert_close(theta_from_physical(*physical_parameters(body)), body)
 
 
@@ -62,13 +58,16 @@ def test_point_masses_give_positive_definite_matrices(body: Array) -> None:
     for consistency in BOTH:
         assert np.linalg.eigvalsh(matrix_of(body, consistency)).min() > 0.0
     # The core alone accounts for this much; rounding of the parallel-axis shift is far below.
-    assert margin(body, "pseudo_inertia") >= LEAST_MARGIN * (1 - 1e-6)
+    least = margin(body, "pseudo_inertia")
+    assert least >= LEAST_MARGIN * (1 - 1e-6)
+    assert margin(body, "spatial_inertia") >= 2.0 * least - ALGEBRA
 
 
 def test_spatial_inertia_of_a_point_mass_pushes_back() -> None:
     body = point_masses([2.0], [[0.3, -0.2, 0.5]])
     # Turned about the origin with w the mass moves with w × r, and f = m·(w × r).
     w, r = np.array([0.4, -1.0, 0.7]), np.array([0.3, -0.2, 0.5])
+    np.testing.assert_allclose(skew(w) @ r, np.cross(w, r), atol=1e-15)
     force = 2.0 * np.cross(w, r)
     wrench = spatial_inertia(body) @ np.append(w, np.zeros(3))
     np.testing.assert_allclose(wrench, [*np.cross(r, force), *force], atol=1e-15)
@@ -88,21 +87,10 @@ def test_tensor_entries_are_pinocchios(theta: Array) -> None:
     )
 
 
-@given(hnp.arrays(float, (2, 3), elements=reals(-5.0, 5.0)))
-def test_skew_is_the_cross_product(vectors: Array) -> None:
-    v, w = vectors
-    np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-14)
-
-
 @given(bodies(), rotations(), hnp.arrays(float, 3, elements=reals(-1.0, 1.0)))
 def test_transform_is_pinocchios_se3_action(body: Array, R: Array, t: Array) -> None:
     moved = pin.SE3(R, t).act(pin.Inertia.FromDynamicParameters(body))
     assert_close(transform(body, R, t), moved.toDynamicParameters())
-
-
-@given(bodies())
-def test_second_moment_margin_implies_twice_that_of_the_inertia(body: Array) -> None:
-    assert margin(body, "spatial_inertia") >= 2.0 * margin(body, "pseudo_inertia") - ALGEBRA
 
 
 def test_the_factor_two_is_sharp_and_the_sets_are_nested_strictly() -> None:
@@ -153,28 +141,18 @@ def broken(draw: st.DrawFn) -> Array:
     return body
 
 
-@given(broken(), KINDS, LEAST)
-def test_the_margin_is_reached_and_mass_and_center_stay(
-    body: Array, kind: Consistency, least: float
+@given(broken(), broken(), bodies(), KINDS, LEAST)
+def test_the_nearest_body_with_the_margin_is_found(
+    body: Array, other: Array, right: Array, kind: Consistency, least: float
 ) -> None:
     found = raise_second_moments(body, least, consistency=kind)
     assert margin(found, kind) >= least
+    # Mass and center stay, and what has the margin stays to the bit.
     np.testing.assert_array_equal(found[:4], body[:4])
-
-
-@given(bodies(), KINDS)
-def test_consistent_bodies_are_returned_to_the_bit(body: Array, kind: Consistency) -> None:
-    found = raise_second_moments(body, 0.5 * LEAST_MARGIN, consistency=kind)
-    np.testing.assert_array_equal(found, body)
-
-
-@given(broken(), broken(), KINDS, LEAST)
-def test_no_other_consistent_body_is_nearer(
-    body: Array, other: Array, kind: Consistency, least: float
-) -> None:
-    # Any feasible moments about the same center, made from another body.
-    given_moments = central_moments(body, kind)[2]
-    nearest = central_moments(raise_second_moments(body, least, consistency=kind), kind)[2]
+    same = raise_second_moments(right, 0.5 * LEAST_MARGIN, consistency=kind)
+    np.testing.assert_array_equal(same, right)
+    # No other is nearer: any feasible moments about the same center, made from another body.
+    given_moments, nearest = (central_moments(each, kind)[2] for each in (body, found))
     rival = raise_eigenvalues(central_moments(other, kind)[2], least)
     distance = np.linalg.norm(nearest - given_moments)
     # Rounding of moments of order one.
@@ -207,9 +185,7 @@ def test_every_link_has_its_own_limit_and_massless_ones_stay() -> None:
     found = raise_second_moments(three, [0.1, 0.2, 0.3])
     np.testing.assert_allclose(margin(found[:2], "pseudo_inertia"), [0.1, 0.2], rtol=1e-15)
     np.testing.assert_array_equal(found[2], three[2])
-
-
-def test_a_center_of_mass_far_away_costs_no_margin() -> None:
+    # A center of mass far away costs no margin.
     far = np.array([3.0, 3e4, -2e4, 1e4, 0, 0, 0, 0, 0, 0.0])
     assert margin(raise_second_moments(far, 1e-6), "pseudo_inertia") >= 1e-6
 
