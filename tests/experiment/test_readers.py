@@ -2,10 +2,8 @@
 
 import gzip
 import re
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,8 +18,7 @@ from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.names import QUANTITIES, UNITS
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.readers.scaled import scaled
-from sdpid.experiment.recording.gaps import continuous, unwrapped
-from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.gaps import unwrapped
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from tests.helpers import logs
@@ -535,32 +532,6 @@ def test_what_may_be_something_else_is_left_out(
         np.testing.assert_array_equal(read_recording(file, **how).reference, table[:, :2])
     else:
         refuses(DataError, "reference", read_recording, file, **how)
-
-
-@pytest.mark.parametrize("stored", [False, True])
-def test_a_recording_keeps_its_reference(tmp_path: Path, stored: bool):
-    log = Recording(
-        time=SLOW, position=MOVED, effort=TORQUE, reference=REF, joint_names=("lift", "elbow")
-    )
-    assert repr(log) == "Recording(300 samples, 2 joints, 100 Hz, with reference)"
-    assert "with reference" in log._repr_html_()
-    log.to_csv(tmp_path / "log.csv")
-    log.to_parquet(tmp_path / "log.parquet")
-    np.testing.assert_array_equal(read_recording(tmp_path / "log.csv").reference, REF)
-    log = read_recording(tmp_path / "log.parquet", stored=stored)
-    np.testing.assert_array_equal(log.reference, REF)
-    picked = read_recording(tmp_path / "log.parquet", joint_names=["elbow"], stored=stored)
-    np.testing.assert_array_equal(picked.reference, REF[:, 1:])
-    words = r"reference: has shape \(300, 1\), expected \(300, 2\)"
-    refuses(DataError, words, replace, log, reference=REF[:, :1])
-    # The robot's order, gaps and late stamps.
-    robot = SimpleNamespace(n=2, n_base=0, name="arm", joint_names=("elbow", "lift"), passive=())
-    np.testing.assert_array_equal(match_joints(cast(Any, robot), log).reference, REF[:, ::-1])
-    gap = np.delete(np.arange(STEPS), np.s_[100:150])
-    kept = {"time": SLOW[gap], "position": MOVED[gap], "effort": TORQUE[gap], "reference": REF[gap]}
-    pieces, _ = continuous(Recording(**kept))
-    assert len(pieces) == 2
-    np.testing.assert_array_equal(np.concatenate([each.reference for each in pieces]), REF[gap])
 
 
 def test_wrapped_references_follow_positions():

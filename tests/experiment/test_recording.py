@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,12 +108,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"periods": 3}, "without a period"),
     ({"period": 0.04, "start": 4.9}, "start: 4.9 s is outside the record"),
     ({"period": 0.04, "start": 6.0}, "start: 6 s is outside the record"),
+    ({"reference": np.zeros((N, 1))}, r"reference: has shape \(12, 1\), expected \(12, 2\)"),
 ]
-
-
-@pytest.mark.parametrize(("changes", "message"), BAD)
-def test_bad_input_is_refused(changes: dict[str, Any], message: str):
-    refuses(DataError, message, Recording, **fields(**changes))
 
 
 @pytest.mark.parametrize(
@@ -163,6 +160,7 @@ def test_parquet_keeps_everything(tmp_path: Path, data: st.DataObject):
         position=draw(),
         effort=draw(),
         velocity=draw() if data.draw(st.booleans()) else None,
+        reference=draw() if data.draw(st.booleans()) else None,
         joint_names=data.draw(
             st.none() | st.lists(names, min_size=n, max_size=n, unique=True).map(tuple)
         ),
@@ -237,16 +235,20 @@ def log_of(names: tuple[str, ...] | None, joints: int | None = None) -> sdpid.Re
     time = np.arange(20) / 10.0
     columns = np.arange(n) + 0.01 * time[:, None]
     return sdpid.Recording(
-        time=time, position=columns, effort=columns, velocity=columns, joint_names=names
+        time=time,
+        position=columns,
+        effort=columns,
+        velocity=columns,
+        reference=columns,
+        joint_names=names,
     )
 
 
 def columns_of(robot: sdpid.RobotModel, log: sdpid.Recording) -> list[int]:
     matched = match_joints(robot, log)
     assert matched.joint_names == robot.joint_names
-    assert matched.velocity is not None
-    np.testing.assert_array_equal(matched.position, matched.effort)
-    np.testing.assert_array_equal(matched.position, matched.velocity)
+    for other in (matched.effort, matched.velocity, matched.reference):
+        np.testing.assert_array_equal(matched.position, other)
     return matched.position[0].astype(int).tolist()
 
 
@@ -267,8 +269,6 @@ def of(side: str, names: tuple[str, ...] = DRIVER) -> tuple[str, ...]:
 @pytest.mark.parametrize(
     ("names", "columns"),
     [
-        (DRIVER, [2, 1, 0, 3, 4, 5]),
-        (of("left"), [2, 1, 0, 3, 4, 5]),
         (("finger_joint", *DRIVER), [3, 2, 1, 4, 5, 6]),
         (of("ur", ("finger_joint", *DRIVER)), [3, 2, 1, 4, 5, 6]),
         ((*of("left"), *of("right"), *DRIVER), [14, 13, 12, 15, 16, 17]),
@@ -367,50 +367,24 @@ def test_orientations_are_unit_quaternions_without_changes_of_sign() -> None:
     assert not found.orientation.flags.writeable
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: base(orientation=np.ones((ROWS, 4))), "sample 1 has the norm 2.*by 1, limit"),
-        (lambda: base(orientation=np.ones((ROWS, 3))), r"\(40, 3\), expected \(40, 4\)"),
-        (lambda: base(position=np.zeros((ROWS - 1, 3))), r"\(39, 4\).*as many rows as position"),
-        (lambda: base(velocity_frame=None), "'world' or 'base': the axes of angular_velocity"),
-        (lambda: base(angular_velocity=None), "without a velocity"),
-        (lambda: base(imu=sdpid.Imu(gyroscope=np.zeros((3, 3)))), "base.imu: has 3 samples"),
-        (lambda: sdpid.Imu(), "neither gyroscope nor accelerometer"),
-        (lambda: sdpid.Imu(gyroscope=np.zeros((3, 3)), rotation=-np.eye(3)), "determinant is -1"),
-        (lambda: contacts(frames=("a", "a")), "a is there more than once"),
-        (lambda: contacts(kind="blob"), "'blob' is not known; known are point, line, plane"),
-        (lambda: contacts(down=np.full((ROWS, 2), 0.5)), "holds 0.5, expected True or False"),
-        (lambda: contacts(forces=np.zeros((ROWS, 2, 6))), r"expected \(40, 2, 3\)"),
-        (lambda: contacts(wrenches=np.zeros((ROWS, 2, 6))), "not both"),
-        (lambda: contacts(down=None, forces=None), "nothing is known of contacts"),
-        (lambda: contacts(offset=np.zeros((3, 3))), r"expected \(2, 3\)"),
-        (lambda: log(base=None), "contacts: are given without a base"),
-        (lambda: log(contacts=contacts().rows(slice(5))), "contacts: has 5 samples"),
-        (lambda: log(base=5), "base: is int, expected sdpid.BaseMotion"),
-    ],
-)
-def test_what_cannot_be_is_refused(make: Any, message: str) -> None:
-    refuses(DataError, message, make)
-
-
-def test_one_kind_and_one_offset_are_those_of_all_contacts() -> None:
+def test_rows_of_a_recording_keep_base_and_contacts() -> None:
+    # One kind and one offset are those of all contacts.
     assert contacts().kind == ("point", "point")
     assert contacts().offset.tolist() == [[0.0, 0.0, -0.02]] * 2
     assert "1 point, 1 plane, flags, forces)" in repr(contacts(kind=("point", "plane")))
     assert repr(log()).endswith("floating base with IMU, 2 contacts)")
-
-
-def test_rows_of_a_recording_keep_base_and_contacts() -> None:
-    whole = log()
+    whole = log(reference=log().position)
+    assert "with reference" in repr(whole)
+    assert "with reference" in whole._repr_html_()
     part = whole.rows(slice(10, 30)).columns()
     for name, column in whole.columns().items():
         np.testing.assert_array_equal(part[name], column[10:30])
     assert {"base_angular_velocity_world_x", "base_orientation_w", "contact_left"} < set(part)
-    assert {"accelerometer_z", "contact_force_right_z", "time", "effort_2"} < set(part)
+    assert {"accelerometer_z", "contact_force_right_z", "time", "reference_2"} < set(part)
     late = whole.time + np.where(np.arange(ROWS) < 20, 0.0, 1.0)
     pieces, _ = continuous(replace(whole, time=late))
     assert [piece.base.n_samples for piece in pieces] == [20, 20]
+    np.testing.assert_array_equal(pieces[1].reference, whole.reference[20:])
     assert pieces[1].base.imu.translation.tolist() == [0.1, 0.0, 0.0]
 
 
@@ -429,18 +403,33 @@ def commanded() -> Recording:
 TWO_JOINTS = sdpid.load_robot(ARM_URDF)
 
 
-@pytest.mark.parametrize(
-    ("call", "what"),
-    [
-        (lambda: sdpid.controllers.fit_controller(commanded(), "pd"), "fit_controller"),
-        (lambda: sdpid.identify_payload(TWO_JOINTS, commanded()), "payload"),
-        (lambda: sdpid.identify_drive_gains(TWO_JOINTS, log(currents=True)), "gains"),
-        (lambda: Twin.of(TWO_JOINTS, commanded()), "simulated motion"),
-        (lambda: _prepared(TWO_JOINTS, commanded(), None), "rollout"),
-    ],
-)
-def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:
-    refuses(DataError, f"{what}.*this recording has a floating base", call)
+FLOATS = ".*this recording has a floating base"
+# What cannot be, and what knows fixed robots only, by what is said of it.
+FLOATING: dict[str, Any] = {
+    "sample 1 has the norm 2.*by 1, limit": lambda: base(orientation=np.ones((ROWS, 4))),
+    r"\(40, 3\), expected \(40, 4\)": lambda: base(orientation=np.ones((ROWS, 3))),
+    r"\(39, 4\).*as many rows as position": lambda: base(position=np.zeros((ROWS - 1, 3))),
+    "'world' or 'base': the axes of angular_velocity": lambda: base(velocity_frame=None),
+    "without a velocity": lambda: base(angular_velocity=None),
+    "base.imu: has 3 samples": lambda: base(imu=sdpid.Imu(gyroscope=np.zeros((3, 3)))),
+    "neither gyroscope nor accelerometer": sdpid.Imu,
+    "determinant is -1": lambda: sdpid.Imu(gyroscope=np.zeros((3, 3)), rotation=-np.eye(3)),
+    "a is there more than once": lambda: contacts(frames=("a", "a")),
+    "'blob' is not known; known are point, line, plane": lambda: contacts(kind="blob"),
+    "holds 0.5, expected True or False": lambda: contacts(down=np.full((ROWS, 2), 0.5)),
+    r"expected \(40, 2, 3\)": lambda: contacts(forces=np.zeros((ROWS, 2, 6))),
+    "not both": lambda: contacts(wrenches=np.zeros((ROWS, 2, 6))),
+    "nothing is known of contacts": lambda: contacts(down=None, forces=None),
+    r"expected \(2, 3\)": lambda: contacts(offset=np.zeros((3, 3))),
+    "contacts: are given without a base": lambda: log(base=None),
+    "contacts: has 5 samples": lambda: log(contacts=contacts().rows(slice(5))),
+    "base: is int, expected sdpid.BaseMotion": lambda: log(base=5),
+    f"fit_controller{FLOATS}": lambda: sdpid.controllers.fit_controller(commanded(), "pd"),
+    f"payload{FLOATS}": lambda: sdpid.identify_payload(TWO_JOINTS, commanded()),
+    f"gains{FLOATS}": lambda: sdpid.identify_drive_gains(TWO_JOINTS, log(currents=True)),
+    f"simulated motion{FLOATS}": lambda: Twin.of(TWO_JOINTS, commanded()),
+    f"rollout{FLOATS}": lambda: _prepared(TWO_JOINTS, commanded(), None),
+}
 
 
 # Recorded velocities held against positions.
@@ -572,7 +561,13 @@ def test_the_common_factor_is_the_largest(seed: int, n: int) -> None:
     assert least[1] < 0.0
 
 
-def test_a_factor_alone_is_all_common_and_known_gains_have_none() -> None:
+def test_intervals_and_factors() -> None:
+    gains = some()
+    lower, upper = gains.intervals(0.9).T
+    np.testing.assert_allclose(lower * upper, gains.gains**2)
+    half = t.ppf(0.95, gains.freedom) * gains.standard_errors / gains.gains
+    np.testing.assert_allclose(np.log(upper / lower), 2.0 * half)
+    # A factor alone is all common, and known gains have none.
     gains = np.array([10.0, 5.0, 1.0])
     errors = 0.01**2 * np.outer(gains, gains)
     one = sdpid.DriveGains(joint_names=("a", "b", "c"), gains=gains, covariance=errors)
@@ -580,14 +575,6 @@ def test_a_factor_alone_is_all_common_and_known_gains_have_none() -> None:
     known = sdpid.DriveGains(joint_names=["a"], gains=[2])
     np.testing.assert_array_equal(known.intervals(), [[2.0, 2.0]])
     assert known.common_factor == 0.0
-
-
-def test_intervals_are_those_of_the_logarithm() -> None:
-    gains = some()
-    lower, upper = gains.intervals(0.9).T
-    np.testing.assert_allclose(lower * upper, gains.gains**2)
-    half = t.ppf(0.95, gains.freedom) * gains.standard_errors / gains.gains
-    np.testing.assert_allclose(np.log(upper / lower), 2.0 * half)
 
 
 def test_joints_are_taken_by_name() -> None:
@@ -602,32 +589,41 @@ def test_joints_are_taken_by_name() -> None:
     refuses(DataError, "no gains of to_dict", sdpid.DriveGains.from_dict, {})
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"gains": [1.0, -2.0]}, "that of b is -2 N·m/A"),
-        ({"gains": [1.0]}, "shape"),
-        ({"joint_names": ("a", "a")}, "each joint a name"),
-        ({"joint_names": "ab"}, "expected a list of texts"),
-        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance is none"),
-        ({"freedom": [1.0, 0.0]}, "positive"),
-        ({"gains": [1.0, np.nan]}, "not finite"),
-        ({"gains": [1e308, 1e-308], "covariance": np.full((2, 2), 1e308)}, "too large beside"),
-        ({"basis": 5}, "expected a text"),
-        ({"sources": ["a.csv"]}, "names and digests"),
+NO_GAINS: list[tuple[dict[str, Any], str]] = [
+    ({"gains": [1.0, -2.0]}, "that of b is -2 N·m/A"),
+    ({"gains": [1.0]}, "shape"),
+    ({"joint_names": ("a", "a")}, "each joint a name"),
+    ({"joint_names": "ab"}, "expected a list of texts"),
+    ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance is none"),
+    ({"freedom": [1.0, 0.0]}, "positive"),
+    ({"gains": [1.0, np.nan]}, "not finite"),
+    ({"gains": [1e308, 1e-308], "covariance": np.full((2, 2), 1e308)}, "too large beside"),
+    ({"basis": 5}, "expected a text"),
+    ({"sources": ["a.csv"]}, "names and digests"),
+]
+GIVEN: dict[str, Any] = {"joint_names": ("a", "b"), "gains": [1.0, 2.0]}
+REFUSED = [
+    *((words, partial(Recording, **fields(**changes))) for changes, words in BAD),
+    *((words, partial(sdpid.DriveGains, **GIVEN | changes)) for changes, words in NO_GAINS),
+    *FLOATING.items(),
+]
+
+
+@pytest.mark.parametrize(("words", "make"), REFUSED, ids=[words for words, _ in REFUSED])
+def test_what_cannot_be_is_refused(words: str, make: Any) -> None:
+    refuses(DataError, words, make)
+
+
+def test_what_files_hold_no_gains_is_told(tmp_path: Path) -> None:
+    path, one = tmp_path / "g.toml", 'joint_names = ["a"]\ngains = '
+    for text, said in (
         ("gains = [1.0]", "no joint_names"),
-        ('joint_names = ["a"]\ngains = [1.0]\ngain = 2', "gain is not known"),
-        ('joint_names = ["a"]\ngains = [1.0]\nunit = "A"', "expected 'N.m/A'"),
-        ('joint_names = ["a"]\ngains = [true, 2.0]', "shape"),
-    ],
-)
-def test_what_are_no_gains_is_told(tmp_path: Path, changed: Any, said: str) -> None:
-    path, given = tmp_path / "g.toml", {"joint_names": ("a", "b"), "gains": [1.0, 2.0]}
-    if isinstance(changed, str):
-        path.write_text(changed)
+        (f"{one}[1.0]\ngain = 2", "gain is not known"),
+        (f'{one}[1.0]\nunit = "A"', "expected 'N.m/A'"),
+        (f"{one}[true, 2.0]", "shape"),
+    ):
+        path.write_text(text)
         refuses(DataError, said, sdpid.DriveGains.from_toml, path)
-    else:
-        refuses(DataError, said, sdpid.DriveGains, **{**given, **changed})
 
 
 def test_what_a_file_says_drives_no_terminal() -> None:

@@ -209,14 +209,17 @@ def test_it_can_be_written_matched_and_sent(tmp_path: Path):
     file, copy = tmp_path / "log.parquet", tmp_path / "copy.parquet"
     names = ARM.joint_names[::-1]
     log = make(joint_names=names, **PERIODIC)
+    log = replace(log, reference=0.9 * log.position)
     log.to_parquet(file)
+    picked = read_recording(file, joint_names=names[1:], stored=True)
+    np.testing.assert_array_equal(picked.reference, log.reference[:, 1:])
     again = pickle.loads(pickle.dumps(read_recording(file, stored=True)))
     again.to_parquet(copy)
     assert copy.read_bytes() == file.read_bytes()
     matched = match_joints(ARM, again)
     assert matched.stored
     assert matched.joint_names == ARM.joint_names
-    for name in ("position", "velocity", "effort"):
+    for name in ("position", "velocity", "effort", "reference"):
         np.testing.assert_array_equal(getattr(matched, name), getattr(log, name)[:, ::-1])
     assert repr(matched) == repr(log)
 

@@ -175,6 +175,7 @@ NO_TABLES: dict[str, tuple[Any, dict[str, Any]]] = {
     "velocity": (one(velocity=math.nan), {}),
     "repeat": (one(name="a") * 2, {}),
     "a row is 3.0": ([3.0], {}),
+    "row is 3.0": ({"joint": [3.0]}, {}),
     "denavit": ({"joint": [ROW], "convention": "denavit"}, {}),
     "row 2: r is 0.1 in a table with lengths a": ({"joint": [{"a": 0.1}, {"r": 0.1}]}, {}),
     "row 2: d is 0.1.*along z or x": ({"joint": [{}, {"d": 0.1}], "convention": "standard"}, {}),

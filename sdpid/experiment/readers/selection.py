@@ -167,6 +167,9 @@ def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None)
     commands: dict[frozenset[str], Found] = {}
     for command in log.candidates("reference", joints):
         commands.setdefault(frozenset(command[0]), command)
+    # Files of our own say it by this name, whatever their joints are called.
+    own = frozenset({"reference"})
+    commands = {own: commands[own]} if own in commands else commands
     first = [columns[0] for columns, _, _ in commands.values()]
     if len(commands) > 1:
         raise DataError(f"it could be {' or '.join(first)}; name one with columns= (--column)")
