@@ -19,12 +19,11 @@ from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Box, table
 from sdpid.excitation.limits.check import LimitCheck, LimitRow, check_trajectory
-from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin
+from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin, tool_frames
 from sdpid.excitation.limits.joint_limits import rest_to_rest
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.limits.norms import body_sizes, effort_norms, link_norms, product
-from sdpid.excitation.limits.tool import tool_frames
-from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.excitation.limits.measures import effort_norms, link_norms, product
+from sdpid.excitation.limits.torque import TorqueModel, body_sizes
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -15,32 +15,35 @@ from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.extremes import CurveMeasure, Extremes, extremes, with_tolerance
-from sdpid.excitation.limits.joins import in_motion, jumps_of, range_of
+from sdpid.excitation.limits.inequalities import ToolSpeedWithin
 from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import (
     DistanceMeasure,
-    PositionMeasure,
-    RateMeasure,
+    MotionMeasure,
     ToolMeasure,
     TorqueMeasure,
 )
 from sdpid.excitation.limits.motions import Motion, curves_of
-from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 Verdict = Literal["held", "broken", "undecided"]
 
+# The distinct curves of a motion, each from its start, s.
+Curves = Sequence[tuple[float, Curve]]
+
 # Bounds are refined until they are this share of their limit from what is reached, and distances
 # until they are this many m from it.
 _RESOLUTION, _DISTANCE_RESOLUTION = 2e-3, 1e-3
 
-# Derivatives of the positions that have limits.
-_RATES = {1: "velocity", 2: "acceleration", 3: "jerk"}
+# A jump of a derivative counts as a change within this time, s: a cycle of a fast controller. Jumps
+# that a limit allows within it are those of rounded samples.
+_CYCLE = 1e-3
+# An arm that is slower than this is at rest, rad/s or m/s.
+_AT_REST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,9 +159,8 @@ class LimitCheck(Shown):
 
     def table(self) -> Table:
         """Return all rows."""
-        names = ("kind", "subject", "side", "limit", "worst", "reached", "time", "slack", "unit")
+        names = [each.name for each in fields(LimitRow)]
         columns = {name: [getattr(row, name) for row in self.rows] for name in names}
-        columns["verdict"] = [row.verdict for row in self.rows]
         return Table.of_columns(columns, {"time": ".4f"})
 
     def to_dict(self) -> dict[str, Any]:
@@ -246,27 +248,26 @@ def check_trajectory(
     curves = curves_of(robot, trajectory)
     start = curves[0][1].evaluate(np.zeros(1))[0]
     joints = _joint_limits(robot, limits, start)
-    notes = [*joints.assumed, *in_motion(joints, curves)]
+    notes = [*joints.assumed, *_in_motion(joints, curves)]
     rows = [*_motion_rows(curves, joints)]
     if np.any(np.isfinite(joints.torque)):
         model = torque or TorqueModel.of(robot, estimate, spread=spread)
         notes += model.notes
         if model.known:
             allowed = model.allowed(joints.torque)
-            rows += _joint_rows(
-                "torque", joints, curves, TorqueMeasure(model), allowed, _RESOLUTION * allowed
-            )
-    if joints.tool_speed is not None:
-        frames = tool_frames(robot, joints.tool)
-        limit = np.full(len(frames), joints.tool_speed)
-        found = _along(curves, ToolMeasure(robot, frames), limit, _RESOLUTION * limit)
-        names = [str(robot.pin_model.frames[index].name) for index in frames]
-        rows += _rows("tool speed", names, limit, found, ["m/s"] * len(frames))
+            rows += _joint_rows("torque", joints, curves, TorqueMeasure(model), allowed)
+    tool = ToolSpeedWithin.of(robot, joints)
+    if tool is not None:
+        frames = [robot.pin_model.frames[index] for index in tool.frames]
+        names = [(str(frame.name), "m/s") for frame in frames]
+        rows += _rows(
+            "tool speed", names, curves, ToolMeasure(tool), np.full(len(names), tool.speed)
+        )
     left_out: tuple[tuple[str, str, str], ...] = ()
     if collision is not False:
         clearance = joints.clearance or 0.0
         if not isinstance(collision, CollisionModel):
-            lower, upper = range_of(joints, curves, sliding(robot.pin_model, robot.joint_names))
+            lower, upper = _range(joints, curves)
             collision = CollisionModel.of(
                 robot,
                 obstacles,
@@ -279,7 +280,10 @@ def check_trajectory(
             )
         notes += [*collision.assumed, *collision.closer(clearance)]
         left_out = collision.left_out
-        rows += _distance_rows(curves, collision, clearance)
+        names = [(f"{pair.first} – {pair.second}", "m") for pair in collision.pairs]
+        least = -collision.clearances(clearance)
+        measure = DistanceMeasure(collision)
+        rows += _rows("distance", names, curves, measure, least, _DISTANCE_RESOLUTION, lower=True)
     return LimitCheck(rows=tuple(rows), notes=tuple(dict.fromkeys(notes)), left_out=left_out)
 
 
@@ -301,116 +305,129 @@ def _joint_limits(
     return limits.of(robot, start, assume=False)
 
 
-def _motion_rows(curves: Sequence[tuple[float, Curve]], limits: JointLimits) -> list[LimitRow]:
-    """Return the rows of positions, velocities, accelerations and jerks."""
-    rows = []
-    for sign, limit in ((1.0, limits.upper), (-1.0, limits.lower)):
-        width = np.nan_to_num(limits.upper - limits.lower, posinf=np.pi)
-        rows += _joint_rows(
-            "position", limits, curves, PositionMeasure(sign), sign * limit, _RESOLUTION * width
+def _in_motion(joints: JointLimits, curves: Curves) -> list[str]:
+    """Return a sentence for each end at which the arm is not at rest: its limits are not known."""
+    (_, first), (_, last) = curves[0], curves[-1]
+    told = []
+    for verb, curve, time in (("starts", first, 0.0), ("ends", last, last.duration)):
+        speed, change = (
+            np.abs(curve.evaluate(np.array([time]), derivative=order)[0]) for order in (1, 2)
         )
-    for order, kind in _RATES.items():
-        bound: Array = getattr(limits, kind)
-        jumps = jumps_of(curves, order - 1)
-        rows += _joint_rows(
-            kind, limits, curves, RateMeasure(order), bound, _RESOLUTION * bound, jumps
+        moving, jolted = speed > _AT_REST, change > _CYCLE * joints.jerk
+        for what, where in (("in motion", moving), ("with a jolt from rest", jolted & ~moving)):
+            if where.any():
+                names = ", ".join(joints.joint_names[j] for j in np.flatnonzero(where))
+                told.append(
+                    f"the motion {verb} {what} ({names}): the way from or to rest is no part of it "
+                    "and is not checked."
+                )
+    return told
+
+
+def _range(joints: JointLimits, curves: Curves) -> tuple[Array, Array]:
+    """Return the positions (n,), least and largest, that limits allow or the motion comes to.
+
+    Joints that turn without limits stay so: the little that a motion uses of their turn would not
+    show which pairs overlap by the coarseness of their shapes.
+    """
+    whole = [curve.enclose(np.array([0.0, curve.duration])) for _, curve in curves]
+    lower = np.min([low[0] for low, _ in whole], axis=0)
+    upper = np.max([high[0] for _, high in whole], axis=0)
+    turning = ~np.array(joints.sliding)
+    return (
+        np.where(np.isfinite(joints.lower) | turning, np.minimum(joints.lower, lower), lower),
+        np.where(np.isfinite(joints.upper) | turning, np.maximum(joints.upper, upper), upper),
+    )
+
+
+def _motion_rows(curves: Curves, joints: JointLimits) -> Iterator[LimitRow]:
+    """Yield the rows of positions, velocities, accelerations and jerks."""
+    # Of each joint's range, but of half a turn where there is none.
+    resolution = _RESOLUTION * np.nan_to_num(joints.upper - joints.lower, posinf=np.pi)
+    for sign, limit in ((1.0, joints.upper), (-1.0, joints.lower)):
+        measure = MotionMeasure(0, (sign,))
+        yield from _joint_rows(
+            "position", joints, curves, measure, sign * limit, resolution, lower=sign < 0.0
         )
-    return rows
+    for order, kind in enumerate(("velocity", "acceleration", "jerk"), 1):
+        jumps = _jumps(curves, order - 1)
+        limit = getattr(joints, kind)
+        yield from _joint_rows(kind, joints, curves, MotionMeasure(order), limit, jumps=jumps)
+
+
+def _jumps(curves: Curves, derivative: int) -> Iterator[Extremes]:
+    """Yield the largest jumps (n,) of a derivative at the breaks of each curve, as rates."""
+    for start, curve in curves:
+        inner = np.asarray(curve.breaks)[1:-1]
+        if len(inner):
+            before = curve.evaluate(np.nextafter(inner, -np.inf), derivative=derivative)
+            after = curve.evaluate(inner, derivative=derivative)
+            rates = np.abs(after - before) / _CYCLE
+            largest = rates.max(axis=0)
+            yield largest, largest, start + inner[rates.argmax(axis=0)]
 
 
 def _joint_rows(
     kind: str,
     joints: JointLimits,
-    curves: Sequence[tuple[float, Curve]],
+    curves: Curves,
     measure: CurveMeasure,
     limits: Array,
-    resolution: Array,
-    jumps: tuple[Array, Array] | None = None,
-) -> list[LimitRow]:
-    """Return the rows of n functions, one a joint, of which there are limits; jumps count too."""
-    kept = np.flatnonzero(np.isfinite(limits))
-    if not kept.size:
-        return []
-    found = _along(curves, measure, limits, np.where(np.isfinite(limits), resolution, np.inf))
-    if jumps is not None:
-        rate, time = jumps
-        found = Extremes(
-            np.maximum(found.worst, rate),
-            np.maximum(found.reached, rate),
-            np.where(rate > found.reached, time, found.time),
-        )
-    part = Extremes(found.worst[kept], found.reached[kept], found.time[kept])
-    units = [unit_of(kind, joints.sliding[j]) for j in kept]
-    mirrored = isinstance(measure, PositionMeasure) and measure.sign < 0.0
-    names = [joints.joint_names[j] for j in kept]
-    return _rows(kind, names, limits[kept], part, units, mirrored=mirrored)
-
-
-def _distance_rows(
-    curves: Sequence[tuple[float, Curve]], collision: CollisionModel, clearance: float
-) -> list[LimitRow]:
-    """Return the rows of distances."""
-    if not collision.pairs:
-        return []
-    limit = -collision.clearances(clearance)
-    resolution = np.full(len(limit), _DISTANCE_RESOLUTION)
-    found = _along(curves, DistanceMeasure(collision), limit, resolution)
-    names = [f"{pair.first} – {pair.second}" for pair in collision.pairs]
-    return _rows("distance", names, limit, found, ["m"] * len(names), mirrored=True)
-
-
-def _along(
-    curves: Sequence[tuple[float, Curve]], measure: CurveMeasure, limits: Array, resolution: Array
-) -> Extremes:
-    """Return the extremes over all curves of a motion, at its own time."""
-    whole: Extremes | None = None
-    for start, curve in curves:
-        found = extremes(curve, measure, limits, resolution)
-        when = found.time + start
-        if whole is not None:
-            further = found.reached > whole.reached
-            when = np.where(further, when, whole.time)
-            found = Extremes(
-                np.maximum(found.worst, whole.worst), np.maximum(found.reached, whole.reached), when
-            )
-        whole = Extremes(found.worst, found.reached, when)
-    if whole is None:
-        raise DataError("motion: it has no parts.")
-    return whole
+    resolution: Array | None = None,
+    **more: Any,
+) -> Iterator[LimitRow]:
+    """Yield the rows of n functions, one a joint."""
+    units = (unit_of(kind, slides) for slides in joints.sliding)
+    names = list(zip(joints.joint_names, units, strict=True))
+    return _rows(kind, names, curves, measure, limits, resolution, **more)
 
 
 def _rows(
     kind: str,
-    subjects: Sequence[str],
+    names: Sequence[tuple[str, str]],
+    curves: Curves,
+    measure: CurveMeasure,
     limits: Array,
-    found: Extremes,
-    units: Sequence[str],
+    resolution: Array | float | None = None,
     *,
-    mirrored: bool = False,
-) -> list[LimitRow]:
-    """Return one row a function; mirrored ones are limited from below, with the sign changed."""
-    sign = -1.0 if mirrored else 1.0
-    rows = []
-    for j, subject in enumerate(subjects):
-        limit, worst, reached = (float(x[j]) for x in (limits, found.worst, found.reached))
-        allowed = float(with_tolerance(limit))
+    lower: bool = False,
+    jumps: Iterable[Extremes] = (),
+) -> Iterator[LimitRow]:
+    """Yield one row for each function, named with its unit, that has a limit.
+
+    Lower limits are limits of functions with the sign changed. What jumps come to counts, too.
+    """
+    limited = np.isfinite(limits)
+    if not limited.any():
+        return
+    resolution = np.where(
+        limited, _RESOLUTION * limits if resolution is None else resolution, np.inf
+    )
+    parts = []
+    for start, curve in curves:
+        worst, reached, time = extremes(curve, measure, limits, resolution)
+        parts.append((worst, reached, time + start))
+    worst, reached, time = (np.stack(part) for part in zip(*parts, *jumps, strict=True))
+    first, sign = reached.argmax(axis=0), -1.0 if lower else 1.0
+    allowed = with_tolerance(limits)
+    for j, (subject, unit) in enumerate(names):
+        if not limited[j]:
+            continue
+        limit, most, found = float(limits[j]), float(worst[:, j].max()), float(reached[first[j], j])
         verdict: Verdict = "undecided"
-        if worst <= allowed:
+        if most <= allowed[j]:
             verdict = "held"
-        elif reached > allowed:
+        elif found > allowed[j]:
             verdict = "broken"
-        rows.append(
-            LimitRow(
-                kind=kind,
-                subject=subject,
-                side="lower" if mirrored else "upper",
-                limit=sign * limit,
-                worst=sign * worst,
-                reached=sign * reached,
-                time=float(found.time[j]),
-                slack=limit - worst,
-                unit=units[j],
-                verdict=verdict,
-            )
+        yield LimitRow(
+            kind=kind,
+            subject=subject,
+            side="lower" if lower else "upper",
+            limit=sign * limit,
+            worst=sign * most,
+            reached=sign * found,
+            time=float(time[first[j], j]),
+            slack=limit - most,
+            unit=unit,
+            verdict=verdict,
         )
-    return rows

@@ -7,15 +7,14 @@ an instant that was evaluated.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid.experiment.trajectory.curve import Curve
 
 # Cells are at most this long at first, s: motions of arms change over tenths of a second.
@@ -27,6 +26,10 @@ _MOST = 400_000
 # Plans may touch their limits, and bounds are widened by rounding: so much is let pass, as a share
 # of the limit, and of this number where the limit is smaller.
 _TOUCHING, _SMALL = 1e-9, 1e-3
+
+# Of m functions: upper bounds that hold at every instant, the largest values that were evaluated,
+# and where, s; each of shape (m,).
+Extremes = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,7 @@ class Cells:
 
     def largest(self, derivative: int) -> Array:
         """Return bounds (C, n) on the size of a derivative of the positions."""
-        lower, upper = self.enclose(derivative)
-        return np.maximum(np.abs(lower), np.abs(upper))
+        return np.asarray(np.maximum(*np.abs(self.enclose(derivative))))
 
     @cached_property
     def sizes(self) -> Array:
@@ -72,46 +74,23 @@ class Cells:
         return np.stack([self.largest(order) for order in range(5)])
 
 
-class CurveMeasure(Protocol):
+class CurveMeasure(ABC):
     """m functions along a curve that must not grow too large."""
 
+    @abstractmethod
     def nodes(self, curve: Curve, time: Array) -> Array:
         """Return what bounds need of an instant, (K,) to (K, d)."""
 
     def values(self, nodes: Array) -> Array:
-        """Return the functions at instants, (K, d) to (K, m)."""
+        """Return the functions at instants, (K, d) to (K, m): by default the nodes."""
+        return nodes
 
+    @abstractmethod
     def bounds(self, cells: Cells) -> Array:
         """Return upper bounds (C, m) of the functions over cells."""
 
 
-@dataclass(frozen=True, eq=False)
-class Extremes:
-    """What m functions come to along a curve.
-
-    Attributes
-    ----------
-    worst : ndarray, shape (m,)
-        Upper bounds that hold at every instant.
-    reached : ndarray, shape (m,)
-        Largest values that were evaluated.
-    time : ndarray, shape (m,)
-        Where, s.
-    """
-
-    worst: Array
-    reached: Array
-    time: Array
-
-
-def extremes(
-    curve: Curve,
-    measure: CurveMeasure,
-    limits: Array,
-    resolution: Array,
-    *,
-    tick: Callable[[], None] | None = None,
-) -> Extremes:
+def extremes(curve: Curve, measure: CurveMeasure, limits: Array, resolution: Array) -> Extremes:
     """Return the largest values of functions along a curve.
 
     Parameters
@@ -125,44 +104,35 @@ def extremes(
     resolution : ndarray, shape (m,)
         Bounds are refined until they are this close to a value that was evaluated, and further
         while a limit lies between the two.
-    tick : callable, optional
-        Called now and then; may raise to stop.
     """
     start, stop = _first_cells(curve)
-    left, right = measure.nodes(curve, start), measure.nodes(curve, _before(stop))
+    # Just before the ends: a derivative that jumps is seen from the left there.
+    left, right = measure.nodes(curve, start), measure.nodes(curve, np.nextafter(stop, -np.inf))
     known = np.concatenate([measure.values(left), measure.values(right)])
-    times = np.concatenate([start, stop])
-    best = np.argmax(known, axis=0)
-    reached, when = known[best, np.arange(known.shape[1])], times[best]
-    worst = reached.copy()
+    reached, when = _top(known, np.concatenate([start, stop]))
+    worst = reached
     allowed = with_tolerance(limits)
     seen = len(start)
-    while len(start):
-        if tick is not None:
-            tick()
-        cells = Cells(curve, start, stop, left, right)
+    while True:
         ends = np.maximum(measure.values(left), measure.values(right))
-        bounds = np.maximum(measure.bounds(cells), ends)
-        cut = _undecided(bounds, reached, allowed, resolution) & (stop - start > FINEST)
-        if seen > _MOST:
-            cut[:] = False
+        bounds = np.maximum(measure.bounds(Cells(curve, start, stop, left, right)), ends)
+        # A bound may be far from what is reached, or from deciding.
+        wide = (bounds > allowed) & (reached <= allowed) | (bounds > reached + resolution)
+        cut = wide.any(axis=1) & (stop - start > FINEST) & (seen <= _MOST)
         worst = np.maximum(worst, bounds[~cut].max(axis=0, initial=-np.inf))
+        if not cut.any():
+            return np.maximum(worst, reached), reached, when
         start, stop, left, right = start[cut], stop[cut], left[cut], right[cut]
-        if not len(start):
-            break
         middle = 0.5 * (start + stop)
         nodes = measure.nodes(curve, middle)
-        values = measure.values(nodes)
-        best = np.argmax(values, axis=0)
-        top = values[best, np.arange(values.shape[1])]
-        when = np.where(top > reached, middle[best], when)
+        top, place = _top(measure.values(nodes), middle)
+        when = np.where(top > reached, place, when)
         reached = np.maximum(reached, top)
         seen += 2 * len(middle)
         start, stop, left, right = (
             np.stack(pair, axis=1).reshape(2 * len(middle), *pair[0].shape[1:])
             for pair in ((start, middle), (middle, stop), (left, nodes), (nodes, right))
         )
-    return Extremes(np.maximum(worst, reached), reached, when)
 
 
 def with_tolerance(limits: ArrayLike) -> Array:
@@ -171,10 +141,10 @@ def with_tolerance(limits: ArrayLike) -> Array:
     return np.asarray(values + _TOUCHING * np.maximum(np.abs(values), _SMALL))
 
 
-def _undecided(bounds: Array, reached: Array, allowed: Array, resolution: Array) -> Mask:
-    """Return the cells (C,) on which a bound may be far from what is reached, or from deciding."""
-    open_ = (bounds > allowed) & (reached <= allowed)
-    return np.asarray(np.any(open_ | (bounds > reached + resolution), axis=1))
+def _top(values: Array, time: Array) -> tuple[Array, Array]:
+    """Return the largest of values (K, m) of functions, and when."""
+    best = np.argmax(values, axis=0)
+    return values[best, np.arange(values.shape[1])], time[best]
 
 
 def _first_cells(curve: Curve) -> tuple[Array, Array]:
@@ -187,8 +157,3 @@ def _first_cells(curve: Curve) -> tuple[Array, Array]:
     ]
     edges = np.append(np.concatenate(parts), breaks[-1])
     return edges[:-1], edges[1:]
-
-
-def _before(time: Array) -> Array:
-    """Return the instants just before: a derivative that jumps is seen from the left there."""
-    return np.asarray(np.nextafter(time, -np.inf))

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.errors import ModelError
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.robot.model.model import RobotModel
 
@@ -85,9 +85,13 @@ class ToolSpeedWithin:
         frames = tool_frames(robot, limits.tool)
         return cls(robot=robot, speed=limits.tool_speed, frames=frames)
 
+    def speeds(self, q: Array, v: Array) -> Array:
+        """Return the speeds (K, frames) at states (K, n), m/s."""
+        return self._velocities(q, v)[0]
+
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
         """Return the slacks (K, frames) at states (K, n), in shares of the limit squared."""
-        return np.asarray(1.0 - self._velocities(q, v)[0] ** 2 / self.speed**2)
+        return np.asarray(1.0 - self.speeds(q, v) ** 2 / self.speed**2)
 
     def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
         """Return derivatives (K, frames, n) by position and velocity."""
@@ -121,3 +125,32 @@ class ToolSpeedWithin:
                     # With a single joint the binding drops the axis of length one.
                     slopes[:, k, c] = [velocity @ part.reshape(6, -1)[:3] @ E for part in by]
         return speeds, slopes[0], slopes[1]
+
+
+def tool_frames(robot: RobotModel, tool: str | None = None) -> tuple[int, ...]:
+    """Return the indices of the frames whose speed is limited as the tool's.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    tool : str, optional
+        One frame of the description; by default, of every last link, the frame that is farthest
+        from its joint.
+
+    Raises
+    ------
+    ModelError
+        When the robot has no such frame.
+    """
+    model, numbers = robot.pin_model, robot.frame_numbers
+    if tool is not None:
+        if tool not in numbers:
+            names = ", ".join(dict.fromkeys(str(frame.name) for frame in model.frames))
+            raise ModelError(f"'{robot.name}' has no frame '{tool}' for the tool; it has {names}.")
+        return (numbers[tool],)
+    lengths = [float(np.linalg.norm(frame.placement.translation)) for frame in model.frames]
+    owners = np.array([frame.parentJoint for frame in model.frames])
+    last = set(range(1, model.njoints)) - {model.parents[i] for i in range(1, model.njoints)}
+    own = (np.flatnonzero(owners == link).tolist() for link in sorted(last))
+    return tuple(max(each, key=lambda index: lengths[index]) for each in own)

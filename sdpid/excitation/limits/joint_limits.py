@@ -14,6 +14,9 @@ from sdpid._common.tables import Table
 # Where a limit comes from.
 GIVEN, DESCRIBED, ASSUMED, NONE = "given", "description", "assumed", "none"
 
+# Kinds of limits of each joint.
+KINDS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
+
 # A motion is worth its while when every joint can travel this part of its range and back.
 _WORTHWHILE = 0.1
 
@@ -89,9 +92,7 @@ class JointLimits:
     def table(self) -> Table:
         """Return one row a joint; a dash where there is no limit."""
         columns: dict[str, Any] = {"joint": self.joint_names}
-        for name in ("lower", "upper", "velocity", "acceleration", "jerk", "torque"):
-            columns[name] = getattr(self, name).tolist()
-        return Table.of_columns(columns)
+        return Table.of_columns(columns | {kind: getattr(self, kind).tolist() for kind in KINDS})
 
     def shortest_duration(self, part: float = _WORTHWHILE) -> Array:
         """Return the least time (n,) in s to travel a part of the range and back, rest to rest.

@@ -1,86 +1,184 @@
-"""What is held against limits along a curve: motion, torques, speed of the tool, distances."""
+"""What is held against limits along a curve: motion, torques, speed of the tool, distances.
+
+Efforts and the motion of links are bounded at every configuration. Every vector of the recursive
+Newton-Euler algorithm is a sum of products of vectors that turn with a link: lengths, axes, first
+moments, inertias. A *jet* bounds such a vector over a cell of time: row k is at least the norm of
+its k-th derivative at every instant. Sums and products of vectors obey
+``|(x + y)^(k)| ≤ |x^(k)| + |y^(k)|`` and, by Leibniz, ``|(x·y)^(k)| ≤ Σ C(k, m)·|x^(m)|·
+|y^(k−m)|``, cross products, scalar products and products with matrices alike. So the recursion,
+carried out on jets, bounds efforts and their first two derivatives whatever the configuration; only
+the sizes of the joints' speeds and their derivatives enter, over the same cell.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import comb
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.collision import CollisionModel
-from sdpid.excitation.limits.extremes import Cells
-from sdpid.excitation.limits.norms import LinkNorms, effort_norms, link_norms
+from sdpid.excitation.limits.extremes import Cells, CurveMeasure
+from sdpid.excitation.limits.inequalities import ToolSpeedWithin
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.model.model import RobotModel
 
-
-@dataclass(frozen=True, eq=False)
-class PositionMeasure:
-    """Positions with a sign, so that lower limits are upper ones as well: n functions.
-
-    Attributes
-    ----------
-    sign : float
-        1 or −1.
-    """
-
-    sign: float
-
-    def nodes(self, curve: Curve, time: Array) -> Array:
-        """Return positions, (K, n)."""
-        return curve.evaluate(time)
-
-    def values(self, nodes: Array) -> Array:
-        """Return them with the sign, (K, n)."""
-        return self.sign * nodes
-
-    def bounds(self, cells: Cells) -> Array:
-        """Return upper bounds (C, n)."""
-        lower, upper = cells.enclose(0)
-        return upper if self.sign > 0.0 else -lower
+# Derivatives of the joints' positions that enter: the second derivative of an effort has the
+# fourth, snap.
+_ORDERS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class RateMeasure:
-    """Sizes of a derivative of the positions, n functions.
+class MotionMeasure(CurveMeasure):
+    """A derivative of the positions, n functions.
 
     Attributes
     ----------
     derivative : int
-        1 for velocities, 2 for accelerations, 3 for jerks.
+        0 for positions, 1 for velocities, 2 for accelerations, 3 for jerks.
+    signs : tuple of float
+        Of what is limited: 1 for the derivative itself, −1 for it with the sign changed, so that
+        lower limits are upper ones as well; by default both, its size.
     """
 
     derivative: int
+    signs: tuple[float, ...] = (1.0, -1.0)
 
     def nodes(self, curve: Curve, time: Array) -> Array:
         """Return the derivative, (K, n)."""
         return curve.evaluate(time, derivative=self.derivative)
 
     def values(self, nodes: Array) -> Array:
-        """Return its sizes, (K, n)."""
-        return np.abs(nodes)
+        """Return it with the sign, or its size, (K, n)."""
+        return np.asarray(np.max([sign * nodes for sign in self.signs], axis=0))
 
     def bounds(self, cells: Cells) -> Array:
         """Return upper bounds (C, n)."""
-        return cells.largest(self.derivative)
+        lower, upper = cells.enclose(self.derivative)
+        sides = [upper if sign > 0.0 else -lower for sign in self.signs]
+        return np.asarray(np.max(sides, axis=0))
 
 
-def along_cells(cells: Cells, left: Array, right: Array, jets: Array) -> tuple[Array, Array]:
-    """Return bounds (C, m) below and above of functions from their values at the ends of cells.
+class LinkNorms(NamedTuple):
+    """Jets of the links' motion over C cells; link 0 is the base.
 
-    A function stays within ``w/2·sup|f'|`` of the mean of its values at the ends of a cell of
-    width w, and within ``w²/8·sup|f''|`` of its chord; the tighter holds. The same is true above
-    of a seminorm of a vector with those of its derivatives.
+    Attributes
+    ----------
+    turning : list of ndarray (5, C)
+        Of a unit vector fixed to the link.
+    spin : list of ndarray (4, C)
+        Of the angular velocity.
+    offset : list of ndarray (5, C)
+        Of the vector from the parent's origin to the link's.
+    origin : list of ndarray (5, C)
+        Of the link's origin.
+    """
+
+    turning: list[Array]
+    spin: list[Array]
+    offset: list[Array]
+    origin: list[Array]
+
+
+def product(x: Array, y: Array, count: int) -> Array:
+    """Return the jet (count, …) of a product, from jets of at least that many rows."""
+    return np.stack([sum(comb(k, m) * x[m] * y[k - m] for m in range(k + 1)) for k in range(count)])
+
+
+def _turning(spin: Array) -> Array:
+    """Return the jet (5, C) of a unit vector fixed to a link, from that of its spin (4, C)."""
+    rows = [np.ones_like(spin[0])]
+    for k in range(_ORDERS):
+        rows.append(sum(comb(k, m) * spin[k - m] * rows[m] for m in range(k + 1)))
+    return np.stack(rows)
+
+
+def link_norms(model: Any, joints: Array) -> LinkNorms:
+    """Return the jets of the motion of a tree's links.
 
     Parameters
     ----------
-    cells : Cells
-        The cells.
-    left, right : ndarray, shape (C, m)
-        Values at the ends.
-    jets : ndarray, shape (3, C, m)
-        Bounds on the size of the function and its derivatives over each cell.
+    model : pinocchio.Model
+        Of turning and sliding joints on a fixed base.
+    joints : ndarray, shape (5, C, nv)
+        Bounds on the sizes of the positions (of sliding joints) and their four derivatives.
+    """
+    zero = np.zeros(joints.shape[:2])
+    norms = LinkNorms([_turning(zero[1:])], [zero[1:]], [zero], [zero])
+    for i in range(1, model.njoints):
+        before = model.parents[i]
+        own, turning = joints[:, :, model.joints[i].idx_v], norms.turning[before]
+        step = float(np.linalg.norm(model.jointPlacements[i].translation)) * turning
+        spin = norms.spin[before]
+        if _slides(model.joints[i]):
+            step = step + product(turning, own, _ORDERS + 1)
+        else:
+            spin = spin + product(turning, own[1:], _ORDERS)
+        norms.spin.append(spin)
+        norms.turning.append(_turning(spin))
+        norms.offset.append(step)
+        norms.origin.append(norms.origin[before] + step)
+    return norms
+
+
+def effort_norms(
+    model: Any, norms: LinkNorms, link: int, sizes: Sequence[float], gravity: float
+) -> Array:
+    """Return the jets (3, C, nv) of what one body adds to the efforts.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        The tree.
+    norms : LinkNorms
+        The motion of its links.
+    link : int
+        The body's link, from 1.
+    sizes : sequence of 3 floats
+        Its mass, and the norms of its first moment and rotational inertia about the link's origin.
+    gravity : float
+        Size of gravity, m/s².
+    """
+    mass, moment, inertia = sizes
+    turning = norms.turning[link]
+    acceleration = norms.origin[link][2:].copy()
+    acceleration[0] += gravity
+    force = mass * acceleration + moment * turning[2:]
+    spinning = product(product(turning, turning, _ORDERS), norms.spin[link], _ORDERS)
+    torque = inertia * spinning[1:] + moment * product(turning, acceleration, 3)
+    arm = np.zeros_like(torque)
+    found = np.zeros((*torque.shape, model.nv))
+    while link > 0:
+        joint, before = model.joints[link], model.parents[link]
+        whole = force if _slides(joint) else torque + product(arm, force, 3)
+        found[:, :, joint.idx_v] = product(norms.turning[before], whole, 3)
+        arm = arm + norms.offset[link][:3]
+        link = before
+    return found
+
+
+def _slides(joint: Any) -> bool:
+    return bool(joint.shortname().startswith("JointModelP"))
+
+
+def _robot_norms(robot: RobotModel, cells: Cells) -> LinkNorms:
+    """Return the jets of the links' motion over cells."""
+    # Mimic joints move with the joint that they follow, and from an offset.
+    joints = cells.sizes @ np.abs(robot.expansion).T
+    joints[0] += np.abs(robot.offset)
+    return link_norms(robot.pin_model, joints)
+
+
+def _along(cells: Cells, left: Array, right: Array, jets: Array) -> tuple[Array, Array]:
+    """Return bounds (C, m) below and above of functions from their values at the ends of cells.
+
+    With jets (3, C, m) a function stays within ``w/2·sup|f'|`` of the mean of its values at the
+    ends of a cell of width w, and within ``w²/8·sup|f''|`` of its chord; the tighter holds. The
+    same is true above of a seminorm of a vector with those of its derivatives.
     """
     mean, first = 0.5 * (left + right), 0.5 * cells.width * jets[1]
     second = 0.125 * cells.width**2 * jets[2]
@@ -90,20 +188,13 @@ def along_cells(cells: Cells, left: Array, right: Array, jets: Array) -> tuple[A
     )
 
 
-def robot_norms(robot: RobotModel, cells: Cells) -> LinkNorms:
-    """Return the jets of the links' motion over cells."""
-    # Mimic joints move with the joint that they follow, and from an offset.
-    joints = cells.sizes @ np.abs(robot.expansion).T
-    joints[0] += np.abs(robot.offset)
-    return link_norms(robot.pin_model, joints)
-
-
 @dataclass(frozen=True, eq=False)
-class TorqueMeasure:
+class TorqueMeasure(CurveMeasure):
     """Sizes of torques, n functions.
 
-    The links' torque is bounded by `along_cells`, and so are the deviations, a seminorm of the
-    regressor's rows; friction and rotors by the ranges of velocity and acceleration.
+    The links' torque is bounded from its values at the ends of cells, and so are the deviations, a
+    seminorm of the regressor's rows; friction and rotors by the ranges of velocity and
+    acceleration.
 
     Attributes
     ----------
@@ -131,14 +222,14 @@ class TorqueMeasure:
         model = self.model
         links, spread = self._jets(cells)
         left, right = (np.split(nodes, 4, axis=1) for nodes in (cells.left, cells.right))
-        least, most = along_cells(cells, left[0], right[0], links)
+        least, most = _along(cells, left[0], right[0], links)
         columns = model.dynamics.terms.enclosed(cells.enclose(1), cells.enclose(2))
         ends = columns[0] * model.coefficients, columns[1] * model.coefficients
         low, high = np.minimum(*ends).sum(axis=2), np.maximum(*ends).sum(axis=2)
         load = model.load * np.maximum(np.abs(least), np.abs(most))
         out = np.maximum(most + high, -(least + low)) + load
         if model.deviations:
-            out += along_cells(cells, left[2], right[2], spread)[1]
+            out += _along(cells, left[2], right[2], spread)[1]
             widest = np.maximum(*np.abs(columns)) @ model.friction_deviations
             out += model.deviations * widest
         return np.asarray(out)
@@ -146,67 +237,49 @@ class TorqueMeasure:
     def _jets(self, cells: Cells) -> tuple[Array, Array]:
         """Return jets (3, C, n) of the links' torques, and of their deviations."""
         model, robot = self.model, self.model.robot
-        norms = robot_norms(robot, cells)
+        norms = _robot_norms(robot, cells)
         gravity = float(np.linalg.norm(model.model.gravity.linear))
-        bodies, deviations = model.sizes
         E = np.abs(robot.expansion)
         links = np.zeros((3, len(cells.start), robot.n))
         spread = np.zeros_like(links)
-        for k in range(robot.n_links):
-            links += effort_norms(robot.pin_model, norms, k + 1, bodies[k], gravity) @ E
+        for k, (body, deviation) in enumerate(zip(*model.sizes, strict=True), 1):
+            links += effort_norms(robot.pin_model, norms, k, body, gravity) @ E
             if model.deviations:
-                own = effort_norms(robot.pin_model, norms, k + 1, deviations[k], gravity) @ E
+                own = effort_norms(robot.pin_model, norms, k, deviation, gravity) @ E
                 spread = np.hypot(spread, own) if model.independent else spread + own
         return links, spread
 
 
 @dataclass(frozen=True, eq=False)
-class ToolMeasure:
-    """Speeds of points that are fixed to links, bounded by `along_cells`.
+class ToolMeasure(CurveMeasure):
+    """Speeds of points that are fixed to links, bounded from those at the ends of cells.
 
     Attributes
     ----------
-    robot : RobotModel
-        The robot.
-    frames : tuple of int
-        Indices of the description's frames at the points.
+    tool : ToolSpeedWithin
+        The points.
     """
 
-    robot: RobotModel
-    frames: tuple[int, ...]
+    tool: ToolSpeedWithin
 
     def nodes(self, curve: Curve, time: Array) -> Array:
         """Return the speeds, (K, points)."""
-        import pinocchio as pin
-
-        robot, model = self.robot, self.robot.pin_model
-        data, upright = model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        positions = robot.configuration(curve.evaluate(time))
-        velocities = curve.evaluate(time, derivative=1) @ robot.expansion.T
-        out = np.empty((len(time), len(self.frames)))
-        for k, (q, v) in enumerate(zip(positions, velocities, strict=True)):
-            pin.forwardKinematics(model, data, q, v)
-            for c, frame in enumerate(self.frames):
-                out[k, c] = np.linalg.norm(pin.getFrameVelocity(model, data, frame, upright).linear)
-        return out
-
-    def values(self, nodes: Array) -> Array:
-        """Return the speeds."""
-        return nodes
+        return self.tool.speeds(curve.evaluate(time), curve.evaluate(time, derivative=1))
 
     def bounds(self, cells: Cells) -> Array:
         """Return upper bounds (C, points)."""
-        norms = robot_norms(self.robot, cells)
+        robot = self.tool.robot
+        norms = _robot_norms(robot, cells)
         points = []
-        for frame in (self.robot.pin_model.frames[index] for index in self.frames):
+        for frame in (robot.pin_model.frames[index] for index in self.tool.frames):
             link, length = frame.parentJoint, float(np.linalg.norm(frame.placement.translation))
             points.append(norms.origin[link] + length * norms.turning[link])
         jets = np.stack(points, axis=2)[1:4]
-        return along_cells(cells, cells.left, cells.right, jets)[1]
+        return _along(cells, cells.left, cells.right, jets)[1]
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceMeasure:
+class DistanceMeasure(CurveMeasure):
     """Distances of pairs with the sign changed, so that a clearance is an upper limit.
 
     No distance changes faster than ``Σ_j reach_j·|dq_j/dt|``, whatever the configuration.
@@ -220,15 +293,11 @@ class DistanceMeasure:
     collision: CollisionModel
 
     def nodes(self, curve: Curve, time: Array) -> Array:
-        """Return the distances, (K, pairs)."""
-        return self.collision.distances(curve.evaluate(time))
-
-    def values(self, nodes: Array) -> Array:
-        """Return them with the sign changed."""
-        return -nodes
+        """Return the distances with the sign changed, (K, pairs)."""
+        return -self.collision.distances(curve.evaluate(time))
 
     def bounds(self, cells: Cells) -> Array:
         """Return upper bounds (C, pairs)."""
         rate = cells.largest(1) @ self.collision.reach.T
         middle = 0.5 * (cells.left + cells.right)
-        return np.asarray(0.5 * cells.width * rate - middle + self.collision.accuracy)
+        return np.asarray(0.5 * cells.width * rate + middle + self.collision.accuracy)

@@ -94,8 +94,9 @@ def _order(robot: RobotModel, names: Sequence[str]) -> Indices:
 
 
 def _reordered(curve: Curve, order: Indices) -> Curve:
-    same = np.array_equal(order, np.arange(len(order)))
-    return curve if same else _Reordered(curve, order)
+    if np.array_equal(order, np.arange(len(order))):
+        return curve
+    return _Reordered(curve, order, curve.n, curve.duration, curve.breaks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,18 +105,9 @@ class _Reordered:
 
     curve: Curve
     order: Indices
-
-    @property
-    def n(self) -> int:
-        return self.curve.n
-
-    @property
-    def duration(self) -> float:
-        return self.curve.duration
-
-    @property
-    def breaks(self) -> Array:
-        return self.curve.breaks
+    n: int
+    duration: float
+    breaks: Array
 
     def evaluate(self, time: Any, *, derivative: int = 0) -> Array:
         return self.curve.evaluate(time, derivative=derivative)[:, self.order]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask, is_number, real_array
+from sdpid._common.arrays import Array, Mask, frozen, generator, is_number, real_array
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import (
     ASSUMED,
@@ -17,29 +19,34 @@ from sdpid.excitation.limits.joint_limits import (
     JointLimits,
     unit_of,
 )
-from sdpid.excitation.limits.resting import able_to_rest, check_rest
 from sdpid.robot.model.arms import require_fixed_robot
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 # A value for all joints, one a joint in the robot's order (None for none), or values by joint.
 Values = float | Sequence[float | None] | Mapping[str, float] | None
 
-KINDS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 # The entry of a mapping that stands for all joints that it does not name.
 OTHERS = "*"
 
 # Joints without position limits may go this far to either side of their rest position: half a turn
 # keeps cables whole. Sliding joints may have an end stop anywhere (m).
 _HALF_TURN, _SHORT_WAY = np.pi, 0.1
-# Joints without a speed limit, rad/s and m/s.
-_SPEED, _SLIDING_SPEED = 2.0, 0.25
-# Descriptions have no accelerations. Full speed after half a second is a lively motion of any arm:
-# 4.4 rad/s² on the Panda, whose maker allows 7.5 to 20; capped where speeds are high, rad/s², m/s².
-_SECONDS_TO_FULL_SPEED = 0.5
-_ACCELERATION, _SLIDING_ACCELERATION = 5.0, 2.0
-# The full acceleration after this time (s): far above the period of an arm's own oscillations.
-_SECONDS_TO_FULL_ACCELERATION = 0.1
+
+# What is assumed of sizes without limits: in so many seconds a joint gets to the size before, and
+# at most this of turning and of sliding joints; and how that is told. Descriptions have no
+# accelerations. Full speed after half a second is a lively motion of any arm: 4.4 rad/s² on the
+# Panda, whose maker allows 7.5 to 20; capped where speeds are high. The full acceleration after a
+# tenth of a second is far above the period of an arm's own oscillations.
+_USUAL = {
+    "velocity": (1.0, (2.0, 0.25), "{amount} is assumed"),
+    "acceleration": (
+        0.5,
+        (5.0, 2.0),
+        "full speed after {seconds:g} s, at most {amount}, is assumed",
+    ),
+    "jerk": (0.1, (np.inf, np.inf), "the full acceleration after {seconds:g} s is assumed"),
+}
+_UNCHECKED = "they are not checked"
 
 # The joints rest at zero where that is this part of the range or more away from its ends, in the
 # middle otherwise.
@@ -47,11 +54,13 @@ _FROM_ENDS = 0.1
 # Stands for infinity there, rad or m: any number far beyond the joints' ranges will do.
 _UNBOUNDED = 1e3
 
-
-# Larger values of turning joints are degrees: two turns, 8 turns a second (rad, rad/s). Of sliding
-# joints they are mm (m, m/s).
-_DEGREES = {"lower": 4.0 * np.pi, "upper": 4.0 * np.pi, "velocity": 50.0}
-_MILLIMETERS = {"lower": 20.0, "upper": 20.0, "velocity": 20.0}
+# Larger values are degrees of turning joints, two turns and 8 turns a second (rad, rad/s), and mm
+# of sliding ones (m, m/s).
+_SLIPS = {
+    "lower": (4.0 * np.pi, 20.0),
+    "upper": (4.0 * np.pi, 20.0),
+    "velocity": (50.0, 20.0),
+}
 
 # Described limits of turning joints beyond these limit nothing: in example-robot-data real ones
 # come to 52 rad/s, two turns, and 17 times the torque that holds the whole robot at its reach (a
@@ -60,6 +69,10 @@ _FASTEST, _WIDEST, _STRONGEST = 20.0 * np.pi, 6.0 * np.pi, 40.0
 
 # Limits are the same where they differ by less than this share: files round them.
 _SAME = 1e-3
+
+# Gravity takes at most this share of the torque limits at rest, where such a position is found
+# among those drawn: a reserve for friction, and some torque for the motion, are left.
+_EASY, _DRAWN = 0.7, 1000
 
 
 def narrow(
@@ -95,13 +108,9 @@ def narrow(
     DataError
         When limits contradict each other or what they are for.
     """
+    require_fixed_robot(robot, "limits")
     found = _Narrowing(robot, given, share, override, assume).limits(rest)
-    if not assume:
-        return found
-    if rest is None:
-        return able_to_rest(robot, found)
-    check_rest(robot, found)
-    return found
+    return _standing(robot, found, given=rest is not None) if assume else found
 
 
 class _Narrowing:
@@ -115,49 +124,30 @@ class _Narrowing:
         override: bool,
         assume: bool,
     ) -> None:
-        require_fixed_robot(robot, "limits")
         self.robot, self.given, self.share, self.override = robot, given, share, override
         self.assume = assume
-        self.names, self.n = robot.joint_names, robot.n
-        self.sliding = sliding(robot.pin_model, robot.joint_names)
+        self.names, self.n, self.sliding = robot.joint_names, robot.n, robot.slides
         self.told: list[str] = []
         self.sources: dict[str, tuple[str, ...]] = {}
 
     def limits(self, rest: ArrayLike | None) -> JointLimits:
         """Return the joints' limits."""
-        start = self._start(rest)
-        lower, upper = self._range(start)
-        position = np.where(np.isnan(start), _usual_rest(lower, upper), start)
-        robot = self.robot
-        speeds, torques = (
-            np.where(np.isfinite(limit), limit, np.nan)
-            for limit in (robot.velocity_limits, robot.effort_limits)
-        )
-        velocity = self._filled(
-            "velocity",
-            self._merged("velocity", self.share * speeds, speeds),
-            np.where(self.sliding, _SLIDING_SPEED, _SPEED),
-            "{} is assumed",
-            (f"{_SPEED:g} rad/s", f"{_SLIDING_SPEED:g} m/s"),
-        )
-        none = np.full(self.n, np.nan)
-        most = np.where(self.sliding, _SLIDING_ACCELERATION, _ACCELERATION)
-        acceleration = self._filled(
-            "acceleration",
-            self._merged("acceleration", none, none),
-            np.minimum(velocity / _SECONDS_TO_FULL_SPEED, most),
-            f"full speed after {_SECONDS_TO_FULL_SPEED:g} s, at most {{}}, is assumed",
-            (f"{_ACCELERATION:g} rad/s²", f"{_SLIDING_ACCELERATION:g} m/s²"),
-        )
-        jerk = self._filled(
-            "jerk",
-            self._merged("jerk", none, none),
-            acceleration / _SECONDS_TO_FULL_ACCELERATION,
-            f"the full acceleration after {_SECONDS_TO_FULL_ACCELERATION:g} s is assumed",
-        )
-        torque = self._merged("torque", self.share * torques, torques)
-        self._tell(np.isnan(torque), "no torque limits; they are not checked")
-        self._tell_empty(upper - lower, velocity, torque)
+        start = None if rest is None else self._start(rest)
+        lower, upper = self._range(np.zeros(self.n) if start is None else start)
+        found: dict[str, Any] = {"lower": lower, "upper": upper}
+        before = np.full(self.n, np.inf)
+        for kind, (seconds, most, words) in _USUAL.items():
+            values = self._size(kind)
+            missing = np.isnan(values)
+            amounts = (f"{amount:g} {unit_of(kind, k)}" for k, amount in enumerate(most))
+            self._missing(
+                kind, missing, *(words.format(amount=each, seconds=seconds) for each in amounts)
+            )
+            usual = np.minimum(before / seconds, np.where(self.sliding, *most[::-1]))
+            before = found[kind] = np.where(missing, usual if self.assume else np.inf, values)
+        torque = self._size("torque")
+        self._tell(np.isnan(torque), f"no torque limits; {_UNCHECKED}")
+        self._tell_empty(upper - lower, found["velocity"], torque)
         if self.share < 1.0 and any(DESCRIBED in each for each in self.sources.values()):
             self.told.append(
                 f"of the description's position ranges, speeds and torques {100 * self.share:g} % "
@@ -165,22 +155,16 @@ class _Narrowing:
             )
         return JointLimits(
             joint_names=self.names,
-            sliding=tuple(bool(slides) for slides in self.sliding),
-            rest=position,
-            lower=lower,
-            upper=upper,
-            velocity=velocity,
-            acceleration=acceleration,
-            jerk=jerk,
+            sliding=tuple(self.sliding.tolist()),
+            rest=_usual_rest(lower, upper) if start is None else start,
             torque=np.where(np.isnan(torque), np.inf, torque),
             sources=self.sources,
             assumed=tuple(self.told),
+            **found,
         )
 
-    def _start(self, rest: ArrayLike | None) -> Array:
-        """Return the given rest position (n,), NaN where none is given."""
-        if rest is None:
-            return np.full(self.n, np.nan)
+    def _start(self, rest: ArrayLike) -> Array:
+        """Return the given rest position (n,)."""
         values = real_array(rest, "rest position", ndim=1)
         if values.shape != (self.n,):
             raise DataError(
@@ -189,7 +173,7 @@ class _Narrowing:
             )
         return values
 
-    def _range(self, start: Array) -> tuple[Array, Array]:
+    def _range(self, about: Array) -> tuple[Array, Array]:
         """Return the lower and upper limits of the positions."""
         low, high = self.robot.position_limits.T
         wrong = np.flatnonzero(~(low < high))
@@ -200,32 +184,25 @@ class _Narrowing:
                 f"{low[j]:g} to {high[j]:g}; mend it, or give both with override."
             )
         real = np.isfinite(low) & (low < high)
-        low, high = _within_mimics(
-            self.robot, np.where(real, low, np.nan), np.where(real, high, np.nan)
-        )
+        low, high = _within_mimics(self.robot, *np.where(real, (low, high), np.nan))
         # NaN where an end is missing: then the other is used as it stands.
         spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
         lower = self._merged("lower", low + spare, low)
         upper = self._merged("upper", high - spare, high)
-        way = np.where(self.sliding, _SHORT_WAY, _HALF_TURN)
-        if not self.assume:
-            way = np.full(self.n, np.inf)
-        about = np.where(np.isnan(start), 0.0, start)
+        way = np.where(self.sliding, _SHORT_WAY, _HALF_TURN) if self.assume else np.inf
         no_lower, no_upper = ~np.isfinite(lower), ~np.isfinite(upper)
         lower, upper = (
             np.where(no_lower, np.where(no_upper, about - way, upper - 2.0 * way), lower),
             np.where(no_upper, np.where(no_lower, about + way, lower + 2.0 * way), upper),
         )
-        self._assume(
-            "position",
-            no_lower | no_upper,
-            "{} to either side of the rest position is assumed, since cables and end stops are not "
-            "known",
-            ("half a turn", f"{_SHORT_WAY:g} m"),
+        words = (
+            "to either side of the rest position is assumed, since cables and end stops are not "
+            "known"
         )
-        source = ASSUMED if self.assume else NONE
-        for missing, kind in ((no_lower, "lower"), (no_upper, "upper")):
-            self._mark(kind, missing, source)
+        amounts = "half a turn", f"{_SHORT_WAY:g} m"
+        self._missing("position", no_lower | no_upper, *(f"{each} {words}" for each in amounts))
+        for kind, missing in (("lower", no_lower), ("upper", no_upper)):
+            self._mark(kind, missing)
         for j in np.flatnonzero(~(lower < upper)):
             sides = [self.sources[kind][j] for kind in ("lower", "upper")]
             given = sides == [GIVEN, GIVEN]
@@ -236,48 +213,37 @@ class _Narrowing:
             )
         return lower, upper
 
+    def _size(self, kind: str) -> Array:
+        """Return the limits (n,) of a size that are given or described, NaN where neither is."""
+        limits = {"velocity": self.robot.velocity_limits, "torque": self.robot.effort_limits}
+        described = limits.get(kind, np.full(self.n, np.inf))
+        described = np.where(np.isfinite(described), described, np.nan)
+        return self._merged(kind, self.share * described, described)
+
     def _merged(self, kind: str, used: Array, described: Array) -> Array:
         """Return the tighter of the given limits and the description's, NaN where neither is.
 
         `used` is the share of the described limits that is used.
         """
         given = self._values(kind)
-        self._check_units(kind, given)
         tighter = np.fmax if kind == "lower" else np.fmin
-        beyond = np.sign(described - given) if kind == "lower" else np.sign(given - described)
-        wider = (beyond > 0.0) & (np.abs(given - described) > _SAME * np.abs(described))
+        beyond = described > given if kind == "lower" else given > described
+        wider = beyond & (np.abs(given - described) > _SAME * np.abs(described))
+        words = f"{kind} limits beyond the description's"
         if self.override:
             values = np.where(np.isnan(given), used, given)
-            self._tell(wider, f"{kind} limits beyond the description's, which they override")
+            self._tell(wider, f"{words}, which they override")
         else:
             values = np.where(np.isnan(given), used, tighter(given, described))
-            self._tell(
-                wider & np.isfinite(given),
-                f"{kind} limits beyond the description's; the description's hold",
-            )
-        own = ~np.isnan(given) & (~(beyond > 0.0) | self.override)
+            self._tell(wider & np.isfinite(given), f"{words}; the description's hold")
+        own = ~np.isnan(given) & (~beyond | self.override)
         sources = np.where(own, GIVEN, np.where(np.isnan(described), NONE, DESCRIBED))
         self.sources[kind] = tuple(sources.tolist())
         return values
 
-    def _filled(
-        self,
-        kind: str,
-        values: Array,
-        usual: Array,
-        words: str,
-        amounts: tuple[str, str] = ("", ""),
-    ) -> Array:
-        """Return sizes with what is assumed where there are none."""
-        missing = np.isnan(values)
-        self._assume(kind, missing, words, amounts)
-        return np.where(missing, usual if self.assume else np.inf, values)
-
     def _values(self, kind: str) -> Array:
         """Return the given values (n,) of a kind, NaN where none is given."""
         values = self.given[kind]
-        if values is None:
-            return np.full(self.n, np.nan)
         if isinstance(values, Mapping):
             unknown = [name for name in values if name not in self.names and name != OTHERS]
             if unknown:
@@ -286,47 +252,44 @@ class _Narrowing:
                     f"are {', '.join(self.names)}."
                 )
             each = [values.get(name, values.get(OTHERS)) for name in self.names]
+        elif values is None or is_number(values):
+            each = [values] * self.n
         else:
-            each = [values] * self.n if is_number(values) else list(values)  # type: ignore[arg-type]
+            each = list(values)  # type: ignore[arg-type]
         if len(each) != self.n:
             raise DataError(
                 f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self.n} "
                 f"joints: {', '.join(self.names)}."
             )
-        return np.array([np.nan if value is None else value for value in each], dtype=np.float64)
+        given = np.array(each, dtype=np.float64)
+        self._check_units(kind, given)
+        return given
 
     def _check_units(self, kind: str, given: Array) -> None:
         """Raise `DataError` when given values look like degrees or mm."""
-        if kind not in _DEGREES:
-            return
-        most = np.where(self.sliding, _MILLIMETERS[kind], _DEGREES[kind])
+        most = np.where(self.sliding, *_SLIPS.get(kind, (np.inf, np.inf))[::-1])
         for j in np.flatnonzero(np.isfinite(given) & (np.abs(given) > most)):
             unit = unit_of(kind, self.sliding[j])
-            slip = "mm" if self.sliding[j] else "degrees"
-            factor = 1e-3 if self.sliding[j] else np.pi / 180.0
+            slip, factor = ("mm", 1e-3) if self.sliding[j] else ("degrees", np.pi / 180.0)
             raise DataError(
                 f"limits: joint '{self.names[j]}': {kind} is {given[j]:g} {unit}, which looks like "
                 f"{slip}; give {given[j] * factor:.4g} {unit}."
             )
 
-    def _mark(self, kind: str, where: Mask, source: str) -> None:
-        """Note the source of some joints' limits."""
-        old = self.sources[kind]
-        self.sources[kind] = tuple(
-            source if here else before for before, here in zip(old, where, strict=True)
-        )
-
-    def _assume(self, kind: str, where: Mask, words: str, amounts: tuple[str, str]) -> None:
+    def _missing(self, kind: str, where: Mask, turning: str, slides: str) -> None:
         """Tell what is assumed of turning joints, and what of sliding ones, or that nothing is."""
         if kind in self.sources:
-            self._mark(kind, where, ASSUMED if self.assume else NONE)
+            self._mark(kind, where)
         if not self.assume:
-            self._tell(where, f"no {kind} limits; they are not checked")
-        elif "{}" not in words:
-            self._tell(where, f"no {kind} limits; {words}")
-        else:
-            for joints, amount in zip((~self.sliding, self.sliding), amounts, strict=True):
-                self._tell(where & joints, f"no {kind} limits; {words.format(amount)}")
+            turning = slides = _UNCHECKED
+        for words in dict.fromkeys((turning, slides)):
+            alike = np.where(self.sliding, slides == words, turning == words)
+            self._tell(where & alike, f"no {kind} limits; {words}")
+
+    def _mark(self, kind: str, where: Mask) -> None:
+        """Note the joints whose limits are assumed, or none."""
+        source = ASSUMED if self.assume else NONE
+        self.sources[kind] = tuple(np.where(where, source, self.sources[kind]).tolist())
 
     def _tell_empty(self, width: Array, velocity: Array, torque: Array) -> None:
         """Tell which limits of the description are so wide that they limit nothing."""
@@ -388,3 +351,54 @@ def _usual_rest(lower: Array, upper: Array) -> Array:
     edge = _FROM_ENDS * (high - low)
     inside = (low + edge <= 0.0) & (high - edge >= 0.0)
     return np.where(inside, 0.0, 0.5 * (low + high))
+
+
+def _standing(robot: RobotModel, limits: JointLimits, *, given: bool) -> JointLimits:
+    """Return limits with a rest position that the motors hold: as given, or the nearest easy one.
+
+    Raises
+    ------
+    DataError
+        When a given one is outside of the limits, or they hold none.
+    """
+    rest, names, tried = limits.rest, limits.joint_names, limits.rest[None]
+    width = limits.upper - limits.lower
+    for j in np.flatnonzero((rest < limits.lower) | (rest > limits.upper)):
+        unit = unit_of("lower", limits.sliding[j])
+        below = rest[j] < limits.lower[j]
+        side, limit = ("below", limits.lower[j]) if below else ("above", limits.upper[j])
+        raise DataError(
+            f"limits: joint '{names[j]}': the rest position {rest[j]:.6g} {unit} is {side} the "
+            f"limit of {limit:.6g} {unit}; start elsewhere, or widen the limit."
+        )
+    if not given:
+        drawn = limits.lower + width * generator(0).uniform(0.05, 0.95, (_DRAWN, limits.n))
+        # From the usual position on, ever farther towards each drawn one.
+        shares = np.linspace(0.0, 1.0, _DRAWN)[:, None]
+        tried = np.vstack([rest, rest + shares * (drawn - rest), drawn])
+    still = np.zeros_like(tried)
+    # What gravity needs, in shares of the torque limits.
+    loads = np.abs(robot.described_efforts(tried, still, still)) / limits.torque
+    load = loads.max(axis=1)
+    easy = load <= (1.0 if given else _EASY)
+    if easy[0]:
+        return limits
+    away = np.abs((tried - rest) / width).sum(axis=1)
+    best = int(np.argmin(np.where(easy, away, np.inf) if easy.any() else load))
+    if load[best] > 1.0:
+        worst = int(np.argmax(loads[best]))
+        unit, source = unit_of("torque", limits.sliding[worst]), limits.sources["torque"][worst]
+        where = "the rest position" if given else f"the best of {len(tried)} positions"
+        larger = "a larger limit" + (" with override = true" if source == DESCRIBED else "")
+        remedy = f"another rest position, or {larger}" if given else f"{larger}, or a rest position"
+        raise DataError(
+            f"limits: joint '{names[worst]}': gravity alone needs "
+            f"{load[best] * limits.torque[worst]:.4g} {unit} at {where}, the torque limit is "
+            f"{limits.torque[worst]:.4g} {unit} ({source}); give {remedy}."
+        )
+    told = (
+        "the rest position is one that the motors hold easily: at the usual one "
+        f"{100.0 * _EASY:.0f} % of the torque limit of {names[int(np.argmax(loads[0]))]} are not "
+        "enough."
+    )
+    return replace(limits, rest=frozen(tried[best]), assumed=(*limits.assumed, told))

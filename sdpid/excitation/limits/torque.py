@@ -13,12 +13,12 @@ from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.prior.prior import Prior, link_rows
-from sdpid.excitation.limits.norms import body_sizes
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.term import JointwiseTerm
+from sdpid.robot.inertia import inertia_tensor
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.model import RobotModel, each_state
 
 # Shares of the torque limit that are kept for what a model does not know: most descriptions have no
 # friction, which takes 10 to 20 % of an arm's rated torque; an identified model leaves residuals.
@@ -222,10 +222,9 @@ class TorqueModel:
         """Return the torques (K, n) that move and carry the links, without friction."""
         import pinocchio as pin
 
-        model, data, E = self.model, self.model.createData(), self.robot.expansion
-        states = zip(self.robot.configuration(q), v @ E.T, a @ E.T, strict=True)
-        found = np.array([pin.rnea(model, data, *state) for state in states])
-        return np.asarray(found.reshape(len(q), -1) @ E)
+        model, E = self.model, self.robot.expansion
+        states = self.robot.configuration(q), v @ E.T, a @ E.T
+        return np.asarray(each_state(pin.rnea, model, (model.nv,), *states) @ E)
 
     def friction(self, v: Array, a: Array) -> Array:
         """Return the torques (K, n) of friction and rotors, but for friction of the load."""
@@ -261,6 +260,13 @@ class TorqueModel:
         tensor = np.concatenate([self.roots[:, 4:], self.roots[:, [5, 7, 8]]], axis=1)
         parts = [np.linalg.norm(part, ord=2, axis=(1, 2)) for part in (mass, moment, tensor)]
         return body_sizes(bodies), self.deviations * np.column_stack(parts)
+
+
+def body_sizes(bodies: Array) -> Array:
+    """Return mass, and norms of first moment and rotational inertia, (links, 10) to (links, 3)."""
+    moments = np.linalg.norm(bodies[:, 1:4], axis=1)
+    inertias = np.linalg.norm(inertia_tensor(bodies), ord=2, axis=(1, 2))
+    return np.column_stack([np.abs(bodies[:, 0]), moments, inertias])
 
 
 def _dynamics(
