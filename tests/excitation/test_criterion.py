@@ -13,13 +13,17 @@ from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import build_problem
-from sdpid.excitation.criterion.belief import default_prior, information_of_rows, prior_information
-from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.belief import (
+    default_prior,
+    information_of_rows,
+    marginal,
+    nominal_bodies,
+    nominal_theta,
+    prior_information,
+)
+from sdpid.excitation.criterion.criterion import Criterion, Objective
 from sdpid.excitation.criterion.earlier import earlier_information
-from sdpid.excitation.criterion.marginal import marginal
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
-from sdpid.excitation.criterion.nominal import nominal_bodies, nominal_theta
-from sdpid.excitation.criterion.objectives import Objective
 from sdpid.excitation.criterion.purpose import PURPOSES, effort_functionals, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.robot.friction.model import FrictionModel

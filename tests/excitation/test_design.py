@@ -11,23 +11,20 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, MissingExtraError, ModelError
-from sdpid.excitation.criterion.criterion import Criterion
-from sdpid.excitation.criterion.objectives import Objective, ObjectiveKind
-from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.design import design
-from sdpid.excitation.design.repair import checked, mend
+from sdpid.excitation.criterion.criterion import Criterion, ObjectiveKind
+from sdpid.excitation.design import loop
+from sdpid.excitation.design.loop import checked, mend
 from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.limits.check import LimitCheck, check_trajectory
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.plan.plan import Plan
-from sdpid.excitation.search.search import Candidate, Search
-from sdpid.excitation.search.space import SplineSpace
+from sdpid.excitation.search.search import Search
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.curve import Spline
-from sdpid.robot.model.model import RobotModel
 from tests.helpers.plans import small_plan
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.searches import LIMITS, criterion_of, search_of
 from tests.helpers.studies import study
 
 # Plans: within every limit at every instant, the same for a seed, and stoppable.
@@ -125,13 +122,13 @@ def test_what_is_delivered_is_hardly_worse_than_what_was_found(
 ) -> None:
     broken, worse = [], []
 
-    def mended(task: Any, search: Any, found: Any, inequalities: Any) -> Any:
-        broken.append(not checked(task, found[0])[1].ok)
-        best, check = mend(task, search, found, inequalities)
+    def mended(search: Any, found: Any) -> Any:
+        broken.append(not checked(search, found[0])[1].ok)
+        best, check = mend(search, found)
         worse.append(best.value - found[0].value)
         return best, check
 
-    monkeypatch.setattr(design, "mend", mended)
+    monkeypatch.setattr(loop, "mend", mended)
     # The tool is too fast between the instants of the grid.
     plan = sdpid.design_excitation(
         "denso_vp6242", limits=sdpid.Limits(tool_speed=0.5), collisions=False, **QUICK
@@ -332,12 +329,6 @@ def test_no_grid_finds_less_slack_than_is_stated() -> None:
         assert reached.slack >= stated[reached.kind, reached.subject] - 1e-9
 
 
-def criterion_of(robot: RobotModel, kind: ObjectiveKind, friction: tuple[str, ...]) -> Criterion:
-    rows = BaseRows.of(robot, friction)
-    known = np.zeros((rows.count, rows.count))
-    return Criterion(rows=rows, objective=Objective(kind=kind), rates=np.ones(robot.n), known=known)
-
-
 def states_of(curve: Spline, time: float = 1.0) -> tuple[Array, Array, Array]:
     """Return the states of a curve that takes `time` as long."""
     grid = (np.arange(80) + 0.5) / 80.0 * curve.duration
@@ -379,21 +370,6 @@ def test_turning_a_vertical_first_joint_shows_as_much(seed: int, angle: float) -
     assert turned == pytest.approx(usual, abs=1e-6)
 
 
-LIMITS = sdpid.Limits(lower=-1.5, upper=1.0, velocity=2.0, acceleration=4.0, jerk=40.0, share=1.0)
-
-
-def search_of(limits: sdpid.Limits) -> Search:
-    robot = planar_arm()
-    criterion = criterion_of(robot, "mixed", ("viscous",))
-    space = SplineSpace.of(robot.n, 4.0, intervals=8)
-    return Search(space=space, criterion=criterion, limits=limits.of(robot))
-
-
-def found_from(search: Search, start: Array) -> Candidate:
-    candidate, _ = search.improve(start, None, most_steps=40)
-    return candidate
-
-
 @settings(max_examples=6, deadline=None)
 @given(st.sampled_from(KINDS), st.floats(0.3, 0.9), st.integers(0, 100))
 def test_a_tighter_limit_never_gains(kind: str, factor: float, seed: int) -> None:
@@ -402,10 +378,10 @@ def test_a_tighter_limit_never_gains(kind: str, factor: float, seed: int) -> Non
     tight = search_of(replace(LIMITS, **{kind: factor * getattr(LIMITS, kind)}))
     rng = np.random.default_rng(seed)
     start = random_start(tight.space, tight.linear, rng.uniform(-1, 0.5, 2), rng, lambda x: True)
-    within = found_from(tight, start)
+    within = tight.improve(start)
     matrix, lower, upper = wide.linear
     assert np.all((matrix @ within.x >= lower) & (matrix @ within.x <= upper))
-    assert found_from(wide, within.x).value <= within.value
+    assert wide.improve(within.x).value <= within.value
 
 
 # A plan draws its motion against its limits.

@@ -12,10 +12,10 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.compression.contact_rows import ContactRows
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.standing.held import Held
-from sdpid.excitation.standing.loads import loads
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance, StanceStates
 from sdpid.excitation.standing.task import StandingInequalities, _joints
@@ -199,8 +199,7 @@ def test_balls_roll_along_the_way() -> None:
 def test_rows_are_those_of_an_estimate(stance: Stance) -> None:
     found, x = states(stance)
     robot, legs = stance.robot, stance.legs
-    rows = StandingRows.of(stance, ("coulomb", "viscous"))
-    rows = replace(rows, spread=np.random.default_rng(1).uniform(0.5, 2.0, robot.n))
+    rows = rows_of(stance, np.random.default_rng(1).uniform(0.5, 2.0, robot.n))
     W = rows.rows(*x)
     samples = sdpid.Samples(
         position=found.poses.configuration,
@@ -218,7 +217,7 @@ def test_rows_are_those_of_an_estimate(stance: Stance) -> None:
     root = np.diag(rows.spread**-0.5)[None]
     every = np.ones((K, robot.n), dtype=bool)
     T, _ = contacts.eliminated(root, np.zeros(K, dtype=np.intp), every)
-    other = T @ rows.regressor(found)
+    other = T @ rows.regressor.rows(samples.position, found.velocity, found.acceleration)
     mine, theirs = (np.einsum("kmb,kmc->kbc", each, each) for each in (W, other))
     np.testing.assert_allclose(mine, theirs, atol=1e-10 * np.abs(theirs).max())
 
@@ -227,7 +226,8 @@ def test_derivatives_are_those_of_differences(stance: Stance) -> None:
     _, x = states(stance)
     x = [each[:4] for each in x]
     rng = np.random.default_rng(2)
-    smooth = StandingRows.of(stance, ("coulomb", "viscous")).smooth()
+    rows = rows_of(stance, np.ones(stance.robot.n))
+    smooth = replace(rows, regressor=rows.regressor.smooth())
     W = smooth.rows(*x)
     C = rng.normal(size=W.shape) / max(1.0, float(np.abs(W).max()))
     held = limits_of(stance)
@@ -247,6 +247,11 @@ def test_derivatives_are_those_of_differences(stance: Stance) -> None:
         np.testing.assert_allclose(along, found, atol=1e-4 * max(1.0, float(np.abs(found).max())))
 
 
+def rows_of(stance: Stance, spread: Array) -> StandingRows:
+    regressor = BaseRows.of(stance.robot, ("coulomb", "viscous"))
+    return StandingRows(stance=stance, regressor=regressor, spread=spread)
+
+
 def limits_of(stance: Stance) -> Held:
     joints = _joints(stance.robot, None, stance.legs.standing)
     bodies = np.array(stance.robot.prior)
@@ -257,20 +262,21 @@ def test_torques_and_forces_carry_the_motion(stance: Stance) -> None:
     """RNEA without forces is torques and forces together; still, feet share the weight."""
     found, _ = states(stance)
     robot, bodies = stance.robot, np.array(stance.robot.prior)
-    got = loads(stance, bodies, found, 0.5)
-    rows = got.wrenches.shape[2]
+    held = limits_of(stance)
+    torque, wrenches = held.loads(found)
+    rows = wrenches.shape[2]
     J = stance.at_contacts(found.poses.jacobians)[:, :, :rows]
     needed = robot.efforts_of_bodies(
         bodies, found.poses.configuration, found.velocity, found.acceleration
     )
-    made = np.einsum("kcrn,kcr->kn", J, got.wrenches)
-    made[:, 6:] += got.torque
+    made = np.einsum("kcrn,kcr->kn", J, wrenches)
+    made[:, 6:] += torque
     np.testing.assert_allclose(made, needed, atol=1e-8 * np.abs(needed).max())
     still = np.zeros((1, stance.n))
-    rest = loads(stance, bodies, stance.states(stance.standing, still, still), 0.5)
+    _, rest = held.loads(stance.states(stance.standing, still, still))
     weight = bodies[:, 0].sum() * 9.81
-    assert rest.wrenches[0, :, 2].sum() == pytest.approx(weight, rel=1e-6)
-    assert np.abs(rest.wrenches[0, :, :2]).max() < 1e-6 * weight
+    assert rest[0, :, 2].sum() == pytest.approx(weight, rel=1e-6)
+    assert np.abs(rest[0, :, :2]).max() < 1e-6 * weight
 
 
 # The folder of a plan for a robot that stands.

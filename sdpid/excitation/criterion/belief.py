@@ -1,24 +1,90 @@
-"""What a prior says of the base parameters before any data: an information matrix."""
+"""What is believed of a robot before a run: its parameters, and how well they are known."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.prior.prior import Prior, prior_terms, repaired
-from sdpid.excitation.criterion.marginal import marginal
+from sdpid.excitation.criterion.noise import usual_effort
 from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.inertia import from_pseudo_inertia
+from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
 from sdpid.robot.model.geometry import neutral
 from sdpid.robot.model.model import RobotModel
+
+# Coulomb friction is taken to be this share of a joint's usual effort, and viscous friction as
+# large at its rms speed: as simulated robots have it. Descriptions often write next to none, where
+# they mean that they do not know.
+_FRICTION = 0.1
+
+# A robot whose description has no masses is taken to weigh this much a link, kg, each a ball with
+# this share of the robot's length for its radius of gyration.
+_MASS, _BALL = 2.0, 0.3
+
+# Below this rms speed a joint does not tell viscous friction, rad/s (m/s).
+_STANDS = 1e-3
 
 # Rms speed of a usual motion, as a share of the speed limit; without a limit, rad/s.
 _SPEED_SHARE, _SPEED = 0.3, 0.5
 
 # Samples of a sine at which friction terms are looked at.
 _STATES = 64
+
+# Directions whose information is this small, beside the largest, have none: rounding.
+_OPEN = 1e-12
+
+
+def nominal_bodies(robot: RobotModel) -> tuple[Array, tuple[str, ...]]:
+    """Return the bodies (links, 10) of the description, made possible, and what was assumed."""
+    given = np.array(robot.prior)
+    known = given[:, 0] > 0.0
+    bodies = repaired(given)[0]
+    if known.all():
+        return bodies, ()
+    mass = float(np.mean(given[known, 0])) if known.any() else _MASS
+    radius = (_BALL * characteristic_length(robot)) ** 2
+    ball = from_pseudo_inertia(mass * np.diag([radius, radius, radius, 1.0]))
+    if known.any():
+        # Frames without mass, such as a tool's, stay next to nothing.
+        bodies[~known, 0] = 1e-3
+        return raise_second_moments(bodies, 1e-7), ()
+    bodies[:] = ball
+    return bodies, (f"the description has no masses: {mass:g} kg a link were assumed",)
+
+
+def nominal_theta(
+    robot: RobotModel, friction: FrictionModel, q: Array, v: Array, a: Array
+) -> tuple[Array, tuple[str, ...]]:
+    """Return theta (p,) before a run, and what was assumed.
+
+    Links are as described; Coulomb and viscous friction as described, and at least of a usual size
+    on the motion; other terms are zero.
+
+    Parameters
+    ----------
+    robot, friction
+        The robot and its friction terms.
+    q, v, a : ndarray, shape (K, n)
+        States of the motion.
+    """
+    bodies, notes = nominal_bodies(robot)
+    rigid = robot.inverse_dynamics(bodies, q, v, a)
+    usual = usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+    speed = np.maximum(np.sqrt(np.mean(v**2, axis=0)), _STANDS)
+    viscous, coulomb = robot.described_friction()
+    sizes = {
+        "Fs": np.maximum(coulomb, _FRICTION * usual),
+        "Fv": np.maximum(viscous, _FRICTION * usual / speed),
+    }
+    tail = [
+        float(sizes[symbol][p.joint]) if (symbol := p.name.rstrip("0123456789")) in sizes else 0.0
+        for p in friction.parameters
+    ]
+    return frozen(np.concatenate([bodies.ravel(), tail])), notes
 
 
 def default_prior(robot: RobotModel, prior: Prior | bool | None) -> Prior | None:
@@ -71,7 +137,9 @@ def prior_information(
     )
     terms = prior_terms(found, RowSource(robot, friction, base, samples)).terms
     theta = np.zeros(len(base.theta_names))
-    theta[: robot.prior.size] = _bodies(found, robot).ravel()
+    bodies = np.array(robot.prior if found.bodies is None else found.bodies)
+    # The prior's curvature is taken at the bodies believed, made possible.
+    theta[: robot.prior.size] = repaired(bodies)[0].ravel()
     R = np.vstack([term.curvature_rows(theta) for term in terms])
     return information_of_rows(R, base.matrix)
 
@@ -89,7 +157,28 @@ def information_of_rows(R: Array, B: Array) -> Array:
     return np.asarray(own / np.outer(rows, rows))
 
 
-def _bodies(prior: Prior, robot: RobotModel) -> Array:
-    """Return the bodies at which the prior's curvature is taken: those believed, made possible."""
-    given = robot.prior if prior.bodies is None else prior.bodies
-    return repaired(np.array(given))[0]
+def marginal(information: Array, kept: Mask) -> Array:
+    """Return the information (k, k) of some parameters where the others are unknown.
+
+    Parameters
+    ----------
+    information : ndarray, shape (c, c)
+        Of all, positive semidefinite.
+    kept : ndarray of bool, shape (c,)
+        Which k of them.
+    """
+    if kept.all():
+        return information
+    cross = information[np.ix_(kept, ~kept)]
+    other = information[np.ix_(~kept, ~kept)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(other), np.finfo(float).tiny))
+    solved = (cross * scale) @ inverse(other * np.outer(scale, scale)) @ (cross * scale).T
+    out = information[np.ix_(kept, kept)] - solved
+    return np.asarray(0.5 * (out + out.T))
+
+
+def inverse(matrix: Array) -> Array:
+    """Return the inverse of a symmetric matrix, its diagonal of order one, where it is not zero."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > _OPEN * max(float(values[-1]), 0.0)
+    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)

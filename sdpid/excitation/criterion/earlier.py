@@ -17,10 +17,9 @@ from sdpid.errors import DataError
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
-from sdpid.excitation.criterion.marginal import inverse, marginal
+from sdpid.excitation.criterion.belief import default_prior, inverse, marginal
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.experiment.preparation.prepare import Logs, prepare
 from sdpid.robot.friction.model import FrictionModel
@@ -110,7 +109,6 @@ def _identified(
     """Return the estimate from recordings, with the plan's terms and the default prior."""
     prepared = prepare(robot, logs, name="previous")
     samples = prepared.samples
-    prior = Prior() if np.any(robot.prior[:, 0] > 0.0) else None
     with_periods = samples.covariance is not None
     problem = build_problem(
         robot,
@@ -118,7 +116,7 @@ def _identified(
         friction=friction.terms,
         weighting="gls" if with_periods else "residual",
         constraints=Constraints.of_size(robot),
-        prior=None if with_periods else prior,
+        prior=None if with_periods else default_prior(robot, None),
         base=base,
         check_excitation=False,
     )

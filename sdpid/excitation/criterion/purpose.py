@@ -10,8 +10,8 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.excitation.criterion.belief import nominal_bodies
 from sdpid.excitation.criterion.noise import usual_effort
-from sdpid.excitation.criterion.nominal import nominal_bodies
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import BaseParameters

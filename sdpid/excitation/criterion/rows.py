@@ -51,7 +51,7 @@ class BaseRows:
     Attributes
     ----------
     robot : RobotModel
-        The robot, on a fixed base.
+        The robot; derivatives are those of one on a fixed base.
     friction : FrictionModel
         Its friction terms; signs are smooth where the rows serve a search.
     base : BaseParameters
@@ -81,20 +81,23 @@ class BaseRows:
         """Number b of base parameters."""
         return self.base.count
 
-    def smooth(self, velocity: Array) -> BaseRows:
+    def smooth(self, velocity: Array | None = None) -> BaseRows:
         """Return the same rows with signs that are smooth enough for a search.
 
         Parameters
         ----------
-        velocity : ndarray, shape (K, n)
-            Velocities of usual motions.
+        velocity : ndarray, shape (K, n), optional
+            Velocities of usual motions, where joints may be slow.
         """
-        usual = np.sqrt(np.mean(velocity**2, axis=0))
-        widths = np.clip(_SMOOTH_SHARE * usual, _SMOOTH_LEAST, SMOOTH_WIDTH)
-        return replace(self, friction=smoothed(self.friction, widths))
+        widths: Array | float = SMOOTH_WIDTH
+        if velocity is not None:
+            usual = np.sqrt(np.mean(velocity**2, axis=0))
+            widths = np.clip(_SMOOTH_SHARE * usual, _SMOOTH_LEAST, SMOOTH_WIDTH)
+        terms = tuple(_smooth(term, widths) for term in self.friction.terms)
+        return replace(self, friction=replace(self.friction, terms=terms))
 
     def rows(self, q: Array, v: Array, a: Array) -> Array:
-        """Return W (K, n, b) at states (K, n), with ``effort = W @ base``."""
+        """Return W (K, n, b) at states (K, ·), with ``effort = W @ base``."""
         out = np.empty((len(q), self.robot.n, self.count))
         out[:, :, self._inertial] = self._links(q, v, a)
         out[:, :, ~self._inertial] = self._friction(q, v, a)
@@ -140,7 +143,10 @@ class BaseRows:
     def _friction(self, q: Array, v: Array, a: Array) -> Array:
         """Return the columns (K, n, ·) of the friction's base parameters."""
         kept = self.base.kept[~self._inertial] - 10 * self.robot.n_links
-        motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=self.robot)
+        first = self.friction.first
+        motion = SampledMotion(
+            position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=self.robot
+        )
         return np.asarray(self.friction.columns_in(motion)[:, :, kept])
 
     def _links_gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
@@ -181,11 +187,6 @@ class BaseRows:
                 slope = (sums[0] - sums[1]) / (2.0 * _FRICTION_STEP)
                 out[order][:, j] = slope if apart else slope.sum(axis=1)
         return out[0], out[1], out[2]
-
-
-def smoothed(friction: FrictionModel, widths: Array | float = SMOOTH_WIDTH) -> FrictionModel:
-    """Return friction whose signs are smooth enough for a search."""
-    return replace(friction, terms=tuple(_smooth(term, widths) for term in friction.terms))
 
 
 def _smooth(term: FrictionTerm, widths: Array | float) -> FrictionTerm:

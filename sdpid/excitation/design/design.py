@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Iterable
@@ -16,22 +15,18 @@ from sdpid._common.arrays import generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.information import UNDETERMINED, Excitation
 from sdpid.estimation.prior.prior import Prior
+from sdpid.excitation.criterion.criterion import WORDS, ObjectiveKind
 from sdpid.excitation.criterion.earlier import Previous
 from sdpid.excitation.criterion.noise import Given
-from sdpid.excitation.criterion.objectives import WORDS, ObjectiveKind
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.design.homes import homes
-from sdpid.excitation.design.on_grid import ArmInequalities
-from sdpid.excitation.design.repair import mend
-from sdpid.excitation.design.task import MOTIONS, Motion, Task
+from sdpid.excitation.design.loop import designed
+from sdpid.excitation.design.task import MOTIONS, Motion, Request, Task
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.plan.plan import Plan
-from sdpid.excitation.plan.settings import settings_of
+from sdpid.excitation.plan.plan import Plan, settings_of
 from sdpid.excitation.search.ipopt import INTERRUPTED
-from sdpid.excitation.search.search import Candidate, Search, require_search
-from sdpid.excitation.search.steps import counted_steps
+from sdpid.excitation.search.search import Candidate, require_search
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.arms import require_open_chain
@@ -168,6 +163,7 @@ def design_excitation(
     >>> plan.names[:3], plan.standard_errors.shape
     (('zzr1', 'Fs1', 'Fsg1'), (16,))
     """
+    given = dict(locals())
     require_search(time_limit, starts=starts)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     require_open_chain(model, "excitation")
@@ -175,44 +171,26 @@ def design_excitation(
         _compile(model)
     began = time.monotonic()
     terms = FRICTION if friction is None else tuple(friction)
-    around, folders = tuple(obstacles), tuple(package_dirs)
-    asked: dict[str, Any] = {
-        "duration": duration,
-        "limits": limits,
-        "obstacles": around,
-        "collisions": collisions,
-        "friction": terms,
-        "prior": prior,
-        "previous": previous,
-        "noise": noise,
-        "purpose": purpose,
-        "objective": objective,
-        "motion": motion,
-        "closed": closed,
-        "harmonics": harmonics,
-        "start": start,
-        "periods": periods,
-        "torque_spread": torque_spread,
-        "package_dirs": folders,
-    }
-    task = Task.of(model, **asked, predict=predict, seed=seed)
-    search = Search(
-        space=task.space, criterion=task.criterion, limits=task.limits, start=task.start
-    )
-    kept = 0.0
+    given |= {"obstacles": tuple(obstacles), "friction": terms, "package_dirs": tuple(package_dirs)}
+    task = Task.of(model, Request(**given))
+    search, kept = task.search, 0.0
     if time_limit is not None:
         kept = min(_KEPT * (time.monotonic() - began), _KEPT_SHARE * time_limit)
         search = replace(search, deadline=began + time_limit - kept)
-    inequalities = ArmInequalities(task)
-    with counted_steps(search.most_steps(starts), began, search.deadline, progress) as step:
-        rng = generator(seed)
-        begun = search.random_starts(homes(task, rng), inequalities.rows(task.space), rng)
-        count = starts if time_limit is None else None
-        found, stopped = search.run(itertools.islice(begun, count), inequalities.rows, step=step)
-    search = replace(search, deadline=search.deadline + kept / 2.0)
-    best, check = mend(task, search, found, inequalities)
-    notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
-    trajectory = task.trajectory(best.space.curve(best.x))
+    rng = generator(seed)
+    (best, check), found, stopped = designed(
+        search,
+        task.held.homes(search.start, rng),
+        rng,
+        starts=starts,
+        began=began,
+        kept=kept,
+        progress=progress,
+    )
+    kind = search.criterion.objective.kind
+    notes = [*task.notes, f"motion '{motion}': {MOTIONS[motion]}."]
+    notes += [f"objective '{kind}': {WORDS[kind]}.", *_notes(found, stopped, time_limit)]
+    trajectory = task.held.trajectory(best.space.curve(best.x))
     scored = (part[::_SCORED] for part in trajectory.sample())
     W = task.rows.rows(*scored).reshape(-1, task.rows.count)
     excitation = Excitation.of(W / np.sqrt(len(W) / model.n), task.rows.base.names)
@@ -232,7 +210,7 @@ def design_excitation(
             noise=task.noise,
             prior=prior,
             earlier=task.earlier,
-            limits=task.limits,
+            limits=search.limits,
             motions=None if predict is None else {"the motion to be predicted": predict.sample()},
         )
     except DataError as cause:
@@ -244,23 +222,23 @@ def design_excitation(
         robot=model,
         trajectory=trajectory,
         limits=check,
-        joint_limits=task.limits,
-        collision=task.collision,
+        joint_limits=search.limits,
+        collision=task.held.collision,
         names=expected.names,
         standard_errors=expected.standard_errors,
         condition_number=excitation.condition_number if shown else np.inf,
         log_det=2.0 * float(np.log(lengths * values).sum()) if shown else -np.inf,
         expected=expected,
-        objective=task.criterion.objective.kind,
+        objective=kind,
         purpose=purpose,
         motion=motion,
         notes=tuple(notes),
         settings=settings_of(
+            given,
             robot=model.name if isinstance(robot, RobotModel) else robot,
-            **{**asked, "previous": _named(previous)},
-            starts=starts,
-            time_limit=time_limit,
-            seed=seed,
+            previous=_named(previous),
+            predict=None,
+            progress=None,
         ),
         history=tuple(_row(candidate) for candidate in found),
     )
@@ -273,18 +251,15 @@ def _compile(robot: RobotModel) -> None:
     rows.gradient(rows.rows(still, still, still), still, still, still)
 
 
-def _notes(
-    task: Task, motion: Motion, found: list[Candidate], stopped: bool, time_limit: float | None
-) -> list[str]:
-    kind = task.criterion.objective.kind
-    notes = [f"motion '{motion}': {MOTIONS[motion]}.", f"objective '{kind}': {WORDS[kind]}."]
+def _notes(found: list[Candidate], stopped: bool, time_limit: float | None) -> list[str]:
+    """Return how the search went."""
     values = ", ".join(f"{each.value:.3f}" for each in found)
     starts = len({each.start for each in found})
-    notes.append(
+    notes = [
         f"the search found its best motion from start {found[0].start + 1} of {starts} (objectives "
         f"of coarse and refined motions {values}): others may be better, and no bound says by how "
         "much."
-    )
+    ]
     if stopped and (time_limit is None or any(each.status == INTERRUPTED for each in found)):
         notes.append("the search was interrupted: this is the best motion that it had found.")
     elif stopped:

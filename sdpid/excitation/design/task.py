@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -14,27 +14,21 @@ from sdpid._common.arrays import Array, generator, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.information import Excitation
 from sdpid.estimation.prior.prior import Prior
-from sdpid.excitation.criterion.belief import prior_information
-from sdpid.excitation.criterion.criterion import Criterion
-from sdpid.excitation.criterion.earlier import (
-    EarlierInformation,
-    Previous,
-    earlier_information,
-)
+from sdpid.excitation.criterion.belief import nominal_bodies, prior_information
+from sdpid.excitation.criterion.criterion import Criterion, Objective, ObjectiveKind
+from sdpid.excitation.criterion.earlier import EarlierInformation, Previous, earlier_information
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
-from sdpid.excitation.criterion.nominal import nominal_bodies
-from sdpid.excitation.criterion.objectives import Objective, ObjectiveKind
 from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.design.arm import RATE_HZ, ArmInequalities
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
-from sdpid.excitation.limits.check import LimitCheck, check_trajectory
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.excitation.search.search import Search
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import usual_states
-from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.arms import require_fixed_robot
@@ -57,8 +51,9 @@ MOTIONS: dict[str, str] = {
 # Longer motions are not searched, s: with thousands of free numbers a step takes seconds, and a
 # shorter motion tells as much when it is repeated.
 _LONGEST = 120.0
-# Samples a second of a plan's trajectory.
-RATE_HZ = 500.0
+# A joint's torque is held from the start where random motions use this share of its limit: each
+# joint adds two rows an instant, and most never come near.
+_NEAR = 0.5
 # Highest frequency of a Fourier series, Hz, and least number of harmonics.
 _HIGHEST_HZ, _FEWEST_HARMONICS = 0.6, 5
 # Distance that is kept where nothing else is said, m.
@@ -77,200 +72,149 @@ _USUAL = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Request:
+    """The arguments of `design_excitation`; friction terms are chosen."""
+
+    robot: RobotModel | str | os.PathLike[str]
+    duration: float
+    limits: Limits | None
+    obstacles: tuple[Obstacle, ...]
+    collisions: bool
+    friction: tuple[str | FrictionTerm, ...]
+    prior: Prior | bool | None
+    previous: Previous | None
+    noise: Given
+    purpose: str
+    predict: Trajectory | None
+    objective: ObjectiveKind | None
+    motion: Motion
+    closed: bool
+    harmonics: int | None
+    start: ArrayLike | None
+    periods: int
+    torque_spread: float
+    package_dirs: tuple[str | os.PathLike[str], ...]
+    starts: int
+    time_limit: float | None
+    seed: int
+    progress: bool | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
     """A design, ready to be searched.
 
     Attributes
     ----------
-    robot : RobotModel
-        The robot.
-    limits : JointLimits
-        Limits of its joints.
-    collision : CollisionModel or None
-        Pairs that must not touch; None where collisions are left out.
-    torque : TorqueModel
-        The torques of its motions.
-    usual_torque : ndarray, shape (n,)
-        Largest torque of each joint on random motions, N·m (N).
+    search : Search
+        What is searched, without an end.
+    held : ArmInequalities
+        All limits.
     rows : BaseRows
         The regressor of the base parameters, signs as given.
     noise : ExpectedNoise
         Of the efforts.
-    known : ndarray, shape (b, b)
-        Information before the run.
     earlier : EarlierInformation or None
         That of earlier runs.
-    purpose : Purpose
-        What the run is for.
-    criterion : Criterion
-        What is made small.
-    space : Space
-        The motions among which is searched.
-    start : ndarray, shape (n,), or None
-        Where the motion begins, if that is given.
-    periods : int
-        How often the motion is run.
     notes : tuple of str
         What was assumed.
     """
 
-    robot: RobotModel
-    limits: JointLimits
-    collision: CollisionModel | None
-    torque: TorqueModel
-    usual_torque: Array
+    search: Search
+    held: ArmInequalities
     rows: BaseRows
     noise: ExpectedNoise
-    known: Array
     earlier: EarlierInformation | None
-    purpose: Purpose
-    criterion: Criterion
-    space: Space
-    start: Array | None
-    periods: int
     notes: tuple[str, ...]
 
     @classmethod
-    def of(
-        cls,
-        robot: RobotModel,
-        *,
-        duration: float,
-        limits: Limits | None,
-        obstacles: Iterable[Obstacle],
-        collisions: bool,
-        friction: Iterable[str | FrictionTerm],
-        prior: Prior | bool | None,
-        previous: Previous | None,
-        noise: Given,
-        purpose: str,
-        predict: Trajectory | None,
-        objective: ObjectiveKind | None,
-        motion: Motion,
-        closed: bool,
-        harmonics: int | None,
-        start: ArrayLike | None,
-        periods: int,
-        torque_spread: float,
-        package_dirs: Iterable[str | os.PathLike[str]],
-        seed: int,
-    ) -> Task:
-        """Resolve and check the arguments of `design_excitation`.
+    def of(cls, robot: RobotModel, request: Request) -> Task:
+        """Resolve and check what is asked for of a robot.
 
         Raises
         ------
         SdpidError
             As `design_excitation`.
         """
-        _check(robot, duration, motion, periods)
-        if not closed and periods > 1:
-            raise DataError(
-                f"periods: are {periods}, but an open motion ends elsewhere than it begins; leave "
-                "closed=False out, or run it once."
-            )
-        if motion == "fourier" and not closed:
-            raise DataError("motion: Fourier series are closed; leave closed=False out.")
-        given = Limits() if limits is None else limits
-        begin = None if start is None else real_array(start, "start", ndim=1)
-        joints = given.of(robot, begin, share=_SHARE)
+        _check(robot, request)
+        begin = None if request.start is None else real_array(request.start, "start", ndim=1)
+        joints = (request.limits or Limits()).of(robot, begin, share=_SHARE)
         if joints.clearance is None:
             joints = replace(joints, clearance=CLEARANCE)
-        _check_duration(joints, duration, motion)
+        _check_duration(joints, request.duration, request.motion)
         notes = [*joints.assumed]
         collision = None
-        if collisions:
+        if request.collisions:
             collision = CollisionModel.of(
                 robot,
-                obstacles,
-                package_dirs=package_dirs,
+                request.obstacles,
+                package_dirs=request.package_dirs,
                 rest=begin,
                 near=joints.rest,
                 lower=joints.lower,
                 upper=joints.upper,
                 clearance=joints.clearance or 0.0,
-                seed=seed,
+                seed=request.seed,
             )
             notes += collision.assumed
             if not collision.pairs:
                 notes.append("no pair of bodies can touch: distances are not limited.")
         half = 0.5 * (joints.upper - joints.lower)
         sizes = np.where(half > 0.0, np.minimum(half, _LARGEST), _LARGEST)
-        space = _space(robot.n, duration, motion, closed, harmonics).sized(sizes)
-        rows = BaseRows.of(robot, friction)
-        rng = generator(seed)
+        space = _space(robot.n, request).sized(sizes)
+        rows = BaseRows.of(robot, request.friction)
+        rng = generator(request.seed)
         shares = (rng.uniform(0.25, 0.75, robot.n) for _ in range(_USUAL))
         around = (joints.lower + share * (joints.upper - joints.lower) for share in shares)
         usual = usual_states(space, joints, around, rng)
         bodies, assumed = nominal_bodies(robot)
         notes += assumed
         effort = np.sqrt(np.mean(robot.inverse_dynamics(bodies, *usual) ** 2, axis=0))
-        earlier = None
-        if previous is not None:
-            earlier = earlier_information(robot, rows.friction, rows.base, previous)
+        noise, earlier = request.noise, None
+        if request.previous is not None:
+            earlier = earlier_information(robot, rows.friction, rows.base, request.previous)
             notes += earlier.notes
-        if noise is None and earlier is not None:
-            noise = earlier.noise
+            noise = earlier.noise if noise is None else noise
         expected = ExpectedNoise.of(robot.joint_names, noise, effort, RATE_HZ)
         notes += expected.notes
-        known = prior_information(robot, rows.friction, rows.base, prior, effort)
+        known = prior_information(robot, rows.friction, rows.base, request.prior, effort)
         if earlier is not None:
             known = known + earlier.information
-        states = None
-        if predict is not None:
-            states = predict.sample()
-        wanted = purpose_of(purpose, robot, rows.friction, rows.base, motion=states)
-        torque = TorqueModel.of(robot, spread=torque_spread)
+        states = None if request.predict is None else request.predict.sample()
+        purpose = purpose_of(request.purpose, robot, rows.friction, rows.base, motion=states)
+        torque = TorqueModel.of(robot, spread=request.torque_spread)
         notes += torque.notes
-        return cls(
+        largest = (np.abs(torque.torque(*usual)) + torque.spread(*usual)).max(axis=0)
+        near = np.flatnonzero(largest > _NEAR * torque.allowed(joints.torque))
+        held = ArmInequalities(
             robot=robot,
             limits=joints,
             collision=collision,
             torque=torque,
-            usual_torque=(np.abs(torque.torque(*usual)) + torque.spread(*usual)).max(axis=0),
+            joints={joints.joint_names[j] for j in near},
+            periods=request.periods,
+        )
+        search = Search(
+            space=space,
+            criterion=_criterion(rows, purpose, request.objective, expected, known, earlier, usual),
+            limits=joints,
+            inequalities=held,
+            name=robot.name,
+            start=begin,
+        )
+        return cls(
+            search=search,
+            held=held,
             rows=rows,
             noise=expected,
-            known=known,
             earlier=earlier,
-            purpose=wanted,
-            criterion=_criterion(rows, wanted, objective, expected, known, earlier, usual),
-            space=space,
-            start=begin,
-            periods=periods,
             notes=tuple(notes),
         )
 
-    @property
-    def clearance(self) -> float:
-        """The distance that is kept between bodies, m."""
-        return self.limits.clearance or 0.0
 
-    def trajectory(self, curve: Curve) -> Trajectory:
-        """Return the trajectory of a motion."""
-        limits, duration = self.limits, curve.duration
-        return Trajectory(
-            joint_names=self.robot.joint_names,
-            series=curve,
-            # Whole samples: the rate differs from the usual one by less than a sample a period.
-            rate_hz=max(2, round(duration * RATE_HZ)) / duration,
-            periods=self.periods,
-            rest=0.0,
-            connection=0.0,
-            position_range=np.stack([limits.lower, limits.upper], axis=1),
-            velocity_limit=limits.velocity,
-        )
-
-    def check(self, curve: Curve) -> LimitCheck:
-        """Return what a motion comes to beside its limits, at every instant."""
-        return check_trajectory(
-            self.robot,
-            self.trajectory(curve),
-            self.limits,
-            collision=self.collision or False,
-            torque=self.torque,
-        )
-
-
-def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> None:
+def _check(robot: RobotModel, request: Request) -> None:
+    """Refuse numbers out of range, and motions that contradict themselves."""
+    duration, motion, periods = request.duration, request.motion, request.periods
     require_fixed_robot(
         robot,
         "excitation",
@@ -287,6 +231,15 @@ def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> Non
         raise DataError(f"motion: is {motion!r}; use one of {', '.join(get_args(Motion))}.")
     if int(periods) != periods or periods < 1:
         raise DataError(f"periods: is {periods}; give a whole number from 1.")
+    if not request.closed and periods > 1:
+        raise DataError(
+            f"periods: are {periods}, but an open motion ends elsewhere than it begins; leave "
+            "closed=False out, or run it once."
+        )
+    if motion == "fourier" and not request.closed:
+        raise DataError("motion: Fourier series are closed; leave closed=False out.")
+    if request.harmonics is not None and motion != "fourier":
+        raise DataError(f"harmonics: are of Fourier series; the motion is {motion!r}.")
 
 
 def _check_duration(limits: JointLimits, duration: float, motion: str) -> None:
@@ -304,17 +257,17 @@ def _check_duration(limits: JointLimits, duration: float, motion: str) -> None:
         )
 
 
-def _space(n: int, duration: float, motion: Motion, closed: bool, harmonics: int | None) -> Space:
-    if harmonics is not None and motion != "fourier":
-        raise DataError(f"harmonics: are of Fourier series; the motion is {motion!r}.")
-    if motion == "fourier":
+def _space(n: int, request: Request) -> Space:
+    duration = request.duration
+    if request.motion == "fourier":
         usual = max(_FEWEST_HARMONICS, round(_HIGHEST_HZ * duration))
-        return FourierSpace.of(n, duration, usual if harmonics is None else harmonics)
-    if motion == "postures":
+        harmonics = usual if request.harmonics is None else request.harmonics
+        return FourierSpace.of(n, duration, harmonics)
+    if request.motion == "postures":
         return SplineSpace.postures(n, duration)
-    if motion == "one_by_one":
+    if request.motion == "one_by_one":
         return SplineSpace.one_by_one(n, duration)
-    return SplineSpace.of(n, duration, closed=closed)
+    return SplineSpace.of(n, duration, closed=request.closed)
 
 
 def _criterion(

@@ -25,9 +25,8 @@ from sdpid.estimation.effects.choose import closed_in_the_middle
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.excitation.criterion.belief import default_prior
+from sdpid.excitation.criterion.belief import default_prior, nominal_theta
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
-from sdpid.excitation.criterion.nominal import nominal_theta
 from sdpid.experiment.preparation.prepare import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Shown, Table
+from sdpid._common.tables import Shown, Table, plain
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.limits.check import LimitCheck
-from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.experiment.trajectory.trajectory import Trajectory, played
+from sdpid.excitation.limits.joint_limits import UNITS, JointLimits
+from sdpid.excitation.limits.limits import Limits
+from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.experiment.trajectory.trajectory import Played, Trajectory, played
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 # Samples a second of pictures.
 _RATE_HZ = 200.0
+
+# Label with unit, values (K,), and lower and upper limit, None where there is none.
+Quantity: TypeAlias = tuple[str, Array, float | None, float | None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -109,9 +117,72 @@ class Plan(Shown):
         ndarray of matplotlib.axes.Axes, shape (5, n)
             One column a joint: position, velocity, acceleration, jerk and torque over time.
         """
-        from sdpid.excitation.plan.limited import limited_quantities
         from sdpid.plots.motion import plot_motion
 
         motion = played(self.trajectory, _RATE_HZ)
         joints = limited_quantities(self.robot, self.joint_limits, motion)
         return plot_motion(motion.time, dict(joints), axes=axes)
+
+
+def limited_quantities(
+    robot: RobotModel, limits: JointLimits, motion: Played
+) -> Iterator[tuple[str, list[Quantity]]]:
+    """Yield each joint's position, velocity, acceleration, jerk and torque, with their limits.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot; its description says the torques.
+    limits : JointLimits
+        The limits.
+    motion : Played
+        The motion.
+
+    Yields
+    ------
+    str
+        The joint.
+    list of (str, ndarray of shape (K,), float or None, float or None)
+        Label with unit, values, lower and upper limit, for `sdpid.plots.plot_against_limits`.
+    """
+    model = TorqueModel.of(robot)
+    torque = model.torque(motion.position, motion.velocity, motion.acceleration)
+    slides = sliding(robot.pin_model, robot.joint_names)
+    limited = {"lower": (motion.position, limits.lower, limits.upper)}
+    for kind, values, most in (
+        ("velocity", motion.velocity, limits.velocity),
+        ("acceleration", motion.acceleration, limits.acceleration),
+        ("jerk", motion.jerk, limits.jerk),
+        ("torque", torque, model.allowed(limits.torque)),
+    ):
+        limited[kind] = values, -most, most
+    for j, name in enumerate(robot.joint_names):
+        yield (
+            name,
+            [
+                (UNITS[kind][int(slides[j])], values[:, j], *_ends(least[j], most[j]))
+                for kind, (values, least, most) in limited.items()
+            ],
+        )
+
+
+def _ends(least: float, most: float) -> tuple[float | None, float | None]:
+    """Return limits, None where there are none."""
+    lower, upper = (float(end) if np.isfinite(end) else None for end in (least, most))
+    return lower, upper
+
+
+def settings_of(arguments: dict[str, Any], **instead: Any) -> dict[str, Any]:
+    """Return arguments as what JSON can hold; those that are None or empty are left out.
+
+    What has no plain form, such as a recording, becomes the words that name it.
+    """
+    settings = {}
+    for name, value in {**arguments, **instead}.items():
+        if value is None or (isinstance(value, tuple | list) and not value):
+            continue
+        try:
+            settings[name] = value.to_dict() if isinstance(value, Limits) else plain(value)
+        except TypeError:
+            settings[name] = repr(value)
+    return settings

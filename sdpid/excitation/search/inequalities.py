@@ -24,10 +24,6 @@ _ZERO = 1e-12
 class StateInequality(Protocol):
     """Functions of a state that are to be at least zero."""
 
-    @property
-    def name(self) -> str:
-        """What they limit, such as ``distance``."""
-
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
         """Return their values (K, r) at states (K, n), in shares of their limits."""
 
@@ -67,33 +63,21 @@ class InstantRows:
         return [matrix @ c for matrix in self._matrices[part]]
 
     @cached_property
-    def _counts(self) -> list[int]:
-        """Number of functions of each inequality."""
-        x = np.zeros(self.space.size)
-        counts = []
-        for i, (inequality, _) in enumerate(self.parts):
-            one = [state[:1] for state in self._states(i, x)]
-            counts.append(inequality.evaluate(*one).shape[1])
-        return counts
-
-    @cached_property
     def pattern(self) -> Any:
         """Where the derivative may differ from zero, a boolean array (R, N)."""
         blocks = []
-        for matrices, count in zip(self._matrices, self._counts, strict=True):
-            used = sum(np.abs(matrix) > _ZERO * np.abs(matrix).max() for matrix in matrices)
+        for i, (inequality, _) in enumerate(self.parts):
+            one = (state[:1] for state in self._states(i, np.zeros(self.space.size)))
+            count = inequality.evaluate(*one).shape[1]
+            used = sum(np.abs(m) > _ZERO * np.abs(m).max() for m in self._matrices[i])
             own = np.hstack([used @ (E != 0.0) > 0 for E in self.space.expansions])
             blocks.append(np.repeat(own, count, axis=0))
         return np.vstack(blocks)
 
     def values(self, x: Array) -> Array:
         """Return all functions (R,), instant by instant."""
-        return np.concatenate(
-            [
-                inequality.evaluate(*self._states(i, x)).ravel()
-                for i, (inequality, _) in enumerate(self.parts)
-            ]
-        )
+        found = (each.evaluate(*self._states(i, x)) for i, (each, _) in enumerate(self.parts))
+        return np.concatenate([values.ravel() for values in found])
 
     def hold(self, x: Array) -> bool:
         """Return whether a motion (N,) is within all of them."""
@@ -102,12 +86,13 @@ class InstantRows:
     def derivative(self, x: Array) -> Array:
         """Return the derivative (R, N)."""
         blocks = []
-        for i, (inequality, time) in enumerate(self.parts):
+        for i, (inequality, _) in enumerate(self.parts):
             by_state = inequality.derivatives(*self._states(i, x))
-            out = np.zeros((len(time), self._counts[i], self.space.size))
-            for matrices, slopes in zip(self._by_free[i], by_state, strict=True):
-                if slopes is None:
-                    continue
+            parts = [
+                (m, s) for m, s in zip(self._by_free[i], by_state, strict=True) if s is not None
+            ]
+            out = np.zeros((*parts[0][1].shape[:2], self.space.size))
+            for matrices, slopes in parts:
                 for j, matrix in enumerate(matrices):
                     own = slice(self.space.splits[j], self.space.splits[j + 1])
                     out[:, :, own] += slopes[:, :, j, None] * matrix[:, None, :]
@@ -138,7 +123,6 @@ class KeptDistance:
     collision: CollisionModel
     clearance: float
     margin: float = 0.0
-    name: str = "distance"
 
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
         """Return the soft least slack (K, 1), in shares of 0.1 m."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.signals import Interrupts, noted_interrupts
+from sdpid.excitation.search.inequalities import InstantRows
 
 # A step that no longer changes value or limits by this share ends the search; a hundred times that
 # does so after some steps in a row. What is found is checked anew and exactly, elsewhere.
@@ -31,26 +33,10 @@ _SHARES = (1.0, 0.75, 0.5, 0.25)
 # How a search ended that its user interrupted.
 INTERRUPTED = "Interrupted"
 
-_Found = TypeVar("_Found")
 
-
-class Rows(Protocol):
-    """Nonlinear functions g(x) that are to be at least zero."""
-
-    @property
-    def pattern(self) -> Any:
-        """Where the derivative may differ from zero, as a boolean array (R, N)."""
-
-    def values(self, x: Array) -> Array:
-        """Return g(x), (R,)."""
-
-    def derivative(self, x: Array) -> Array:
-        """Return the derivative (R, N)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Found:
-    """The best point that held all limits.
+    """The best point that held all limits, kept while IPOPT calls.
 
     Attributes
     ----------
@@ -63,14 +49,61 @@ class Found:
     status : str
         How the search ended, in IPOPT's words.
     stopped : bool
-        Whether `stop` ended it.
+        Whether it was asked to end.
+    last : ndarray, shape (N,)
+        The last better point, where it was beyond a nonlinear limit; else `x`.
+    error : BaseException or None
+        The first exception of a call, to be raised when IPOPT has returned.
     """
 
     x: Array
-    value: float
-    steps: int
-    status: str
-    stopped: bool
+    last: Array
+    value: float = np.inf
+    steps: int = 0
+    status: str = INTERRUPTED
+    stopped: bool = False
+    error: BaseException | None = None
+
+    def offer(self, x: Array, value: float) -> None:
+        """Keep a point within all limits if it is the best so far."""
+        if value < self.value:
+            self.x = self.last = x
+            self.value = value
+
+    def kept(self, function: Callable[[Array], Any]) -> Callable[..., Any]:
+        """Return a function of a point that remembers its last value: IPOPT asks for it twice.
+
+        After an exception of any it gives that value: IPOPT takes an exception for a point without
+        a value and looks for others, for minutes, but a step that it can end is the last.
+        """
+        last: list[Any] = []
+
+        def call(x: Array, *_: Array) -> Any:
+            key = x.tobytes()
+            if not last or (last[0] != key and self.error is None):
+                try:
+                    last[:] = key, function(x)
+                except BaseException as error:
+                    self.error = self.error or error
+                    if not last:
+                        raise
+            return last[1]
+
+        return call
+
+    def step(self, x: Array, value: float, held: bool, stop: Callable[[int, float], bool]) -> bool:
+        """Keep the point of a step, and return whether it is to be the last."""
+        if self.error is None:
+            if held:
+                self.offer(x, value)
+            elif value < self.value:
+                self.last = x
+            self.steps += 1
+            try:
+                self.stopped = stop(self.steps, self.value)
+            except BaseException as error:
+                self.error = error
+        return self.stopped or self.error is not None
 
 
 def require_solver() -> Any:
@@ -88,7 +121,7 @@ def minimize(
     function: Callable[[Array], tuple[float, Array]],
     start: Array,
     linear: tuple[Any, Array, Array],
-    rows: Rows | None,
+    rows: InstantRows | None,
     *,
     most_steps: int,
     stop: Callable[[int, float], bool],
@@ -106,7 +139,7 @@ def minimize(
         A point within all limits.
     linear : tuple of (sparse array (R, N), ndarray (R,), ndarray (R,))
         Matrix, lower and upper limits of its rows.
-    rows : Rows, optional
+    rows : InstantRows, optional
         Nonlinear functions to be kept at or above zero.
     most_steps : int
         Largest number of steps.
@@ -123,41 +156,35 @@ def minimize(
     from scipy.sparse import csc_matrix
 
     casadi = require_solver()
+    callback, dense = _callback(casadi), casadi.Sparsity.dense
     matrix, lower, upper = linear
-    N = len(start)
-    calls = _Calls(function)
-    objective = _callback(
-        casadi,
-        N,
-        casadi.Sparsity.dense(1, N),
-        calls.guarded(lambda x: np.array([calls.cached(x)[0]])),
-        calls.guarded(lambda x: calls.cached(x)[1]),
-    )
+    N, R = len(start), len(lower)
+    found, interrupts = Found(x=start, last=start), Interrupts()
+    called = found.kept(function)
+    slope = callback([(N, 1), (1, 1)], dense(1, N), lambda x, _: called(x)[1])
+    objective = callback([(N, 1)], dense(1, 1), lambda x: [called(x)[0]], slope)
     x = casadi.MX.sym("x", N)
     # CasADi 3.7.0 and older know sparse matrices, but no sparse arrays.
     limits = [casadi.densify(casadi.mtimes(casadi.DM(csc_matrix(matrix)), x))]
     count = 0
     if rows is not None:
         r, c = np.nonzero(rows.pattern.T)[::-1]
-        count = len(rows.pattern)
+        count, derivative = len(rows.pattern), rows.derivative
+        # CasADi takes nonzeros from a list in half of the time.
+        nonzeros = found.kept(lambda x: derivative(x)[r, c].tolist())
         sparsity = casadi.Sparsity.triplet(count, N, r.tolist(), c.tolist())
-        nonlinear = _callback(
-            casadi,
-            N,
-            sparsity,
-            # CasADi asks for both twice, and takes nonzeros from a list in half of the time.
-            calls.guarded(_remembered(rows.values)),
-            calls.guarded(_remembered(lambda x: rows.derivative(x)[r, c].tolist())),
-            count,
-        )
+        slopes = callback([(N, 1), (count, 1)], sparsity, nonzeros)
+        nonlinear = callback([(N, 1)], dense(count, 1), found.kept(rows.values), slopes)
         limits.append(nonlinear(x))
-    interrupts = Interrupts()
-    watch = _Watch(
-        len(lower),
-        calls.guarded(lambda steps, value: stop(steps, value) or interrupts.came),
-        lambda: calls.error is not None,
-    )
-    each_step = watch.callback(casadi, N, len(lower) + count)
+
+    def step(x: Array, f: Array, g: Array, *_: Array) -> list[int]:
+        held = np.min(g[R:], initial=0.0) >= -_HELD
+        last = found.step(x, float(f[0]), bool(held), lambda *at: stop(*at) or interrupts.came)
+        return [int(last)]
+
+    # x, f, g, their multipliers, and those of no parameters.
+    sizes = [(N, 1), (1, 1), (R + count, 1), (N, 1), (R + count, 1), (0, 0)]
+    each_step = callback(sizes, dense(1, 1), step)
     solver = casadi.nlpsol(
         "search",
         "ipopt",
@@ -187,8 +214,7 @@ def minimize(
             **(_NEAR if near else {}),
         },
     )
-    watch.offer(start, calls.cached(start)[0])
-    status = INTERRUPTED
+    found.offer(start, called(start)[0])
     try:
         # IPOPT takes an exception for a point without a value, and goes on elsewhere.
         with noted_interrupts(interrupts):
@@ -197,170 +223,66 @@ def minimize(
                 lbg=np.concatenate([lower, np.zeros(count)]),
                 ubg=np.concatenate([upper, np.full(count, np.inf)]),
             )
-        status = str(solver.stats()["return_status"])
+        found.status = str(solver.stats()["return_status"])
     except KeyboardInterrupt:
-        watch.stopped = True
+        found.stopped = True
     except RuntimeError:
         # CasADi turns exceptions of ours into words.
-        if calls.error is None:
+        if found.error is None:
             raise
-    if interrupts.came or isinstance(calls.error, KeyboardInterrupt):
-        status, watch.stopped = INTERRUPTED, True
-    elif calls.error is not None:
-        raise calls.error
+    if interrupts.came or isinstance(found.error, KeyboardInterrupt):
+        found.status, found.stopped = INTERRUPTED, True
+    elif found.error is not None:
+        raise found.error
     elif rows is not None:
-        way = watch.last - watch.best
-        for x in (watch.best + share * way for share in _SHARES):
-            if np.min(rows.values(x)) >= -_HELD:
-                watch.offer(x, function(x)[0])
+        way = found.last - found.x
+        for moved in (found.x + share * way for share in _SHARES):
+            if np.min(rows.values(moved)) >= -_HELD:
+                found.offer(moved, function(moved)[0])
                 break
-    return Found(
-        x=watch.best, value=watch.value, steps=watch.steps, status=status, stopped=watch.stopped
-    )
+    return found
 
 
-class _Calls:
-    """Calls from IPOPT: the last point is remembered, and so is the first exception."""
-
-    def __init__(self, function: Callable[[Array], tuple[float, Array]]) -> None:
-        # IPOPT asks for value and gradient one after the other.
-        self.cached = _remembered(function)
-        self.error: BaseException | None = None
-
-    def guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose exceptions are kept, to be raised when IPOPT has returned.
-
-        After one it gives what it gave last: IPOPT takes an exception for a point without a value
-        and looks for others, for minutes, but a step that it can end is the last.
-        """
-        last: list[Any] = []
-
-        def call(*arguments: Any) -> Any:
-            if self.error is None or not last:
-                try:
-                    last[:] = [function(*arguments)]
-                except BaseException as error:
-                    self.error = self.error or error
-                    if not last:
-                        raise
-            return last[0]
-
-        return call
-
-
-def _remembered(function: Callable[[Array], _Found]) -> Callable[[Array], _Found]:
-    """Return a function that remembers its last value."""
-    last: dict[bytes, _Found] = {}
-
-    def call(x: Array) -> _Found:
-        key = x.tobytes()
-        if key not in last:
-            found = function(x)
-            last.clear()
-            last[key] = found
-        return last[key]
-
-    return call
-
-
-def _callback(
-    casadi: Any,
-    N: int,
-    sparsity: Any,
-    value: Callable[[Array], Array],
-    derivative: Callable[[Array], Sequence[float]],
-    count: int = 1,
-) -> Any:
-    """Return a function of CasADi with `count` values and a derivative of a given sparsity."""
-    dense = casadi.Sparsity.dense
-    slope = _evaluated(
-        casadi,
-        "derivative",
-        [dense(N, 1), dense(count, 1)],
-        sparsity,
-        lambda x, _: casadi.DM(sparsity, derivative(np.array(x).ravel())),
-    )
-    arguments = [dense(N, 1)]
-    return _evaluated(
-        casadi, "value", arguments, dense(count, 1), lambda x: value(np.array(x).ravel()), slope
-    )
-
-
-def _evaluated(
-    casadi: Any,
-    name: str,
-    arguments: Sequence[Any],
-    result: Any,
-    function: Callable[..., Any],
-    derivative: Any = None,
-) -> Any:
-    """Return a function of CasADi that calls Python, from sparsities of arguments and result."""
+@cache
+def _callback(casadi: Any) -> Any:
+    """Return the class of CasADi's functions that call Python."""
 
     class Evaluated(casadi.Callback):  # type: ignore[misc]
-        def __init__(self) -> None:
+        """From arrays of given shapes to the nonzeros of a sparsity, with its derivative."""
+
+        def __init__(
+            self,
+            shapes: list[tuple[int, int]],
+            result: Any,
+            function: Callable[..., Any],
+            derivative: Any = None,
+        ) -> None:
             super().__init__()
+            self.shapes, self.result, self.function = shapes, result, function
             # CasADi keeps no reference to what Python made.
-            self.kept = derivative
-            self.construct(name, {})
+            self.derivative = derivative
+            self.construct("evaluated", {})
 
         def get_n_in(self) -> int:
-            return len(arguments)
+            return len(self.shapes)
 
         def get_n_out(self) -> int:
             return 1
 
         def get_sparsity_in(self, i: int) -> Any:
-            return arguments[i]
+            return casadi.Sparsity.dense(*self.shapes[i])
 
         def get_sparsity_out(self, i: int) -> Any:
-            return result
+            return self.result
 
         def eval(self, values: Any) -> Any:
-            return [function(*values)]
+            arrays = (np.array(value).ravel() for value in values)
+            return [casadi.DM(self.result, self.function(*arrays))]
 
         def has_jacobian(self) -> bool:
-            return self.kept is not None
+            return self.derivative is not None
 
         def get_jacobian(self, *_: Any) -> Any:
-            return self.kept
+            return self.derivative
 
-    return Evaluated()
-
-
-class _Watch:
-    """Called after every step: keeps the best point, the last one, and may stop."""
-
-    def __init__(
-        self, linear: int, stop: Callable[[int, float], bool], failed: Callable[[], bool]
-    ) -> None:
-        self.linear, self.stop, self.failed = linear, stop, failed
-        self.best, self.value, self.steps, self.stopped = np.zeros(0), np.inf, 0, False
-        self.last = self.best
-
-    def offer(self, x: Array, value: float) -> None:
-        """Keep a point within all limits if it is the best so far."""
-        if value < self.value:
-            self.best, self.value = x.copy(), value
-            self.last = self.best
-
-    def callback(self, casadi: Any, N: int, M: int) -> Any:
-        """Return what CasADi calls, with N free numbers and M limits."""
-        sizes = {"x": N, "lam_x": N, "g": M, "lam_g": M, "f": 1}
-        names = [casadi.nlpsol_out(i) for i in range(casadi.nlpsol_n_out())]
-        arguments = [casadi.Sparsity.dense(sizes.get(n, 0), int(n in sizes)) for n in names]
-
-        def step(*values: Any) -> int:
-            if self.failed():
-                return 1
-            by_name = dict(zip(names, values, strict=True))
-            shortfall = np.array(by_name["g"]).ravel()[self.linear :]
-            x, value = np.array(by_name["x"]).ravel(), float(by_name["f"])
-            if np.min(shortfall, initial=0.0) >= -_HELD:
-                self.offer(x, value)
-            elif value < self.value:
-                self.last = x
-            self.steps += 1
-            self.stopped = self.stop(self.steps, self.value)
-            return int(self.stopped or self.failed())
-
-        return _evaluated(casadi, "watch", arguments, casadi.Sparsity.dense(1, 1), step)
+    return Evaluated

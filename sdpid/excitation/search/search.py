@@ -5,21 +5,24 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
 from sdpid.errors import DataError
 from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.search.inequalities import InstantRows
-from sdpid.excitation.search.ipopt import Rows, minimize, require_solver
-from sdpid.excitation.search.linear import linear_limits
+from sdpid.excitation.search.ipopt import minimize, require_solver
 from sdpid.excitation.search.space import Space
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.starts import Linear, linear_limits, random_start
+from sdpid.experiment.trajectory.curve import Curve
 
 # Random motions of which the best is the first start: condition numbers of single starts differ by
 # up to a fifth (UR10e).
@@ -44,6 +47,19 @@ def require_search(time_limit: float | None, **counts: int) -> None:
     require_solver()
 
 
+class Inequalities(Protocol):
+    """Limits that are no linear functions of a motion, as a search holds them on a grid."""
+
+    def rows(self, space: Space) -> InstantRows | None:
+        """Return the rows that a search among motions holds; None where there are none."""
+
+    def learn(self, check: LimitCheck) -> None:
+        """Hold what a check found broken with more room."""
+
+    def check(self, curve: Curve) -> LimitCheck:
+        """Return what a motion comes to beside all limits."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
     """The best motion from one start.
@@ -62,6 +78,8 @@ class Candidate:
         Steps of the search.
     status : str
         How it ended, in the solver's words.
+    stopped : bool
+        Whether that was before its end.
     seconds : float
         Time that it took.
     """
@@ -72,6 +90,7 @@ class Candidate:
     start: int
     steps: int
     status: str
+    stopped: bool
     seconds: float
 
 
@@ -91,6 +110,10 @@ class Search:
         What is made small.
     limits : JointLimits
         Of positions, speeds, accelerations and jerks.
+    inequalities : Inequalities
+        All other limits.
+    name : str
+        The robot.
     start : ndarray, shape (n,), optional
         Where the motions begin.
     deadline : float
@@ -100,16 +123,21 @@ class Search:
         from a start bring, finer motions bring sooner.
     levels : int
         How often the intervals are halved.
+    step : callable
+        Called after every step.
     """
 
     space: Space
     criterion: Criterion
     limits: JointLimits
+    inequalities: Inequalities
+    name: str
     start: Array | None = None
     deadline: float = np.inf
     steps: int = 40
     refining_steps: int = 60
     levels: int = 2
+    step: Callable[[], None] = lambda: None
 
     def most_steps(self, starts: int) -> int:
         """Return the largest number of steps of a search from a number of starts."""
@@ -120,9 +148,18 @@ class Search:
         return replace(self, space=space)
 
     @cached_property
-    def linear(self) -> tuple[Any, Array, Array]:
+    def linear(self) -> Linear:
         """Matrix, lower and upper limits of rows that hold at every instant."""
         return linear_limits(self.space, self.limits, self.start)
+
+    @cached_property
+    def rows(self) -> InstantRows | None:
+        """All other limits, on a grid."""
+        return self.inequalities.rows(self.space)
+
+    def holds(self, x: Array) -> bool:
+        """Return whether a motion (N,) is within the limits on the grid."""
+        return self.rows is None or self.rows.hold(x)
 
     def value_and_gradient(self, x: Array) -> tuple[float, Array]:
         """Return the objective of a motion (N,) and its gradient (N,)."""
@@ -137,87 +174,58 @@ class Search:
         grid = self.space.grid()
         return [self.space.basis(grid, order) for order in range(3)]
 
-    def random_starts(
-        self, homes: Iterable[Array], rows: InstantRows | None, rng: np.random.Generator
-    ) -> Iterator[Array]:
+    def random_starts(self, homes: Iterable[Array], rng: np.random.Generator) -> Iterator[Array]:
         """Yield random motions within all limits, one from each home (n,)."""
-        holds = (lambda x: True) if rows is None else rows.hold
-        drawn = (random_start(self.space, self.linear, home, rng, holds) for home in homes)
+        drawn = (random_start(self.space, self.linear, home, rng, self.holds) for home in homes)
         # The best goes first: a search that ends at once is no worse than any of these.
         first = itertools.islice(drawn, _FIRST)
         yield from sorted(first, key=lambda x: self.value_and_gradient(x)[0])
         yield from drawn
 
     def improve(
-        self,
-        start: Array,
-        rows: Rows | None,
-        *,
-        number: int = 0,
-        most_steps: int | None = None,
-        step: Callable[[], None] = lambda: None,
-        near: bool = False,
-    ) -> tuple[Candidate, bool]:
-        """Search from one start, and say whether the search was stopped.
+        self, start: Array, *, number: int = 0, most_steps: int | None = None, near: bool = False
+    ) -> Candidate:
+        """Search from one start.
 
         Parameters
         ----------
         start : ndarray, shape (N,)
             A motion within all limits.
-        rows : Rows, optional
-            Further limits.
         number : int, optional
             Number of the start.
         most_steps : int, optional
             Largest number of steps; by default `steps`.
-        step : callable, optional
-            Called after every step.
         near : bool, optional
             Whether the start is nearly the best.
         """
         began = time.monotonic()
 
         def stop(steps: int, value: float) -> bool:
-            step()
+            self.step()
             return time.monotonic() > self.deadline
 
         found = minimize(
             self.value_and_gradient,
             start,
             self.linear,
-            rows,
+            self.rows,
             most_steps=most_steps or self.steps,
             stop=stop,
             near=near,
         )
-        candidate = Candidate(
+        return Candidate(
             space=self.space,
             x=found.x,
             value=found.value,
             start=number,
             steps=found.steps,
             status=found.status,
+            stopped=found.stopped,
             seconds=time.monotonic() - began,
         )
-        return candidate, found.stopped
 
-    def run(
-        self,
-        starts: Iterable[Array],
-        rows_of: Callable[[Space], Rows | None] = lambda space: None,
-        *,
-        step: Callable[[], None] = lambda: None,
-    ) -> tuple[list[Candidate], bool]:
-        """Search from every start, go on from the best, while there is time.
-
-        Parameters
-        ----------
-        starts : iterable of ndarray (N,)
-            Motions within all limits.
-        rows_of : callable, optional
-            Further limits of motions of a space.
-        step : callable, optional
-            Called after every step.
+    def run(self, starts: Iterable[Array]) -> tuple[list[Candidate], bool]:
+        """Search from every start (N,), go on from the best, while there is time.
 
         Returns
         -------
@@ -227,12 +235,11 @@ class Search:
             Whether the search was stopped before its end.
         """
         found: list[Candidate] = []
-        rows, coarse, gone, stopped = rows_of(self.space), np.inf, None, False
+        coarse, gone, stopped = np.inf, None, False
         try:
             for number, start in enumerate(starts):
-                candidate, stopped = self.improve(start, rows, number=number, step=step)
+                candidate, times = self.improve(start, number=number), self.levels
                 found.append(candidate)
-                times = self.levels
                 if candidate.value < coarse:
                     coarse = candidate.value
                 else:
@@ -240,18 +247,11 @@ class Search:
                     # What went on in vain would do so again.
                     gone, times = candidate, int(candidate is not gone)
                 for _ in range(times):
-                    if stopped:
+                    if found[-1].stopped:
                         break
-                    space, x = self._onward(candidate)
-                    candidate, stopped = self.on(space).improve(
-                        x,
-                        rows_of(space),
-                        number=candidate.start,
-                        most_steps=self.refining_steps,
-                        step=step,
-                        near=True,
-                    )
+                    candidate = self._onward(candidate)
                     found.append(candidate)
+                stopped = found[-1].stopped
                 if stopped:
                     break
         except KeyboardInterrupt:
@@ -260,13 +260,44 @@ class Search:
             stopped = True
         return sorted(found, key=_value), stopped
 
-    def _onward(self, candidate: Candidate) -> tuple[Space, Array]:
-        """Return the motions among which a candidate goes on, and its numbers there."""
-        finer = None
-        if candidate.space.size < 2**self.levels * self.space.size:
-            finer = candidate.space.refined(candidate.x)
-        return finer or (candidate.space, candidate.x)
+    def _onward(self, candidate: Candidate) -> Candidate:
+        """Return what a search finds from a candidate, among finer motions where there are any."""
+        space, x = candidate.space, candidate.x
+        if space.size < 2**self.levels * self.space.size:
+            space, x = space.refined(x) or (space, x)
+        most = self.refining_steps
+        return self.on(space).improve(x, number=candidate.start, most_steps=most, near=True)
 
 
 def _value(candidate: Candidate) -> float:
     return candidate.value
+
+
+@contextmanager
+def counted_steps(
+    total: int, began: float, deadline: float, shown: bool | None
+) -> Iterator[Callable[[], None]]:
+    """Yield what to call after every step of a search, which moves a progress bar.
+
+    Parameters
+    ----------
+    total : int
+        Largest number of steps.
+    began, deadline : float
+        Times of `time.monotonic` between which the search runs; an infinite deadline for none.
+        With one the bar shows the share of the time.
+    shown : bool, optional
+        Whether there is a bar; by default on a terminal.
+    """
+    timed = bool(np.isfinite(deadline))
+    last = began
+    length = deadline - began if timed else total
+    with progress(length, "searching a motion", enabled=shown) as advance:
+
+        def step() -> None:
+            nonlocal last
+            now = time.monotonic()
+            advance(now - last if timed else 1.0)
+            last = now
+
+        yield step

@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Iterable, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array, generator
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.noise import Given
-from sdpid.excitation.design.repair import mend
+from sdpid.excitation.design.loop import designed
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.plan.settings import settings_of
-from sdpid.excitation.search.search import Candidate, Search, require_search
-from sdpid.excitation.search.steps import counted_steps
+from sdpid.excitation.plan.plan import settings_of
+from sdpid.excitation.search.search import Candidate, require_search
 from sdpid.excitation.standing.plan import StandingPlan
-from sdpid.excitation.standing.task import StandingInequalities, StandingTask
+from sdpid.excitation.standing.task import StandingRequest, StandingTask
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 # Friction terms of a plan, where none are named.
 FRICTION = ("coulomb", "viscous", "rotor_inertia")
-# Starts of the search, steps of one, and as a share of them those of the best with twice the
-# intervals, which four times would make finer than what the criterion looks at. Of 10 s of a Solo12
-# the first ten steps bring a mean log of -15.62 to -15.92, the next twenty nothing, and 15 steps
-# with twice the intervals -16.05.
-STARTS, STEPS, _REFINING = 1, 30, 0.5
+# Starts of the search, and steps of one.
+STARTS, STEPS = 1, 30
 # Of a time limit, what is kept for the check, at most seconds and this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.2
 
@@ -131,62 +126,40 @@ def design_standing(
     >>> standing.limits.ok, standing.motion
     (True, WholeBodyMotion(12 joints, 4 feet, 2 s))
     """
+    given = dict(locals())
     require_search(time_limit, starts=starts, steps=steps)
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, root="free_flyer")
+    given |= {"robot": robot, "friction": FRICTION if friction is None else tuple(friction)}
     earlier = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
-    began = time.monotonic()
-    terms = FRICTION if friction is None else tuple(friction)
-    asked: dict[str, Any] = {
-        "duration": duration,
-        "sway": sway,
-        "tilt": tilt,
-        "grip": grip,
-        "load": load,
-    }
-    task = StandingTask.of(
-        robot,
-        **asked,
-        limits=limits,
-        friction=terms,
-        prior=prior,
-        earlier=[(plan.base.names, plan.information) for plan in earlier],
-        noise=noise,
-        standing=standing,
-        feet=feet,
-        seed=seed,
-    )
-    deadline = np.inf
+    given["previous"] = earlier
+    began, kept = time.monotonic(), 0.0
+    task = StandingTask.of(StandingRequest(**given))
+    search = task.search
     if time_limit is not None:
-        deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
-    still, inequalities = np.zeros(task.space.n), StandingInequalities(task.held)
-    search = Search(
-        space=task.space,
-        criterion=task.criterion,
-        limits=task.coordinates,
-        start=still,
-        deadline=deadline,
-        steps=steps,
-        refining_steps=math.ceil(_REFINING * steps),
-        levels=1,
+        kept = min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
+        search = replace(search, deadline=began + time_limit - kept)
+    (best, check), _, stopped = designed(
+        search,
+        [np.zeros(search.space.n)] * starts,
+        generator(seed),
+        starts=starts,
+        began=began,
+        kept=kept,
+        progress=progress,
     )
-    with counted_steps(search.most_steps(starts), began, deadline, progress) as step:
-        rows, rng = inequalities.rows(task.space), generator(seed)
-        begun = search.random_starts([still] * starts, rows, rng)
-        found, stopped = search.run(begun, inequalities.rows, step=step)
-        best, check = mend(task, search, found, inequalities)
     notes = [*task.notes]
     if stopped:
         notes.append("the search was ended early: this is the best motion that it had found.")
-    known = task.criterion.known
+    known = search.criterion.known
     information = _information(task, best)
     before, after = (_deviations(each) for each in (known, known + information))
     return StandingPlan(
-        stance=task.stance,
+        stance=task.held.stance,
         curve=best.space.curve(best.x),
         limits=check,
         held=task.held,
-        base=task.rows.base,
+        base=task.rows.regressor.base,
         values=task.values,
         standard_errors=after,
         before=before,
@@ -194,19 +167,7 @@ def design_standing(
         known=known,
         spread=task.rows.spread,
         notes=tuple(notes),
-        settings=settings_of(
-            robot=robot.name,
-            **asked,
-            limits=limits,
-            friction=terms,
-            noise=noise,
-            standing=None if standing is None else list(standing),
-            feet=None if feet is None else list(feet),
-            starts=starts,
-            steps=steps,
-            time_limit=time_limit,
-            seed=seed,
-        ),
+        settings=settings_of(given, robot=robot.name, prior=None, previous=None, progress=None),
     )
 
 

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.standing.jets import Jets
-from sdpid.excitation.standing.loads import loads
-from sdpid.excitation.standing.stance import Stance, StanceStates
+from sdpid.excitation.standing.stance import RATE_HZ, Stance, StanceStates, slopes
+from sdpid.experiment.trajectory.curve import Curve
 
 # A leg's determinant keeps this share of that when standing: one that is stretched cannot follow.
 # It is the limit that plans come to first: 0.51 on a Solo12.
@@ -21,6 +21,12 @@ STRETCHED = 0.5
 # The soft least of slacks that are alike is below them by the logarithm of their number over this:
 # a tenth of a limit for twelve joints.
 _SHARPNESS = 30.0
+
+# Moments on a sole count as forces at this share of its width: half of the half width.
+_LEVER = 0.25
+
+# Feet miss their places by no more, m and rad.
+_MISS = 1e-9
 
 # Kind, subject, unit, values (K,), lower and upper limit; infinite where there is none.
 Quantity = tuple[str, str, str, Array, float, float]
@@ -44,8 +50,6 @@ class Held:
         Least normal force of a foot, N.
     share : float
         Share of joints' limits and of friction that is used.
-    name : str
-        What they limit.
     """
 
     stance: Stance
@@ -54,7 +58,6 @@ class Held:
     grip: float
     load: float
     share: float = 1.0
-    name: str = "standing"
 
     @cached_property
     def weight(self) -> float:
@@ -69,17 +72,17 @@ class Held:
         One of each foot and kind, and the soft least of all joints of a kind: a row for each joint
         would take the search three times as long.
         """
-        joints, feet = self._slacks(self._outputs(self._states(q, v, a)))
+        joints, feet = self._slacks(self._outputs(self.stance.at(q, v, a)))
         return np.column_stack([*(_least(own)[0] for own in joints), feet])
 
     def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
         """Return derivatives (K, g, m) of them by coordinates and both derivatives."""
-        jets = Jets.of(self.stance, q, v, a)
-        here = self._outputs(jets.here)
-        slopes = Jets.slopes(here, self._outputs(jets.aside))
+        states = self.stance.at(q, v, a)
+        here = self._outputs(states)
+        aside = self._outputs(self.stance.beside(states, q, v, a))
         shares = [_least(own)[1] for own in self._slacks(here)[0]]
         found = []
-        for slope in slopes:
+        for slope in slopes(here, aside):
             columns = []
             for along in np.moveaxis(slope, -1, 0):
                 # Slacks are of second degree: differences over any step are exact.
@@ -90,21 +93,44 @@ class Held:
             found.append(np.stack(columns, axis=-1))
         return tuple(found)
 
-    def _states(self, q: Array, v: Array, a: Array) -> StanceStates:
-        return self.stance.states(self.stance.poses(q), v, a)
+    def loads(self, states: StanceStates) -> tuple[Array, Array]:
+        """Return the torques and the forces of the ground that carry a motion.
+
+        Of the forces that carry it those are taken whose weighted sum of squares is least: forces
+        along the ground count as normal forces of theirs over `grip`. A controller that asks for
+        these torques gets these forces, and they are centered in the friction cones.
+
+        Returns
+        -------
+        ndarray, shape (K, joints)
+            Torques of the joints without friction, N·m.
+        ndarray, shape (K, c, 3) or (K, c, 6)
+            Forces on the robot at balls, or forces and moments about soles' frames; world axes.
+        """
+        stance, poses, grip = self.stance, states.poses, self.grip
+        effort = stance.robot.efforts_of_bodies(
+            self.bodies, poses.configuration, states.velocity, states.acceleration
+        )
+        J = stance.at_contacts(poses.jacobians)[:, :, : 6 if stance.legs.flat else 3]
+        k, c, rows, _ = J.shape
+        size = np.array([grip, grip, 1.0])
+        if stance.legs.flat:
+            lever = _LEVER * float(np.ptp(self._sole, axis=0).min())
+            size = np.concatenate([size, lever * np.array([1.0, 1.0, grip])])
+        scaled = (J * size[:, None]).reshape(k, c * rows, -1)
+        A = scaled[:, :, :6]
+        shares = np.linalg.solve(np.swapaxes(A, 1, 2) @ A, effort[:, :6, None])
+        force = A @ shares
+        torque = effort[:, 6:] - (np.swapaxes(scaled, 1, 2)[:, 6:] @ force)[:, :, 0]
+        return torque, force.reshape(k, c, rows) * size
 
     def _outputs(self, states: StanceStates) -> Array:
         """Return positions, velocities, torques, forces and determinants side by side, (K, ·)."""
-        found = loads(self.stance, self.bodies, states, self.grip)
-        return np.hstack(
-            [
-                states.poses.configuration[:, 7:],
-                states.velocity[:, 6:],
-                found.torque,
-                found.wrenches.reshape(len(found.torque), -1),
-                self.stance.determinants(states.poses),
-            ]
-        )
+        torque, wrenches = self.loads(states)
+        position, speed = states.poses.configuration[:, 7:], states.velocity[:, 6:]
+        determinants = self.stance.determinants(states.poses)
+        forces = wrenches.reshape(len(torque), -1)
+        return np.hstack([position, speed, torque, forces, determinants])
 
     def _split(self, outputs: Array) -> tuple[Array, Array, Array, Array, Array]:
         n, c = self.stance.legs.n_joints, len(self.stance.legs.frames)
@@ -180,6 +206,39 @@ class Held:
             for i, name in enumerate(self.stance.legs.frames):
                 least = np.minimum(low[:, i], high[:, i])
                 yield kind, name, "N.m", least, 0.0, np.inf
+
+    def check(self, curve: Curve) -> LimitCheck:
+        """Return what a motion of the coordinates comes to, 500 times a second."""
+        time, states = self.stance.sampled(curve)
+        miss: Quantity = ("miss", "feet", "m", states.poses.miss, -np.inf, _MISS)
+        rows = []
+        for kind, subject, unit, values, low, high in (*self.quantities(states), miss):
+            for sign, limit in ((-1.0, low), (1.0, high)):
+                if not np.isfinite(limit):
+                    continue
+                k = int(np.argmax(sign * values))
+                reached = float(values[k])
+                slack = sign * (float(limit) - reached)
+                rows.append(
+                    LimitRow(
+                        kind=kind,
+                        subject=subject,
+                        side="lower" if sign < 0.0 else "upper",
+                        limit=float(limit),
+                        worst=reached,
+                        reached=reached,
+                        time=float(time[k]),
+                        slack=slack,
+                        unit=unit,
+                        verdict="held" if slack >= 0.0 else "broken",
+                    )
+                )
+        notes = (
+            *self.joints.assumed,
+            f"limits were checked {RATE_HZ:g} times a second, not between.",
+            "whether legs touch each other or the body was not checked.",
+        )
+        return LimitCheck(rows=tuple(rows), notes=notes)
 
 
 def _least(slacks: Array) -> tuple[Array, Array]:

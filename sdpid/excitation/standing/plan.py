@@ -12,8 +12,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Shown, Table
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.standing.held import Held
-from sdpid.excitation.standing.loads import loads
-from sdpid.excitation.standing.stance import Stance, StanceStates
+from sdpid.excitation.standing.stance import Stance
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.model.base_parameters import BaseParameters
@@ -21,16 +20,6 @@ from sdpid.robot.model.model import RobotModel
 
 # A parameter is known well where its standard error is this share of what it was before.
 _KNOWN = 0.1
-# Samples a second of a plan's motion.
-RATE_HZ = 500.0
-
-
-def sampled(stance: Stance, curve: Curve) -> tuple[Array, StanceStates]:
-    """Return instants (K,) of a motion of the coordinates, 500 a second, and the states there."""
-    count = max(2, round(curve.duration * RATE_HZ))
-    time = np.linspace(0.0, curve.duration, count + 1)
-    x, rate, second = (curve.evaluate(time, derivative=order) for order in range(3))
-    return time, stance.states(stance.along(x), rate, second)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -145,8 +134,8 @@ class StandingPlan(Shown):
 
     def _sampled(self) -> WholeBodyMotion:
         """Return the motion at 500 Hz, its last instant included."""
-        time, states = sampled(self.stance, self.curve)
-        found = loads(self.stance, self.held.bodies, states, self.held.grip)
+        time, states = self.stance.sampled(self.curve)
+        torque, wrenches = self.held.loads(states)
         q = states.poses.configuration
         return WholeBodyMotion(
             joint_names=self.robot.joint_names[6:],
@@ -154,12 +143,12 @@ class StandingPlan(Shown):
             position=q[:, 7:],
             velocity=states.velocity[:, 6:],
             acceleration=states.acceleration[:, 6:],
-            effort=found.torque,
+            effort=torque,
             base_position=q[:, :3],
             base_orientation=q[:, 3:7],
             frames=self.stance.legs.frames,
             down=np.ones((len(time), len(self.stance.legs.frames)), dtype=bool),
-            forces=found.wrenches[:, :, :3],
+            forces=wrenches[:, :, :3],
         )
 
     def plot(self, *, axes: Any = None) -> Any:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
@@ -23,6 +24,11 @@ _LONGEST, _DAMPING = 0.5, 1e-4
 # Rounds in which balls are rolled along a motion: a ball is a tenth of a leg, and each round
 # leaves a tenth of the error.
 _ROUNDS = 6
+# Step of central differences by coordinates and their rates, m and rad (and s): far below the width
+# of a smooth sign. Efforts are linear in accelerations: a step of any size is exact.
+_DIFFERENCE = 1e-5
+# Samples a second of a plan's motion.
+RATE_HZ = 500.0
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -59,6 +65,11 @@ class Poses:
     def take(self, index: Indices) -> Poses:
         """Return some of them, in any order."""
         return Poses(**{name: value[index] for name, value in vars(self).items()})
+
+    def joined(self, others: Poses) -> Poses:
+        """Return these, then others."""
+        pairs = zip(vars(self).items(), vars(others).values(), strict=True)
+        return Poses(**{name: np.concatenate([own, other]) for (name, own), other in pairs})
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,6 +285,38 @@ class Stance:
         velocity[:, :3] = 0.0
         return StanceStates(poses, velocity, acceleration)
 
+    def at(self, x: Array, rate: Array, second: Array) -> StanceStates:
+        """Return the states of coordinates and their derivatives, (K, m) each."""
+        return self.states(self.poses(x), rate, second)
+
+    def sampled(self, curve: Curve) -> tuple[Array, StanceStates]:
+        """Return instants (K,) of a motion of the coordinates, 500 a second, and states there."""
+        count = max(2, round(curve.duration * RATE_HZ))
+        time = np.linspace(0.0, curve.duration, count + 1)
+        x, rate, second = (curve.evaluate(time, derivative=order) for order in range(3))
+        return time, self.states(self.along(x), rate, second)
+
+    def beside(self, here: StanceStates, x: Array, rate: Array, second: Array) -> StanceStates:
+        """Return the 5·m·K states beside those of coordinates (K, m), for `slopes`.
+
+        Coordinates ahead and behind, rates ahead and behind, accelerations ahead; of each the m
+        coordinates one after the other, K states each.
+        """
+        (k, m), poses = x.shape, here.poses
+        steps = np.eye(m)[:, None, :]
+        ahead = _DIFFERENCE * steps
+        moved = np.concatenate([x + ahead, x - ahead]).reshape(-1, m)
+        # Where they are after small moves, to first order.
+        moves = moved - np.tile(x, (2 * m, 1))
+        still = poses.take(np.tile(np.arange(k), 2 * m))
+        near = still.configuration.copy()
+        near[:, 7:] += self.states(still, moves, np.zeros_like(moves)).velocity[:, 6:]
+        every = self.poses(moved, near).joined(poses.take(np.tile(np.arange(k), 3 * m)))
+        rates, seconds = (np.broadcast_to(each, (m, k, m)) for each in (rate, second))
+        all_rates = np.concatenate([rates, rates, rates + ahead, rates - ahead, rates])
+        all_seconds = np.concatenate([seconds] * 4 + [seconds + steps])
+        return self.states(every, all_rates.reshape(-1, m), all_seconds.reshape(-1, m))
+
     def _drift(self, poses: Poses, velocity: Array) -> Array:
         """Return the contacts' accelerations (K, c, 3 or 6) without any of the coordinates'."""
         legs, joints = self.legs, self.legs.joints + 6
@@ -331,3 +374,19 @@ def _twist(poses: Poses, rate: Array, second: Array) -> tuple[Array, Array]:
     slope[:, 4] = cr * ap + sr * cp * ay - sr * dr * dp + (cr * cp * dr - sr * sp * dp) * dy
     slope[:, 5] = -sr * ap + cr * cp * ay - cr * dr * dp - (sr * cp * dr + cr * sp * dp) * dy
     return out, slope
+
+
+def slopes(here: Array, aside: Array) -> tuple[Array, Array, Array]:
+    """Return derivatives (K, ..., m) by coordinates, their rates and their accelerations.
+
+    Parameters
+    ----------
+    here : ndarray, shape (K, ...)
+        A function of states.
+    aside : ndarray, shape (5·m·K, ...)
+        The same of those that `Stance.beside` returns.
+    """
+    ahead, behind, faster, slower, pushed = aside.reshape(5, -1, *here.shape)
+    step = 2.0 * _DIFFERENCE
+    by_x, by_rate, by_second = (ahead - behind) / step, (faster - slower) / step, pushed - here
+    return np.moveaxis(by_x, 0, -1), np.moveaxis(by_rate, 0, -1), np.moveaxis(by_second, 0, -1)

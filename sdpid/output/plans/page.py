@@ -11,8 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.expected.expected import NORMAL, Expected
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
-from sdpid.excitation.plan.limited import limited_quantities
-from sdpid.excitation.plan.plan import Plan
+from sdpid.excitation.plan.plan import Plan, limited_quantities
 from sdpid.experiment.trajectory.trajectory import Played, played
 from sdpid.output.charts.charts import Charts
 from sdpid.output.charts.page import number
