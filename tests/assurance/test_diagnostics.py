@@ -16,17 +16,12 @@ import sdpid
 from sdpid import Prior, RobotModel, Samples, build_problem, load_robot, solve_sdp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics import bands, held_out
+from sdpid.assurance.diagnostics import provenance as origins
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back, joint_errors
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.mass_matrix import proven_bound
-from sdpid.assurance.diagnostics.provenance import (
-    Provenance,
-    _active_normals,
-    collinear_friction,
-    in_words,
-    provenance,
-)
+from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words, provenance
 from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, moving_and_resting
 from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
 from sdpid.assurance.tables.csv_table import read_base_table
@@ -43,17 +38,7 @@ from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import Consistency, from_pseudo_inertia, point_masses, spatial_inertia
 from sdpid.robot.model.jacobians import joint_rates, link_jacobians
 from tests.helpers import legged
-from tests.helpers.arm import (
-    ARM,
-    BOTH,
-    CONDITIONS,
-    FIRST,
-    LAST,
-    LIGHT,
-    TURNED,
-    arm_problem,
-    body_of,
-)
+from tests.helpers.arm import ARM, BOTH, CONDITIONS, FIRST, LAST, LIGHT, TURNED, arm_problem
 from tests.helpers.data import flat_links, make_samples, random_links, random_theta
 from tests.helpers.identified import FRICTION, RATE, arm_theta, identified, moved
 from tests.helpers.motions import sines
@@ -803,7 +788,7 @@ def test_the_multiplier_of_an_ellipsoid(
     state = constraint_states(estimate)[-1]
     assert state.active
     found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.02 / masses)
-    mass = body_of(estimate, LAST)[0]
+    mass = estimate.problem.feasible.bodies(estimate.theta)[1, 0]
     assert found == pytest.approx(-masses * state.multiplier * mass, rel=SLOPE)
 
 
@@ -895,7 +880,7 @@ def problem_of(seed: int, prior: Prior | None, *, noise: float = 0.3, **options)
     return build_problem(robot, samples, prior=prior, **options)
 
 
-def of(problem: Problem, theta: Array) -> Provenance:
+def of(problem: Problem, theta: Array) -> origins.Provenance:
     return provenance(Estimate.of_theta(problem, theta, method="sdp", status="optimal"))
 
 
@@ -986,7 +971,7 @@ def test_a_flat_body_stays_free_to_be_another_flat_one(consistency):
     lost = 3 if consistency == "pseudo_inertia" else 1
     assert found.physics[:20].max() < SHARE
     assert found.physics[20:30].max() > 0.1
-    normals = _active_normals(problem, theta)
+    normals = origins._active_normals(problem, theta)
     assert np.linalg.matrix_rank(normals / np.linalg.norm(normals, axis=1)[:, None]) == lost
     for k in range(2):
         for step in 1e-6 * np.eye(3):

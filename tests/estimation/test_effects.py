@@ -25,27 +25,9 @@ from sdpid.estimation.selection import choose as selection
 from sdpid.estimation.selection.choose import with_effects, with_every_term
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
-from sdpid.robot.friction.terms import (
-    AsymmetricCoulomb,
-    Coulomb,
-    Coupling,
-    RotorInertia,
-    SigmoidFriction,
-    Stribeck,
-    Viscous,
-)
-from tests.helpers import world
+from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, SigmoidFriction, Stribeck
+from tests.helpers import data, world
 from tests.helpers.arm import ARM
-from tests.helpers.data import (
-    friction_model,
-    full_regressor,
-    make_samples,
-    random_covariance,
-    random_links,
-    random_theta,
-    row_source,
-    whitened,
-)
 from tests.helpers.identified import SATURATED, saturating
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
@@ -61,8 +43,8 @@ FOUND = 0.03
 
 def made(*terms: str | FrictionTerm, seed: int = 1, noise: float = 0.0, **fields: Any) -> Samples:
     rng = np.random.default_rng(seed)
-    theta = random_theta(ARM3, rng, terms)
-    return make_samples(
+    theta = data.random_theta(ARM3, rng, terms)
+    return data.make_samples(
         ARM3, theta, rng, count=400, noise=noise, friction=terms, joint_names=NAMES, **fields
     )
 
@@ -71,7 +53,10 @@ def made(*terms: str | FrictionTerm, seed: int = 1, noise: float = 0.0, **fields
     ("truth", "asked"),
     [
         (Coulomb(width=(0.3, 0.6, 1.0)), Coulomb(width=None)),
-        (AsymmetricCoulomb(width=(0.3, 0.6, 1.0)), AsymmetricCoulomb(width=None)),
+        (
+            sdpid.friction.AsymmetricCoulomb(width=(0.3, 0.6, 1.0)),
+            sdpid.friction.AsymmetricCoulomb(width=None),
+        ),
         (Stribeck(velocity=(0.4, 0.8, 1.2)), Stribeck()),
         (SigmoidFriction(velocity=(0.3, 0.6, 1.0)), SigmoidFriction()),
         (Coupling(NAMES[1], NAMES[2], width=0.5), Coupling(NAMES[1], NAMES[2], width=None)),
@@ -108,9 +93,9 @@ def test_several_terms_with_noise() -> None:
 
 def search_of(samples: Samples, terms: tuple[FrictionTerm | str, ...], sigma: Array) -> Any:
     """Return a search at the middle of the limits, and its rows."""
-    model = friction_model(ARM3, terms)
+    model = data.friction_model(ARM3, terms)
     found = opened(model, list(np.abs(samples.velocity).T))
-    rows = row_source(ARM3, samples, closed(model, found)[0].terms)
+    rows = data.row_source(ARM3, samples, closed(model, found)[0].terms)
     return VariableProjection(rows, sigma, found), found
 
 
@@ -125,14 +110,14 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool, pulled: bool)
     if pulled:
         # Efforts that pull both ways, so that signs matter.
         samples = replace(samples, effort=rng.normal(size=(400, 3)))
-    sigma = random_covariance(rng, 3, None if kind == "one" else 400)
+    sigma = data.random_covariance(rng, 3, None if kind == "one" else 400)
     asked = (Coulomb(width=None), Stribeck(), Coupling(*NAMES[1:], width=None), "viscous")
     search, found = search_of(samples, asked, sigma)
     if not pulled:
         search.run()
     terms = (*(each.closed() for each in found), "viscous")
-    W = full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), terms)
-    rows, effort = whitened(W, samples.effort, samples.used, sigma)
+    W = data.full_regressor(ARM3, (samples.position, samples.velocity, samples.acceleration), terms)
+    rows, effort = data.whitened(W, samples.effort, samples.used, sigma)
     # The links and viscous friction are projected out.
     matrix = rows.reshape(1200, -1)
     U, s, _ = np.linalg.svd(np.delete(matrix, slice(30, 39), axis=1), full_matrices=False)
@@ -175,7 +160,7 @@ def test_a_term_of_ones_own_with_one_number_for_all_joints() -> None:
 @pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq9", "eq18", "residual"])
 def test_every_weighting(weighting: Any) -> None:
     truth = Coulomb(width=(0.3, 0.6, 1.0))
-    sigma = random_covariance(np.random.default_rng(2), 3, 400)
+    sigma = data.random_covariance(np.random.default_rng(2), 3, 400)
     samples = made(truth, "viscous", noise=0.01, covariance=sigma)
     asked = (Coulomb(width=None), "viscous")
     problem = build_problem(ARM3, samples, friction=asked, weighting=weighting)
@@ -188,7 +173,7 @@ def test_only_rows_in_use_count() -> None:
     mask = np.tile([True, True, False], (400, 1))
     wrong = samples.effort.copy()
     wrong[:, 2] = 1e3
-    model = friction_model(ARM3, (Coulomb(width=None), "viscous"))
+    model = data.friction_model(ARM3, (Coulomb(width=None), "viscous"))
     cases = (replace(samples, mask=mask, effort=effort) for effort in (samples.effort, wrong))
     both = [close_terms(model, ARM3, each, lambda _: np.eye(3))[1] for each in cases]
     assert both[0] == both[1]
@@ -200,7 +185,7 @@ def test_only_rows_in_use_count() -> None:
 
 
 def test_long_records_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
-    sigma = random_covariance(np.random.default_rng(2), 3, 400)
+    sigma = data.random_covariance(np.random.default_rng(2), 3, 400)
     samples = made(Coulomb(width=0.5), "viscous", covariance=sigma)
     asked = (Coulomb(width=None), "viscous")
     whole = build_problem(ARM3, samples, friction=asked, weighting="gls_per_sample")
@@ -269,9 +254,9 @@ def test_errors_count_the_speeds_that_the_data_chose() -> None:
 # ---- Where effects are made linear, and what they say.
 
 
-PAIR = random_links(np.random.default_rng(0), 2)
+PAIR = data.random_links(np.random.default_rng(0), 2)
 PAIRS = tuple(tuple(float(x) for x in body) for body in PAIR)
-SATURATING = (Coulomb(width=0.005), SigmoidFriction((0.1, 0.4)), Viscous())
+SATURATING = (Coulomb(width=0.005), SigmoidFriction((0.1, 0.4)), sdpid.friction.Viscous())
 
 
 def test_the_load_rubs_where_the_joint_does() -> None:
@@ -301,7 +286,7 @@ def test_every_effect_says_what_it_is(effect: Any) -> None:
 
 
 ARM4 = small_arm(4)
-LINKS = random_links(np.random.default_rng(5), 4)
+LINKS = data.random_links(np.random.default_rng(5), 4)
 BODIES = tuple(tuple(float(x) for x in body) for body in LINKS)
 TERMS = ("coulomb", "viscous", "offset")
 NOISE = 0.02

@@ -21,15 +21,8 @@ from sdpid.estimation.local.run import random_start
 from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
-from tests.helpers import world
+from tests.helpers import data, world
 from tests.helpers.arm import BOTH
-from tests.helpers.data import (
-    brute_force_cost,
-    make_samples,
-    random_covariance,
-    random_theta,
-    relative_error,
-)
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
 from tests.helpers.strategies import SEEDS, dh_tables
@@ -49,12 +42,12 @@ def noisy_samples(seed: int, robot: RobotModel = ARM, **options: Any) -> Any:
     count, n = 60, robot.n
     covariance = {
         "none": None,
-        "one": random_covariance(rng, n),
-        "each": random_covariance(rng, n, count),
+        "one": data.random_covariance(rng, n),
+        "each": data.random_covariance(rng, n, count),
     }[options.pop("covariance", "none")]
     mask = random_mask(rng, count, n) if options.pop("masked", False) else None
-    theta = random_theta(robot, rng)
-    samples = make_samples(robot, theta, rng, noise=0.3, covariance=covariance, mask=mask)
+    theta = data.random_theta(robot, rng)
+    samples = data.make_samples(robot, theta, rng, noise=0.3, covariance=covariance, mask=mask)
     return samples, theta, rng
 
 
@@ -72,9 +65,9 @@ def test_cost_is_that_of_the_raw_rows(
         sigma = problem.sigma
     used = 180 if samples.mask is None else int(samples.mask.sum())
     assert problem.n_rows == used
-    zero = brute_force_cost(problem, np.zeros(problem.base.count), sigma)
+    zero = data.brute_force_cost(problem, np.zeros(problem.base.count), sigma)
     for base in (problem.base_of(theta), 3.0 * rng.standard_normal(problem.base.count)):
-        expected = brute_force_cost(problem, base, sigma)
+        expected = data.brute_force_cost(problem, base, sigma)
         assert problem.cost(base) == pytest.approx(expected, rel=1e-8, abs=COST * zero)
     assert problem.cost_of(theta) == problem.cost(problem.base_of(theta))
     assert problem.cost(np.zeros(problem.base.count)) == pytest.approx(zero, rel=1e-10)
@@ -179,16 +172,16 @@ def test_costs_of_other_rows_are_refused(taken: Any, fields: dict[str, Any]) -> 
 def exact(robot: RobotModel, seed: int, **options: object) -> tuple[Problem, Array, Array]:
     """Return a problem without noise, the true theta and the true base parameters."""
     rng = np.random.default_rng(seed)
-    theta = random_theta(robot, rng)
+    theta = data.random_theta(robot, rng)
     count = 12 * robot.n + 40
-    covariance = random_covariance(rng, robot.n, count)
-    samples = make_samples(robot, theta, rng, count=count, covariance=covariance)
+    covariance = data.random_covariance(rng, robot.n, count)
+    samples = data.make_samples(robot, theta, rng, count=count, covariance=covariance)
     problem = build_problem(robot, samples, **options)  # type: ignore[arg-type]
     return problem, theta, problem.base_of(theta)
 
 
 def error_of(problem: Problem, base: Array, truth: Array) -> float:
-    return relative_error(base, truth, problem.base.units)
+    return data.relative_error(base, truth, problem.base.units)
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)

@@ -22,17 +22,8 @@ from sdpid.estimation.robust.huber import HuberLoss
 from sdpid.estimation.robust.solve import RobustEstimate, solve_robust
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.jacobians import contact_jacobians
-from tests.helpers import world
+from tests.helpers import data, world
 from tests.helpers.arm import BOTH
-from tests.helpers.data import (
-    brute_force_cost,
-    flat_links,
-    make_samples,
-    random_covariance,
-    random_theta,
-    raw_rows,
-    whitened,
-)
 from tests.helpers.independent import Second
 from tests.helpers.legged import FEET, NOISE, RADIUS, Gait, gait, quadruped
 from tests.helpers.refusals import refuses
@@ -62,13 +53,13 @@ def spoiled(
 ) -> tuple[Problem, Array]:
     """Return a problem with gross errors in a tenth of the rows, and the true parameters."""
     rng = np.random.default_rng(seed)
-    theta = random_theta(robot, rng)
+    theta = data.random_theta(robot, rng)
     if flat:
-        theta[: 10 * robot.n_links] = flat_links(rng, robot.n_links).ravel()
+        theta[: 10 * robot.n_links] = data.flat_links(rng, robot.n_links).ravel()
     error = rng.standard_normal((count, robot.n))
     error[rng.random(error.shape) < 0.1] += OUTLIER
     mask = rng.random(error.shape) < 0.7 if masked else None
-    samples = make_samples(
+    samples = data.make_samples(
         robot, theta, rng, count=count, noise=noise * error, mask=mask, covariance=covariance
     )
     return build_problem(robot, samples, **options), theta
@@ -76,7 +67,7 @@ def spoiled(
 
 def independent_optimum(problem: Problem, thresholds: Array) -> float:
     """Return the least Huber cost, from whitened raw rows and the problem written down again."""
-    rows, efforts = whitened(*raw_rows(problem), problem.sigma)
+    rows, efforts = data.whitened(*data.raw_rows(problem), problem.sigma)
     second = Second(problem)
     base = problem.base.matrix @ second.theta
     cost = sum(
@@ -100,7 +91,7 @@ def test_an_independent_formulation_finds_the_same(
     robot = ROBOTS[name]
     covariance = None
     if weighting == "gls_per_sample":
-        covariance = random_covariance(np.random.default_rng(3), robot.n, COUNT)
+        covariance = data.random_covariance(np.random.default_rng(3), robot.n, COUNT)
     problem, _ = spoiled(
         robot,
         1,
@@ -168,7 +159,7 @@ def test_majorizers_touch_and_are_nowhere_below(seed: int, threshold: float, mas
     assert loss.cost(there) <= problem.cost(there) + COST * scale
     # The covariances that the problem shows are those of its rows, but for the constant.
     change = weighted.cost(there) - weighted.cost(here)
-    brute = [brute_force_cost(weighted, base, weighted.sigma) for base in (there, here)]
+    brute = [data.brute_force_cost(weighted, base, weighted.sigma) for base in (there, here)]
     assert change == pytest.approx(brute[0] - brute[1], abs=COST * scale)
 
 
@@ -189,12 +180,12 @@ def test_thresholds_are_in_deviations_of_single_residuals() -> None:
     """Whatever the weighting makes of them: gross errors do not widen them, correlation neither."""
     robot, count, noise = ARM3, 2000, np.array([0.2, 1.0, 0.5])
     rng = np.random.default_rng(10)
-    theta = random_theta(robot, rng)
+    theta = data.random_theta(robot, rng)
     error = rng.standard_normal((count, 3))
     for k in range(1, count):
         error[k] = 0.8 * error[k - 1] + 0.6 * error[k]
     error[rng.random(error.shape) < 0.02] += OUTLIER
-    samples = make_samples(robot, theta, rng, count=count, noise=noise * error)
+    samples = data.make_samples(robot, theta, rng, count=count, noise=noise * error)
     for weighting in ("gls", "residual"):
         problem = build_problem(robot, samples, weighting=weighting)
         thresholds = HuberLoss.of(problem, threshold=2.0).thresholds[0]
@@ -214,8 +205,8 @@ def test_exact_data_need_no_deviation() -> None:
 def test_standard_errors_are_those_of_repeated_estimates() -> None:
     robot = ROBOTS["planar"]
     rng = np.random.default_rng(14)
-    theta = random_theta(robot, rng)
-    clean = make_samples(robot, theta, rng, count=COUNT)
+    theta = data.random_theta(robot, rng)
+    clean = data.make_samples(robot, theta, rng, count=COUNT)
     bases, errors = [], []
     for _ in range(80):
         noise = rng.standard_t(3, clean.effort.shape)

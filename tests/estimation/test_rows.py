@@ -17,18 +17,11 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.closed_loop.instruments import InstrumentalRows
 from sdpid.estimation.closed_loop.rounds import SensitivityRows
+from sdpid.estimation.compression import covariance as noise_module
 from sdpid.estimation.compression import rows as rows_module
 from sdpid.estimation.compression import triangle as module
 from sdpid.estimation.compression import whitening
-from sdpid.estimation.compression.covariance import (
-    WEIGHTINGS,
-    JointRows,
-    LaggedSums,
-    Weighting,
-    integrated_time,
-    masked_covariance,
-    power,
-)
+from sdpid.estimation.compression.covariance import WEIGHTINGS, LaggedSums, Weighting, power
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -197,7 +190,10 @@ def test_no_product_of_rows_is_lost(kind: str) -> None:
     variance = rng.uniform(0.5, 2.0, rows.robot.n)
     whole = (rows.rows(slice(None)) / np.sqrt(variance)[:, None]).reshape(-1, b + 1)
     scale = np.linalg.norm(whole, axis=0) + 1e-300
-    for R in (JointRows.of(rows).joined(variance).R, compress(rows, np.diag(variance))[0].R):
+    for R in (
+        noise_module.JointRows.of(rows).joined(variance).R,
+        compress(rows, np.diag(variance))[0].R,
+    ):
         np.testing.assert_allclose(*((x / scale).T @ (x / scale) for x in (R, whole)), atol=1e-13)
 
 
@@ -280,7 +276,7 @@ def test_masked_covariances_are_no_worse_conditioned(seed: int) -> None:
     rng = np.random.default_rng(seed)
     covariance = 1e-13 * random_covariance(rng, 4)
     mask = rng.random((6, 4)) < 0.6
-    values = np.linalg.eigvalsh(masked_covariance(covariance, mask))
+    values = np.linalg.eigvalsh(noise_module.masked_covariance(covariance, mask))
     whole = np.linalg.eigvalsh(covariance)
     worst = (values[:, -1] / values[:, 0]).max()
     assert worst <= whole[-1] / whole[0] * (1.0 + 1e-9)
@@ -317,12 +313,12 @@ def test_the_integrated_time_is_that_of_geyers_sequence() -> None:
     lags = np.arange(400.0)
     for memory in (0.0, 0.3, 0.9):
         expected = (1.0 + memory) / (1.0 - memory)
-        assert integrated_time(memory**lags) == pytest.approx(expected, rel=1e-12)
+        assert noise_module.integrated_time(memory**lags) == pytest.approx(expected, rel=1e-12)
     # One negative value does not end the sum, a pair does.
-    found = integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9]))
+    found = noise_module.integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9]))
     assert found == pytest.approx(1.8)
-    assert integrated_time(np.array([1.0])) == 1.0
-    assert integrated_time(np.array([1.0, -0.9])) == 1.0
+    assert noise_module.integrated_time(np.array([1.0])) == 1.0
+    assert noise_module.integrated_time(np.array([1.0, -0.9])) == 1.0
 
 
 # ---- Several recordings in one problem: pieces add up, and no pair of samples reaches across.

@@ -6,9 +6,7 @@ import numpy as np
 
 import sdpid
 from sdpid import constraints
-from sdpid._common.arrays import Array
 from sdpid.estimation.constraints.condition import Condition
-from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from tests.helpers.data import flat_links, make_samples, random_links, random_theta
@@ -69,14 +67,3 @@ def arm_problem(
     return build_problem(
         ARM, samples, consistency=consistency, constraints=constraints, prior=prior
     )
-
-
-def limited(problem: Problem, *others: Condition, **numbers: Any) -> Problem:
-    """Return the same cost under other constraints."""
-    return problem.constrained(constraints=problem.constraints.replace(others=others, **numbers))
-
-
-def body_of(estimate: Estimate, link: str) -> Array:
-    """Return the ten parameters of a link."""
-    assert estimate.theta is not None
-    return np.array(estimate.problem.feasible.bodies(estimate.theta)[ARM.link_names.index(link)])
