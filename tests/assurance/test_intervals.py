@@ -13,15 +13,9 @@ from scipy.stats import t
 import sdpid
 from sdpid import DhTable, RobotModel, build_problem
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals import bootstrap
+from sdpid.assurance.intervals import bootstrap, delta_method
 from sdpid.assurance.intervals.bootstrap import Refit, resample
-from sdpid.assurance.intervals.delta_method import (
-    friction_curve,
-    joint_curve,
-    link_properties,
-    properties,
-    slopes,
-)
+from sdpid.assurance.intervals.delta_method import friction_curve, joint_curve, link_properties
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.intervals.parameters import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
@@ -152,9 +146,16 @@ def test_no_feasible_parameters_within_the_level_are_outside_of_a_proven_end(see
 def test_intervals_are_narrower_with_physics() -> None:
     estimate = pressed()
     found = sdpid.confidence_intervals(estimate)
+    assert [line.split()[0] for line in found.table().splitlines()] == ["parameter", *found.names]
+    plain = found.to_dict()
+    assert plain["method"] == "profile"
+    assert tuple(each["name"] for each in plain["parameters"]) == tuple(found.names)
     size = np.maximum(found.width, 1e-9)
     assert np.all(found.slack <= 0.01 * size[:, None])
     closed = sdpid.confidence_intervals(estimate, method="gauss_markov")
+    for method in ("profile", "gauss_markov"):
+        none = sdpid.confidence_intervals(estimate, parameters=[], method=method)  # type: ignore[arg-type]
+        assert none.to_dict()["parameters"] == []
     ratio = found.width[: len(estimate.base)] / closed.width[: len(estimate.base)]
     assert ratio.min() < 0.9
 
@@ -227,49 +228,42 @@ def test_gauss_markov_takes_a_log_det_prior(denso: RobotModel) -> None:
     assert np.median(found[1e4].width / found[1.0].width) < 0.1
 
 
-def test_text_and_plain_values() -> None:
-    found = sdpid.confidence_intervals(pressed(), parameters=["m_1", "Fv1"])
-    assert [line.split()[0] for line in found.table().splitlines()] == ["parameter", "m_1", "Fv1"]
-    plain = found.to_dict()
-    assert plain["method"] == "profile"
-    assert [each["name"] for each in plain["parameters"]] == ["m_1", "Fv1"]
-    for method in ("profile", "gauss_markov"):
-        none = sdpid.confidence_intervals(pressed(), parameters=[], method=method)  # type: ignore[arg-type]
-        assert none.to_dict()["parameters"] == []
+INTERVALS = sdpid.confidence_intervals
+NO_SEEDS = [*(("seed", each) for each in (-1, 0.5, True, None)), ("n_jobs", 0), ("n_jobs", 1.5)]
+REFUSED: list[tuple[Any, tuple[Any, ...], dict[str, Any], str]] = [
+    (INTERVALS, (), {"level": 1.0}, "level"),
+    (INTERVALS, (), {"method": "bayes"}, "method"),
+    (INTERVALS, (), {"parameters": ["m_9"]}, "m_9"),
+    (INTERVALS, (), {"parameters": ["m_1"], "method": "gauss_markov"}, "m_1"),
+    (INTERVALS, (), {"method": "gauss_markov", "groups": "periods"}, "periods"),
+    (INTERVALS, (), {"groups": "block"}, "groups is 'block'"),
+    (INTERVALS, (), {"method": "bootstrap", "groups": "frequencies"}, "blocks"),
+    (INTERVALS, (), {"method": "bootstrap", "resamples": 79}, "at least 80"),
+    (INTERVALS, (), {"method": "bootstrap", "resamples": 80, "kind": "bca"}, "kind"),
+    *(
+        (joint_curve, (0,), {"level": level}, "give a probability between 0 and 1")
+        for level in (0.0, 1, 95, float("nan"), None)
+    ),
+    (resample, (), {"resamples": 0}, "resamples"),
+    *((resample, (), {"resamples": 5, name: value}, name) for name, value in NO_SEEDS),
+    *(
+        (sdpid.smallest_mass_eigenvalue, (), {name: value}, name)
+        for name, value in NO_SEEDS
+        if name == "seed"
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ({"level": 1.0}, "level"),
-        ({"method": "bayes"}, "method"),
-        ({"parameters": ["m_9"]}, "m_9"),
-        ({"parameters": ["m_1"], "method": "gauss_markov"}, "m_1"),
-        ({"method": "gauss_markov", "groups": "periods"}, "periods"),
-        ({"groups": "block"}, "groups is 'block'"),
-        ({"method": "bootstrap", "groups": "frequencies"}, "blocks"),
-        ({"method": "bootstrap", "resamples": 79}, "at least 80"),
-        ({"method": "bootstrap", "resamples": 80, "kind": "bca"}, "kind"),
-    ],
-)
-def test_arguments_that_make_no_sense_are_named(arguments: dict[str, object], said: str) -> None:
-    refuses(DataError, said, sdpid.confidence_intervals, pressed(), **arguments)
-
-
-def test_standard_parameters_and_a_level_are_needed() -> None:
-    free = sdpid.solve_wls(pressed().problem)
-    calls: tuple[tuple[Any, ...], ...] = (
-        (sdpid.confidence_intervals,),
-        (friction_curve, 0.1),
-        (joint_curve, 0),
-        (link_properties,),
-        (sdpid.cost_of_constraints,),
-    )
-    for call, *given_ in calls:
-        refuses(DataError, "standard parameters|wls", call, free, *given_)
-    for level in (0.0, 1, 95, float("nan"), None):
-        words = "give a probability between 0 and 1"
-        refuses(DataError, words, joint_curve, pressed(), 0, level=level)
+def test_arguments_that_make_no_sense_are_named() -> None:
+    for call, given_, options, words in REFUSED:
+        refuses(DataError, words, call, pressed(), *given_, **options)
+    for name, value in NO_SEEDS:
+        refuses(DataError, name, sdpid.compare, pressed().problem, starts=1, **{name: value})
+    free, words = sdpid.solve_wls(pressed().problem), "standard parameters|wls"
+    for call in (INTERVALS, link_properties, sdpid.cost_of_constraints):
+        refuses(DataError, words, call, free)
+    for call, about in ((friction_curve, 0.1), (joint_curve, 0)):
+        refuses(DataError, words, call, free, about)
 
 
 def test_cost_of_constraints_adds_up() -> None:
@@ -369,28 +363,6 @@ def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
     np.testing.assert_array_equal(first.lower, second.lower)
     assert not np.array_equal(first.lower, other.lower)
     np.testing.assert_allclose(basic.upper, 2.0 * first.estimate - first.lower, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [*(("seed", each) for each in (-1, 0.5, True, None)), *(("n_jobs", n) for n in (0, 1.5, True))],
-)
-def test_seeds_and_jobs_that_are_none_are_refused(name: str, value: Any) -> None:
-    estimate, given = sdpid.solve_wls(arm_problem()), {name: value}
-    refuses(DataError, name, resample, estimate, resamples=5, **given)
-    refuses(DataError, name, sdpid.compare, estimate.problem, starts=1, **given)
-    if name == "seed":
-        refuses(DataError, name, sdpid.smallest_mass_eigenvalue, estimate, **given)
-
-
-def test_a_generator_is_a_seed() -> None:
-    estimate = sdpid.solve_wls(arm_problem())
-    first, second, third = (
-        resample(estimate, resamples=5, seed=np.random.default_rng(i)).base for i in (0, 0, 1)
-    )
-    np.testing.assert_array_equal(first, second)
-    assert not np.array_equal(first, third)
-    refuses(DataError, "resamples", resample, estimate, resamples=0)
 
 
 @pytest.mark.parametrize("accurate", [1e-8, 0.0])
@@ -600,9 +572,11 @@ def body(seed: int) -> np.ndarray:
 def test_slopes_are_those_of_the_properties(seed: int) -> None:
     theta, step = body(seed), 1e-6
     scale = step * np.maximum(np.abs(theta), np.abs(theta).max() * 1e-2)
-    ahead, back = (properties(theta + sign * np.diag(scale)) for sign in (1.0, -1.0))
+    ahead, back = (delta_method.properties(theta + sign * np.diag(scale)) for sign in (1.0, -1.0))
     found = ((ahead - back) / (2.0 * scale[:, None])).T
-    assert slopes(theta) == pytest.approx(found, rel=1e-4, abs=1e-5 * np.abs(found).max())
+    assert delta_method.slopes(theta) == pytest.approx(
+        found, rel=1e-4, abs=1e-5 * np.abs(found).max()
+    )
 
 
 @given(SEEDS)
@@ -610,8 +584,8 @@ def test_turning_the_frame_keeps_mass_and_principal_inertias(seed: int) -> None:
     theta = body(seed)
     rotation = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
-    turned = properties(transform(theta, rotation, [0.3, -0.2, 0.1])[None])[0]
-    own = properties(theta[None])[0]
+    turned = delta_method.properties(transform(theta, rotation, [0.3, -0.2, 0.1])[None])[0]
+    own = delta_method.properties(theta[None])[0]
     assert turned[[0, 4, 5, 6]] == pytest.approx(own[[0, 4, 5, 6]], rel=1e-9)
     assert turned[1:4] == pytest.approx(rotation @ own[1:4] + [0.3, -0.2, 0.1], rel=1e-9)
 
@@ -626,7 +600,7 @@ def test_intervals_are_those_of_small_errors_drawn_as_data_and_prior_leave_them(
     draws = np.random.default_rng(0).multivariate_normal(
         estimate.theta, scale**2 * covariance, 4000, check_valid="ignore"
     )
-    each = np.array([properties(draw[:20].reshape(2, 10)) for draw in draws])
+    each = np.array([delta_method.properties(draw[:20].reshape(2, 10)) for draw in draws])
     deviation = each.std(axis=0) / scale
     # Student's t has at least the normal's quantile; 4000 draws tell a deviation to 1 %.
     ratio = (found.upper - found.value) / deviation
@@ -652,7 +626,7 @@ def profile(n_jobs: int | None = None) -> Intervals:
     return sdpid.confidence_intervals(pressed(), parameters=names, n_jobs=n_jobs)
 
 
-def test_draws_do_not_depend_on_the_jobs() -> None:
+def test_draws_depend_on_the_seed_and_not_on_the_jobs() -> None:
     one = resample(pressed(), resamples=60, n_jobs=1)
     two = resample(pressed(), resamples=60, n_jobs=2)
     np.testing.assert_array_equal(one.base, two.base)
@@ -660,6 +634,12 @@ def test_draws_do_not_depend_on_the_jobs() -> None:
     for count in (1, 29, 30):
         fewer = resample(pressed(), resamples=count)
         np.testing.assert_array_equal(one.base[:count], fewer.base)
+    # A generator is a seed.
+    drawn = [
+        resample(pressed(), resamples=5, seed=np.random.default_rng(i)).base for i in (0, 0, 1)
+    ]
+    np.testing.assert_array_equal(drawn[0], drawn[1])
+    assert not np.array_equal(drawn[0], drawn[2])
     assert one.lost == 0
     assert one.seconds > 0.0
 
