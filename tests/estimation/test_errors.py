@@ -108,52 +108,20 @@ RUNS = 60
 COVERED = (0.89, 0.99)
 
 
-def coverage(seed: int, drawn: Any, errors: Any, **options: Any) -> float:
-    """Return how often the truth lies within 1.96 standard errors of fits to drawn samples."""
-    rng, inside = np.random.default_rng(seed), []
-    for _ in range(RUNS):
-        theta = random_theta(ARM, rng)
-        problem = build_problem(ARM, drawn(rng, theta), base=BASE, **options)
-        estimate = solve_wls(problem)
-        error = np.abs(estimate.base - problem.base_of(theta))
-        inside.append(error <= 1.96 * errors(estimate))
-    return float(np.mean(inside))
-
-
-def filtered(rng: np.random.Generator, count: int) -> Array:
-    """Moving averages over ten samples: strongly correlated, zero beyond."""
-    long = rng.standard_normal((count + 9, 2))
-    sums = np.cumsum(np.vstack([np.zeros((1, 2)), long]), axis=0)
-    return np.asarray((sums[10:] - sums[:-10]) / np.sqrt(10.0))
-
-
 @pytest.mark.parametrize("weighting", ["gls", "eq9", "eq18", "residual"])
 @pytest.mark.parametrize("size", [(1.0, 2.0), (5.0, 0.1)], ids=["right", "wrong"])
 def test_white_noise_is_covered(weighting: Weighting, size: tuple[float, float]) -> None:
     """By a wrong weight, too: the sandwich needs no true covariance, only independent blocks."""
 
-    def drawn(rng: np.random.Generator, theta: Array) -> Samples:
+    rng, inside = np.random.default_rng(0), []
+    for _ in range(RUNS):
+        theta = random_theta(ARM, rng)
         noise, sigma = size * rng.standard_normal((300, 2)), np.diag([1.0, 4.0])
-        return make_samples(ARM, theta, rng, count=300, noise=noise, covariance=sigma)
-
-    found = coverage(0, drawn, lambda fit: fit.standard_errors, weighting=weighting)
-    assert COVERED[0] <= found <= COVERED[1]
-
-
-def slow_motion_coverage(block: int) -> float:
-    """Return the coverage where motion and noise both last: correlation counts then."""
-
-    def drawn(rng: np.random.Generator, theta: Array) -> Samples:
-        *states, noise = (size * filtered(rng, 2000) for size in (2.0, 2.0, 2.0, 1.0))
-        return make_samples(ARM, theta, rng, states=states, noise=noise, block=block)
-
-    return coverage(1, drawn, lambda fit: np.sqrt(np.diag(ScoreBlocks.of(fit.problem).covariance)))
-
-
-def test_filtered_noise_needs_blocks() -> None:
-    assert COVERED[0] <= slow_motion_coverage(25) <= COVERED[1]
-    # Counting correlated samples as independent ones promises too much.
-    assert slow_motion_coverage(1) < 0.8
+        samples = make_samples(ARM, theta, rng, count=300, noise=noise, covariance=sigma)
+        fit = solve_wls(build_problem(ARM, samples, base=BASE, weighting=weighting))
+        error = np.abs(fit.base - fit.problem.base_of(theta))
+        inside.append(error <= 1.96 * fit.standard_errors)
+    assert COVERED[0] <= np.mean(inside) <= COVERED[1]
 
 
 def test_what_holds_an_estimate_back_is_not_noise() -> None:
