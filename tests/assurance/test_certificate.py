@@ -29,7 +29,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.friction import Coulomb, Coupling
 from sdpid.verifier import certificate as checker
-from sdpid.verifier import command, exact, reading
+from sdpid.verifier import exact, reading
 from sdpid.verifier.bodies import has_margin
 from sdpid.verifier.manifest import sealed
 from sdpid.workflow.formulate import formulate
@@ -127,18 +127,6 @@ def test_it_holds_from_the_file_alone_and_by_a_bare_python(kind: str, tmp_path: 
     assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
     assert "2 links" in found.statements[1]
     assert "6 rows and 1 cones" in found.statements[2]
-
-
-def test_status_of_the_script(tmp_path: Path) -> None:
-    data = made("pseudo")
-    data["theta"][0] += 1.0
-    done = alone(written(data, tmp_path))
-    assert done.returncode == 1
-    assert "NOT PROVEN: the digest" in done.stdout
-    assert "\nPROVEN" not in done.stdout
-    assert alone(written({}, tmp_path)).returncode == 2
-    assert alone(tmp_path / "none.json").returncode == 2
-    assert command.main([]) == 2
 
 
 @pytest.mark.parametrize("kind", KINDS)

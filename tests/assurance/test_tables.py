@@ -66,7 +66,8 @@ def arm(name: str) -> tuple[RobotModel, BaseParameters]:
 def audited(values: Any, halfwidths: Any, **options: Any) -> BaseAudit:
     """Audit a table of the Denso arm."""
     robot, base = arm("denso")
-    return sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **options)
+    options = {"base": base, **options}
+    return sdpid.audit_base_parameters(robot, values, halfwidths, **options)
 
 
 def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> BaseAudit:
@@ -560,16 +561,13 @@ def test_what_is_no_proof_or_answer_is_refused(
         answer_of(require_form(changed))
 
 
-def test_names_are_printed_escaped_and_in_quotes() -> None:
+def test_what_is_printed_is_escaped_in_quotes_exact_or_marked_and_cut() -> None:
     text = stored("refutation").replace("denso_vp6242", r"\u001b[2J")
     text = text.replace("xxr6", r"x\u202e\nPROVEN.").replace("zz6", "m_1 >= 9 for links. No links")
     said = check(require_form(sealed(json.loads(text)))).lines
     assert said[-1].startswith("PROVEN")
     assert all(line.isprintable() for line in said)
     assert any("'m_1 >= 9 for links. No links' + " in line for line in said)
-
-
-def test_numbers_are_printed_exactly_or_marked() -> None:
     assert decimal_text(Fraction("100.0000001")) == "100.0000001"
     assert decimal_text(Fraction(2, 3)) == "~0.666667"
     changed = proof("realization")
@@ -577,21 +575,12 @@ def test_numbers_are_printed_exactly_or_marked() -> None:
     problems = check(require_form(sealed(changed))).problems
     assert len(problems) < 20
     assert problems[-1].endswith("more")
-
-
-def test_long_inequalities_are_cut() -> None:
-    weights = {f"p{k}": Fraction(1) for k in range(300)}
-    rows, halves = ({},) * 300, (Fraction(0),) * 300
-    question = replace(
-        answer_of(proof("refutation")).question,
-        names=tuple(weights),
-        rows=rows,
-        values=halves,
-        halfwidths=halves,
-    )
-    text = inequality(realizable.Refutation(question=question, weights=weights))
-    assert "p11 and 288 more terms >= 0" in text
-    assert "p12" not in text
+    weights, zeros = {f"p{k}": Fraction(1) for k in range(300)}, (Fraction(0),) * 300
+    given_ = {"names": tuple(weights), "rows": ({},) * 300, "values": zeros, "halfwidths": zeros}
+    question = replace(answer_of(proof("refutation")).question, **given_)
+    cut = inequality(realizable.Refutation(question=question, weights=weights))
+    assert "p11 and 288 more terms >= 0" in cut
+    assert "p12" not in cut
 
 
 # -------------------------------------------------------------------- the robot
@@ -618,11 +607,8 @@ def test_other_coefficients_are_named(tmp_path: Path) -> None:
     data["theta_names"][0] = "m_9"
     assert "theta is not that" in verified(tmp_path, data).problems[0]
     assert "the links are not those" in verified(tmp_path, proof("paper"), "ur5_robot").problems[0]
-
-
-def test_signs_that_physics_does_not_give_are_named(tmp_path: Path) -> None:
-    robot = load_robot("denso_vp6242")
-    made = sdpid.audit_base_parameters(robot, {"zz6": "0.05", "Fo1": "1"}, "0.005")
+    # Nor are signs those that physics gives.
+    made = audited({"zz6": "0.05", "Fo1": "1"}, "0.005", base=None)
     data = made.certificate.to_dict()
     assert data["constraints"]["nonnegative"] == []
     data["constraints"]["nonnegative"] = [data["theta_names"].index("Fo1")]
