@@ -67,8 +67,7 @@ def full_regressor(
 ) -> Array:
     """Return the regressor of all standard parameters, (K, n, p)."""
     q, v, a = states
-    columns = friction_model(robot, friction).columns(v, a)
-    return np.concatenate([robot.regressor(q, v, a), columns], axis=2)
+    return np.dstack([robot.regressor(q, v, a), friction_model(robot, friction).columns(v, a)])
 
 
 def row_source(
@@ -112,13 +111,8 @@ def random_covariance(rng: np.random.Generator, n: int, count: int | None = None
 def raw_rows(problem: Problem | RowSource) -> tuple[Array, Array, np.ndarray]:
     """Return the base regressor (K, n, b), efforts (K, n) and mask, from the standard columns."""
     s = problem.samples
-    full = np.concatenate(
-        [
-            problem.robot.regressor(s.position, s.velocity, s.acceleration),
-            problem.friction.columns(s.velocity, s.acceleration),
-        ],
-        axis=2,
-    )
+    rigid = problem.robot.regressor(s.position, s.velocity, s.acceleration)
+    full = np.dstack([rigid, problem.friction.columns(s.velocity, s.acceleration)])
     mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else np.asarray(s.mask)
     return full[:, :, problem.base.kept], s.effort, mask
 

@@ -136,30 +136,25 @@ class Second:
                 return [cp.abs(mass - other.mass) <= other.tolerance]
             case constraints.CenterOfMassInBox():
                 body = self.body(other.link)
-                out = []
-                for k in range(3):
-                    if np.isfinite(other.lower[k]):
-                        out.append(body[1 + k] >= other.lower[k] * body[0])
-                    if np.isfinite(other.upper[k]):
-                        out.append(body[1 + k] <= other.upper[k] * body[0])
-                return out
-            case constraints.CenterOfMassInEllipsoid():
+                return [
+                    sign * (body[1 + k] - ends[k] * body[0]) >= 0
+                    for sign, ends in ((1, other.lower), (-1, other.upper))
+                    for k in np.flatnonzero(np.isfinite(ends))
+                ]
+            case constraints.CenterOfMassInEllipsoid() | constraints.MassInEllipsoid():
                 body = self.body(other.link)
                 R = np.eye(3) if other.rotation is None else np.asarray(other.rotation)
-                inside = R.T @ (body[1:4] - body[0] * other.center)
-                return [cp.norm(cp.multiply(1.0 / other.semi_axes, inside)) <= body[0]]
-            case constraints.MassInEllipsoid():
-                J = pseudo_inertia(self.body(other.link))
-                R = np.eye(3) if other.rotation is None else np.asarray(other.rotation)
+                if isinstance(other, constraints.CenterOfMassInEllipsoid):
+                    inside = R.T @ (body[1:4] - body[0] * other.center)
+                    return [cp.norm(cp.multiply(1.0 / other.semi_axes, inside)) <= body[0]]
+                J, c = pseudo_inertia(body), np.asarray(other.center)
                 S = R @ np.diag(np.asarray(other.semi_axes) ** -2.0) @ R.T
-                c = np.asarray(other.center)
                 # ∫ (x − c)^T·S·(x − c) dm ≤ m.
                 moment = cp.trace(S @ J[:3, :3]) - 2 * (S @ c) @ J[:3, 3] + (c @ S @ c) * J[3, 3]
                 return [moment <= J[3, 3]]
             case constraints.CenterOfMassInHull():
                 # A combination of the points.
-                points = np.asarray(other.points)
-                body = self.body(other.link)
+                points, body = np.asarray(other.points), self.body(other.link)
                 weights = cp.Variable(len(points), nonneg=True)
                 return [points.T @ weights == body[1:4], cp.sum(weights) == body[0]]
             case constraints.Fixed():
