@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -19,6 +20,7 @@ from sdpid.workflow.runs import SavedRun
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
 from tests.helpers.plans import small_plan, standing_plan
+from tests.helpers.runs import recorded
 from tests.test_contract import BESIDE, CONTRACT
 
 # In one process, which makes the results once.
@@ -44,22 +46,12 @@ def robot() -> sdpid.RobotModel:
     return sdpid.load_robot(text)
 
 
-@cache
 def log() -> sdpid.Recording:
-    t = np.arange(600) / 50.0
-    rng = np.random.default_rng(1)
-    w, c = rng.uniform(0.5, 4.0, (3, 2)), rng.uniform(0.0, 6.0, (3, 2))
-    angle = w * t[:, None, None] + c
-    q, v = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1)
-    a = -(w**2 * np.sin(angle)).sum(axis=1)
-    effort = robot().inverse_dynamics(robot().prior, q, v, a) + 0.4 * v
-    effort += 0.02 * rng.standard_normal(effort.shape)
-    return sdpid.Recording(time=t, position=q, effort=effort, joint_names=robot().joint_names)
+    return recorded(1, joint_names=robot().joint_names)
 
 
 def currents() -> sdpid.Recording:
-    given = {name: getattr(log(), name) for name in ("time", "position", "joint_names")}
-    return sdpid.Recording(**given, effort=log().effort / 10.0, currents=True)
+    return replace(log(), effort=log().effort / 10.0, currents=True)
 
 
 @cache
@@ -162,18 +154,21 @@ SHOWN: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 
 
-def require_safe(shown: Any) -> None:
-    """Check a line, and that a browser reads the HTML without anything that acts."""
-    line, html = repr(shown), shown._repr_html_()
+def require_a_line(shown: Any) -> None:
+    line = repr(shown)
     assert line.startswith(type(shown).__name__ + "(")
     assert "\n" not in line
     assert len(line) < LINE
-    tree = html5lib.parseFragment(html, namespaceHTMLElements=False)
+
+
+def require_safe(shown: Any) -> None:
+    """Check a line, and that a browser reads the HTML without anything that acts."""
+    require_a_line(shown)
+    tree = html5lib.parseFragment(shown._repr_html_(), namespaceHTMLElements=False)
     tags = {element.tag for element in tree.iter()} - {"DOCUMENT_FRAGMENT"}
     assert tags <= {"b", "table", "tbody", "tr", "td", "th"}
     assert tags >= {"b", "table", "td"}
-    attributes = {name for element in tree.iter() for name in element.attrib}
-    assert attributes <= {"style"}
+    assert {name for element in tree.iter() for name in element.attrib} <= {"style"}
 
 
 def test_every_public_name_is_looked_at() -> None:
@@ -191,15 +186,12 @@ def test_results_show_themselves(name: str) -> None:
 def test_parts_are_shown_in_a_line() -> None:
     multipliers = Multipliers.of_cost(problem(), problem().rhs)
     for part in (problem().feasible, problem().excitation, multipliers, motion()):
-        line = repr(part)
-        assert line.startswith(type(part).__name__ + "(")
-        assert "\n" not in line
-        assert len(line) < LINE
+        require_a_line(part)
 
 
 def test_names_are_shown_as_text() -> None:
-    assert "&lt;img src=x" in robot()._repr_html_()
-    assert "&lt;img src=x" in result()._repr_html_()
+    for shown in (robot(), result()):
+        assert "&lt;img src=x" in shown._repr_html_()
 
 
 def test_files_and_their_proofs_show_themselves(tmp_path: Any) -> None:
@@ -209,8 +201,11 @@ def test_files_and_their_proofs_show_themselves(tmp_path: Any) -> None:
 
 
 def test_settings_show_what_is_not_the_default() -> None:
-    assert repr(sdpid.Constraints()) == "Constraints()"
-    assert repr(sdpid.Constraints(margin=0.1)) == "Constraints(margin=0.1)"
-    assert repr(sdpid.Prior(bodies=np.ones((2, 10)))) == "Prior(bodies=array (2, 10))"
-    assert repr(sdpid.Limits(jerk=5.0, share=0.5)) == "Limits(jerk=5.0, share=0.5)"
+    for settings, shown in (
+        (sdpid.Constraints(), "Constraints()"),
+        (sdpid.Constraints(margin=0.1), "Constraints(margin=0.1)"),
+        (sdpid.Prior(bodies=np.ones((2, 10))), "Prior(bodies=array (2, 10))"),
+        (sdpid.Limits(jerk=5.0, share=0.5), "Limits(jerk=5.0, share=0.5)"),
+    ):
+        assert repr(settings) == shown
     assert "the defaults" in sdpid.Processing()._repr_html_()

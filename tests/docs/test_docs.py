@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,30 +23,43 @@ from sdpid.robot.friction.terms import BY_NAME
 from tests.helpers.arm import arm_problem
 
 BLOCK = r"^```python\n(.*?)^```"
-DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+EVIDENCE = DOCS / "evidence"
+
+
+def blocks_of(page: str) -> list[str]:
+    """Return the blocks of Python of a page."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(BLOCK, text, flags=re.M | re.S)
 
 
 def code_of(page: str) -> str:
-    text = (DOCS / page).read_text(encoding="utf-8")
-    return "\n".join(re.findall(BLOCK, text, flags=re.M | re.S))
+    return "\n".join(blocks_of(page))
 
 
-def test_terms_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = ModuleType("friction_of_the_docs")
+def of_your_own(page: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Return what the last block of a page defines; the others speak of a robot of the reader's."""
+    module = ModuleType("of_the_docs")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     names = module.__dict__
     names["sdpid"] = sdpid
-    # The other blocks speak of a robot of the reader's.
-    page = (DOCS / "guides" / "friction.md").read_text(encoding="utf-8")
-    code = re.findall(BLOCK, page, flags=re.M | re.S)
-    exec(compile(code[-1], "docs/guides/friction.md", "exec"), names)
+    exec(compile(blocks_of(page)[-1], page, "exec"), names)
+    return names
+
+
+def test_terms_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = of_your_own("guides/friction.md", monkeypatch)
     robot = sdpid.load_robot("denso_vp6242")
     v = np.array([[0.25, -0.25, 0.0, 1.0, -1.0, 4.0]])
-    drag = FrictionModel.from_terms((names["Drag"](),), robot.joint_names)
-    assert np.allclose(np.diag(drag.columns(v, v)[0]), v * np.abs(v))
-    bend = FrictionModel.from_terms((names["Bend"](velocity=0.5),), robot.joint_names)
-    assert np.allclose(np.diag(bend.columns(v, v)[0]), v / (np.abs(v) + 0.5))
+    for term, expected in (
+        (names["Drag"](), v * np.abs(v)),
+        (names["Bend"](velocity=0.5), v / (np.abs(v) + 0.5)),
+    ):
+        model = FrictionModel.from_terms((term,), robot.joint_names)
+        assert np.allclose(np.diag(model.columns(v, v)[0]), expected)
     # Every named term stands in the table, with its parameters' symbol.
+    page = (DOCS / "guides" / "friction.md").read_text(encoding="utf-8")
     for name in BY_NAME:
         assert f'| `"{name}"' in page
         symbols = {p.name.rstrip("1") for p in BY_NAME[name]().parameters(("joint",))}
@@ -53,13 +67,7 @@ def test_terms_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = ModuleType("condition_of_the_docs")
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    names = module.__dict__
-    # The other blocks speak of a robot of the reader's.
-    text = (DOCS / "guides" / "constraints.md").read_text(encoding="utf-8")
-    code = re.findall(BLOCK, text, flags=re.M | re.S)
-    exec(compile(code[-1], "docs/guides/constraints.md", "exec"), names)
+    names = of_your_own("guides/constraints.md", monkeypatch)
     problem = arm_problem(names["LighterTowardsTheTip"]())
     theta = sdpid.solve_sdp(problem).theta
     masses = theta[: 10 * problem.robot.n_links : 10]
@@ -68,9 +76,9 @@ def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_page_that_the_front_page_links_exists() -> None:
     # Links of the other pages are checked when the site is built.
-    readme = DOCS.parent / "README.md"
-    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", readme.read_text(encoding="utf-8")):
-        assert (DOCS.parent / target).exists(), f"README.md links to {target}"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    targets = re.findall(r"\]\((?!https?:|#)([^)#]+)", readme)
+    assert [target for target in targets if not (ROOT / target).exists()] == []
 
 
 def test_every_guide_has_a_small_picture_and_its_command() -> None:
@@ -84,20 +92,14 @@ def test_every_guide_has_a_small_picture_and_its_command() -> None:
 
 
 def test_citations_resolve() -> None:
-    known = set(
-        re.findall(r"\*\*\[(\w+)\]\*\*", (DOCS / "reference" / "references.md").read_text("utf-8"))
-    )
-    package = DOCS.parent / "sdpid"
-    for source in package.rglob("*.py"):
-        for key in re.findall(r"\[(\w+)\]_", source.read_text(encoding="utf-8")):
-            assert key in known, f"{source.relative_to(package)} cites [{key}]"
+    references = (DOCS / "reference" / "references.md").read_text("utf-8")
+    known = set(re.findall(r"\*\*\[(\w+)\]\*\*", references))
+    for source in (ROOT / "sdpid").rglob("*.py"):
+        cited = set(re.findall(r"\[(\w+)\]_", source.read_text(encoding="utf-8")))
+        assert cited <= known, source
 
 
 # Measured numbers stand in tables that a command makes, and pages take them from there.
-
-
-ROOT = Path(__file__).resolve().parents[2]
-EVIDENCE = ROOT / "docs" / "evidence"
 
 
 @pytest.fixture(autouse=True)
@@ -191,11 +193,6 @@ def known() -> dict[str, set[str]]:
     }
 
 
-def test_commands_are_found() -> None:
-    text = "`sdpid audit a.urdf --repair b`\n$ sdpid identify --config \\\n  run.toml -v # --no\n"
-    assert list(commands(text)) == [("audit", {"--repair"}), ("identify", {"--config", "-v"})]
-
-
 def test_commands_have_their_options() -> None:
     options, count = known(), 0
     for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))):
@@ -222,18 +219,15 @@ def test_options_of_the_pages(folder: str) -> None:
 # The notebooks are the tutorials.
 
 
-SCRIPT = Path(__file__).resolve().parents[2] / "docs" / "notebooks.py"
-
-
 def test_notebooks_are_those_of_the_pages() -> None:
     pytest.importorskip("jupytext")
-    command = [sys.executable, str(SCRIPT), "--check"]
+    command = [sys.executable, str(DOCS / "notebooks.py"), "--check"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_page_that_was_not_run_says_so_below_its_title() -> None:
-    marked = runpy.run_path(str(SCRIPT.parent / "_ext" / "tutorials.py"))["marked"]
+    marked = runpy.run_path(str(DOCS / "_ext" / "tutorials.py"))["marked"]
     lines = marked("---\na: b\n---\n\n# Title\n\ntext\n\n# not a title\n", "why.").splitlines()
     assert lines[4:7] == ["# Title", "", ":::{note}"]
     assert sum("why." in line for line in lines) == 1
@@ -274,24 +268,19 @@ def first_cells(page: str, header: str) -> Iterator[str]:
 def test_every_message_is_one_of_the_package() -> None:
     messages = list(first_cells("troubleshooting.md", "message"))
     assert len(messages) > 50
-    wanted = [[part for part in message.split("…") if len(part) > 2] for message in messages]
-    said = texts()
-    gone = [
-        message
-        for message, parts in zip(messages, wanted, strict=True)
-        if not any(all(part in words for part in parts) for words in said)
-    ]
-    assert not gone
+
+    def is_said(message: str) -> bool:
+        parts = [part for part in message.split("…") if len(part) > 2]
+        return any(all(part in words for part in parts) for words in texts())
+
+    assert [message for message in messages if not is_said(message)] == []
 
 
 def test_every_kind_of_finding_is_named() -> None:
-    kinds = set(inspection.KINDS)
     page = (ROOT / "docs" / "guides" / "inspection.md").read_text("utf-8")
     tables = re.findall(r"^```\{findings\}\n(.*?)^```", page, flags=re.M | re.S)
     rows = [line.partition(":") for table in tables for line in table.splitlines()]
-    named = {kind for kind, _, _ in rows}
-    assert kinds - named == set()
-    assert named - kinds == set()
+    assert {kind for kind, _, _ in rows} == set(inspection.KINDS)
     # What to do stands in the finding, or here.
     without = {kind for kind, row in inspection.KINDS.items() if row.remedy in ("", "{remedy}")}
     assert all(" | " in row for kind, _, row in rows if kind in without)

@@ -9,7 +9,7 @@ import pytest
 
 import sdpid
 from tests.docs.test_docs import code_of
-from tests.helpers.robots import small_arm
+from tests.helpers.runs import arm, recorded
 
 # Whoever collects tests does not wait until it is imported.
 LACKING = find_spec("distributed") is None
@@ -18,31 +18,17 @@ pytestmark = [
     pytest.mark.skipif(LACKING, reason="the extra dask is not installed"),
 ]
 
-ARM = small_arm(2)
-BODIES = np.tile([2.0, 0.1, 0.0, 0.1, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1], (2, 1))
-COUNTS = (1500, 1300, 1400)
+
+PROCESSING = sdpid.Processing(cutoff_hz=10.0)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Return recordings of one arm, in files."""
     folder = tmp_path_factory.mktemp("fleet")
-    rng = np.random.default_rng(3)
-    made = []
-    for number, count in enumerate(COUNTS):
-        time = 0.005 * np.arange(count)
-        w = rng.uniform(2.0, 7.0, (5, 1, 2))
-        wave = w * time[:, None] + rng.uniform(0.0, 6.3, (5, 1, 2))
-        size = rng.uniform(0.2, 0.6, (5, 1, 2))
-        q = (size * np.sin(wave)).sum(axis=0)
-        v = (size * w * np.cos(wave)).sum(axis=0)
-        a = -(size * w**2 * np.sin(wave)).sum(axis=0)
-        effort = ARM.inverse_dynamics(BODIES, q, v, a) + 0.3 * np.sign(v) + 0.2 * v
-        effort += 0.05 * rng.standard_normal(q.shape)
-        log = sdpid.Recording(time=time, position=q, effort=effort, joint_names=ARM.joint_names)
-        made.append(folder / f"{number}.parquet")
-        log.to_parquet(made[-1])
-    return made
+    for seed in range(3):
+        recorded(seed, seconds=20.0 + seed).to_parquet(folder / f"{seed}.parquet")
+    return sorted(folder.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -54,32 +40,25 @@ def page() -> dict[str, Any]:
 
 
 def test_one_problem_on_a_cluster(page: dict[str, Any], files: list[Path]) -> None:
-    there = page["fit"](ARM, files)
-    here = sdpid.solve_sdp(
-        sdpid.build_problem(
-            ARM,
-            files,
-            processing=sdpid.Processing(cutoff_hz=10.0),
-            friction=("coulomb", "viscous", "offset"),
-            weighting="residual",
-        )
-    )
-    np.testing.assert_array_equal(there.problem.A, here.problem.A)
-    np.testing.assert_array_equal(there.theta, here.theta)
+    options: dict[str, Any] = {"weighting": "residual"}
+    options["friction"] = ("coulomb", "viscous", "offset")
+    here = sdpid.build_problem(arm(), files, processing=PROCESSING, **options)
+    there = page["fit"](arm(), files)
+    np.testing.assert_array_equal(there.problem.A, here.A)
+    np.testing.assert_array_equal(there.theta, sdpid.solve_sdp(here).theta)
 
 
 def test_a_task_a_robot_and_joblib(
     page: dict[str, Any], files: list[Path], dask_client: Any
 ) -> None:
-    processing = sdpid.Processing(cutoff_hz=10.0)
     missing = files[0].with_name("missing.parquet")
-    found = page["all_robots"](dask_client, ARM, [*files, missing])
-    problem = sdpid.build_problem(ARM, files, processing=processing, weighting="residual")
+    found = page["all_robots"](dask_client, arm(), [*files, missing])
+    problem = sdpid.build_problem(arm(), files, processing=PROCESSING, weighting="residual")
     compared, bands = page["repeated"](sdpid.solve_sdp(problem))
     # The log that is missing costs its own robot only.
     assert len(found) == len(files)
     for file, each in zip(files, found, strict=True):
-        alone = page["one_robot"](file, ARM, processing)
+        alone = page["one_robot"](file, arm(), PROCESSING)
         np.testing.assert_array_equal(each["theta"], alone["theta"])
         np.testing.assert_array_equal(each["factor"][0], alone["factor"][0])
         assert each["certificate"]["sha256"] == alone["certificate"]["sha256"]

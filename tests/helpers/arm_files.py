@@ -7,6 +7,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.robot.model.load import load_robot
+from tests.helpers.motions import sines
 
 ARM_URDF = """<?xml version="1.0"?>
 <robot name="arm">
@@ -33,13 +34,10 @@ ARM_URDF = """<?xml version="1.0"?>
 
 def arm_log(urdf: Path) -> tuple[Array, Array, Array]:
     """Return time (K,), positions (K, 2) and efforts (K, 2) of a motion that excites it."""
-    robot = load_robot(urdf)
-    rng = np.random.default_rng(3)
+    robot, rng = load_robot(urdf), np.random.default_rng(3)
     t = np.arange(400) / 50.0
-    w, c = rng.uniform(1.0, 5.0, (2, 2)), rng.uniform(0.0, 6.0, (2, 2))
-    angle = w * t[:, None, None] + c
-    q, v = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1)
-    tau = robot.inverse_dynamics(robot.prior, q, v, -(w**2 * np.sin(angle)).sum(axis=1))
+    q, v, a = sines(t, rng.uniform(1.0, 5.0, (2, 2)), rng.uniform(0.0, 6.0, (2, 2)))
+    tau = robot.inverse_dynamics(robot.prior, q, v, a)
     return t, q, tau + 0.4 * v + 0.02 * rng.standard_normal(tau.shape)
 
 

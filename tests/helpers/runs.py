@@ -32,5 +32,5 @@ def recorded(
     q, v, a = sines(t, w, c)
     effort = robot.inverse_dynamics(robot.prior, q, v, a) + damping * v
     effort = effort + 0.02 * rng.standard_normal(effort.shape)
-    names = robot.joint_names
-    return sdpid.Recording(time=t, position=q, effort=effort, joint_names=names, **fields)
+    fields.setdefault("joint_names", robot.joint_names)
+    return sdpid.Recording(time=t, position=q, effort=effort, **fields)
