@@ -53,7 +53,12 @@ def refused(done: Result, status: int, *words: str) -> None:
         assert word in done.stderr
 
 
+def python(*arguments: Any, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Return how a fresh interpreter ended, and what it printed."""
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+
+
 def alone(path: Path, folder: Path = VERIFIER, **options: Any) -> subprocess.CompletedProcess[str]:
     """Run the verifier, or a copy, where nothing but the standard library can be imported."""
-    command = [sys.executable, "-I", "-S", str(folder), str(path)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+    return python("-I", "-S", folder, path, **options)
