@@ -7,10 +7,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.helpers.arm_files import write_arm
+from tests.helpers.commands import python
+from tests.helpers.forged import contents
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
@@ -20,13 +23,8 @@ pytestmark = [
 
 def identify(folder: Path, *more: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "sdpid", "identify", "log.npz", "--robot", "arm.urdf"]
-    return subprocess.Popen(
-        [*command, "--out", "out", *more],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([*command, "--out", "out", *more], cwd=folder, **pipes)
 
 
 def wait(run: subprocess.Popen[str], begun: Callable[[], bool]) -> None:
@@ -36,10 +34,6 @@ def wait(run: subprocess.Popen[str], begun: Callable[[], bool]) -> None:
         assert run.poll() is None, run.communicate()
         assert time.monotonic() < ends
         time.sleep(0.002)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 @pytest.fixture(scope="module")
@@ -90,5 +84,5 @@ except SystemExit:
     import mujoco
     sys.exit("glfw" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    done = python("-c", code)
     assert (done.returncode, done.stderr) == (0, "")

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sdpid
-from tests.helpers.arm_files import write_arm
-from tests.helpers.commands import alone, ran, refused, run
+from tests.cli.test_cli import csv_log, wave
+from tests.helpers.commands import alone, refused, run, with_results
 
 # A log in degrees and ms of a robot with six joints, and one of an arm with two.
 DENSO = "identify degrees.csv --unit time=ms --column effort=i1,i2,i3,i4,i5,i6 --robot"
@@ -115,17 +114,8 @@ LIMITS = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a robot, logs, results, and files that are not what they are called."""
-    folder = tmp_path_factory.mktemp("refused")
-    write_arm(folder, joint_names=["a", "b"])
-    arguments = (folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder / "results")
-    ran("identify", *arguments, "--no-figures", "--no-intervals", "--effects", "none")
-    limits = sdpid.load_robot("denso_vp6242").position_limits
-    time = np.arange(2000)[:, None] / 100.0
-    reach = 0.4 * (limits[:, 1] - limits[:, 0])
-    motion = limits.mean(axis=1) + reach * np.sin(2 * np.pi * time * (0.3 + 0.1 * np.arange(6)))
-    header = ",".join(["stamp", *(f"{name}{j + 1}" for name in "qi" for j in range(6))])
-    table = np.column_stack([1000.0 * time, np.degrees(motion), np.cos(motion)])
-    np.savetxt(folder / "degrees.csv", table, delimiter=",", header=header, comments="")
+    folder = with_results(tmp_path_factory.mktemp("refused"))
+    csv_log(folder / "degrees.csv", np.degrees(wave()))
     for name in ("log.xlsx", "bad.npz", "taken", "table.csv", "m.toml"):
         (folder / name).write_text("nonsense")
     for name, text in LIMITS.items():

@@ -60,6 +60,12 @@ class Tab:
         for kind in ("rawKeyDown", "keyUp"):
             await self.call("Input.dispatchKeyEvent", type=kind, key=key)
 
+    async def fits(self, width: int) -> None:
+        """Give the page a width, and check that nothing stands beside it."""
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        await self.call("Emulation.setDeviceMetricsOverride", **size)
+        assert await self.value("document.documentElement.scrollWidth") <= width
+
     async def until(self, condition: str) -> None:
         """Wait until a JavaScript expression is true."""
         end = time.monotonic() + PATIENCE

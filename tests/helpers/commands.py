@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 
 from sdpid import cli, verifier
 from sdpid.cli.options import Given, Table, rows_of
+from tests.helpers.arm_files import write_arm
 
 VERIFIER = Path(verifier.__file__).parent
 
@@ -57,6 +58,14 @@ def python(*arguments: Any, **options: Any) -> subprocess.CompletedProcess[str]:
     """Return how a fresh interpreter ended, and what it printed."""
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+
+
+def with_results(folder: Path) -> Path:
+    """Write a robot, its log, and the results of a run into a folder, and return it."""
+    write_arm(folder, joint_names=["a", "b"])
+    given = (folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder / "results")
+    ran("identify", *given, "--no-figures", "--no-intervals", "--effects", "none")
+    return folder
 
 
 def alone(path: Path, folder: Path = VERIFIER, **options: Any) -> subprocess.CompletedProcess[str]:

@@ -75,6 +75,11 @@ def edit_json(path: Path, change: Callable[[Any], object]) -> None:
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return what the files of a folder hold."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
 def reseal(folder: Path, *, without: str = "") -> str:
     """Make every digest right, list all files that are there but one; return the certificate's."""
     path, certificate = folder / "manifest.json", folder / "certificate.json"

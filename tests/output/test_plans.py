@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -56,10 +57,10 @@ def motion(request: pytest.FixtureRequest) -> Trajectory:
 
 def at(motion: Trajectory, time: Array, derivative: int = 0) -> Array:
     """Return a motion at any times, part by part."""
-    parts = motion.curves()
-    starts = [(start, curve) for start, curve in parts if curve is not motion.series]
-    (begin,) = [start for start, curve in parts if curve is motion.series]
-    starts += [(begin + k * motion.period, motion.series) for k in range(motion.periods)]
+    starts = []
+    for start, curve in motion.curves():
+        count = motion.periods if curve is motion.series else 1
+        starts += [(start + k * motion.period, curve) for k in range(count)]
     out = np.zeros((len(time), motion.n))
     if derivative == 0:
         _, last = max(starts, key=lambda part: part[0])
@@ -124,29 +125,21 @@ def program(text: str) -> dict[str, Any]:
         depth -= line.strip() == "end"
         assert depth > 0 or line is lines[-1]
     assert depth == 0
-    played = []
-    for line in lines:
-        if match := re.fullmatch(
-            rf"  sdpid_play\(({number}), ({number}), ({listed}(?:, {listed}){{5}})\)", line
-        ):
-            lists = [json.loads(each) for each in re.findall(listed, match[3])]
-            played.append((float(match[1]), float(match[2]), np.array(lists)))
-    (start,) = [
-        m
-        for line in lines
-        if (m := re.fullmatch(rf"  movej\(({listed}), a=({number}), v=({number})\)", line))
+    text = "\n".join(lines)
+    play = rf"^  sdpid_play\(({number}), ({number}), ({listed}(?:, {listed}){{5}})\)$"
+    played = [
+        (float(end), float(width), np.array([*map(json.loads, re.findall(listed, lists))]))
+        for end, width, lists in re.findall(play, text, re.M)
     ]
+    ((start, _, speed),) = re.findall(
+        rf"^  movej\(({listed}), a=({number}), v=({number})\)$", text, re.M
+    )
     order = [line.split("(")[0].strip() for line in lines]
     assert order.index("movej") < order.index("sleep") < order.index("sdpid_play")
     assert order[-2:] == ["stopj", "end"]
     (servo,) = [line.strip() for line in lines if "servoj(" in line]
-    return {
-        "start": np.array(json.loads(start[1])),
-        "acceleration": float(start[2]),
-        "speed": float(start[3]),
-        "played": played,
-        "servoj": servo,
-    }
+    start = np.array(json.loads(start))
+    return {"start": start, "speed": float(speed), "played": played, "servoj": servo}
 
 
 def test_the_program_plays_the_motion(motion: Trajectory, tmp_path: Path) -> None:
@@ -177,7 +170,7 @@ def test_the_program_plays_the_motion(motion: Trajectory, tmp_path: Path) -> Non
 def test_the_program_is_for_six_joints(tmp_path: Path) -> None:
     seven, path = spline_motion((*SIX, "joint_7")), tmp_path / "a.script"
     refuses(ExportError, r"7 joints.*have 6", write_urscript, seven, path)
-    assert not list(tmp_path.iterdir())
+    assert not path.exists()
 
 
 def test_pieces_follow_and_join(motion: Trajectory) -> None:
@@ -185,13 +178,11 @@ def test_pieces_follow_and_join(motion: Trajectory) -> None:
     for one, other in pairwise(made):
         assert one.end == pytest.approx(other.begin, abs=1e-12)
         assert np.allclose(one.coefficients.sum(axis=0), other.coefficients[0], atol=1e-9)
+    s = np.linspace(0.0, 1.0, 17)
     for piece in made:
-        s = np.linspace(0.0, 1.0, 17)
         q = np.vander(s, 6, increasing=True) @ piece.coefficients
-        assert (
-            np.abs(q - at(motion, piece.begin + s * (piece.end - piece.begin))).max()
-            < 1.5 * TOLERANCE
-        )
+        expected = at(motion, piece.begin + s * (piece.end - piece.begin))
+        assert np.abs(q - expected).max() < 1.5 * TOLERANCE
 
 
 # The page of a plan: valid, alone, told in words, and the arm moves.
@@ -275,10 +266,8 @@ def test_the_scene_is_the_motion(page: str) -> None:
 def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
     """From a file: without a network, without errors, and it obeys its controls."""
     (tmp_path / "report.html").write_text(page, encoding="utf-8")
-    told, picture = (
-        "document.getElementById('scene-told').textContent",
-        "document.getElementById('scene-view').toDataURL()",
-    )
+    told = "document.getElementById('scene-told').textContent"
+    picture = "document.getElementById('scene-view').toDataURL()"
 
     async def visit(tab: Tab) -> None:
         # Out of sight it stands still.
@@ -299,9 +288,7 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
         await tab.value("document.querySelector('#bought .chart').scrollIntoView()")
         await tab.until("document.querySelector('#bought .chart canvas') !== null")
         for width in (1280, 390):
-            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-            await tab.call("Emulation.setDeviceMetricsOverride", **size)
-            assert await tab.value("document.documentElement.scrollWidth") <= width
+            await tab.fits(width)
         tab.heard_nothing()
 
     look(tmp_path / "report.html", tmp_path / "profile", visit)
@@ -352,14 +339,17 @@ def test_the_motion_is_that_of_the_plan(folder: Path) -> None:
 
 def test_the_results_are_told(folder: Path) -> None:
     plan, told = small_plan(), json.loads((folder / "plan.json").read_text())
-    assert told["robot"] == "arm"
-    assert told["joint_names"] == ["a", "b"]
+    expected = {
+        "robot": "arm",
+        "joint_names": ["a", "b"],
+        "condition_number": plan.condition_number,
+        "assumed": list(plan.limits.notes),
+    }
+    assert told.items() >= expected.items()
     assert told["limits"]["ok"] is True
     assert {row["kind"] for row in told["limits"]["rows"]} >= {"position", "velocity", "torque"}
-    assert told["condition_number"] == plan.condition_number
     assert list(told["standard_errors"]) == list(plan.names)
     assert told["expected"]["sentences"] == list(plan.expected.sentences())
-    assert told["assumed"] == list(plan.limits.notes)
     assert told["settings"]["seed"] == 3
 
 
@@ -421,19 +411,9 @@ def test_what_is_not_installed_is_left_out(tmp_path: Path, monkeypatch: pytest.M
     assert any("pip install 'jinja2>=" in each for each in told)
 
 
-def test_a_plan_without_collisions(tmp_path: Path) -> None:
-    pytest.importorskip("jinja2")
-    plan = replace(small_plan(), collision=None)
-    names = {path.name for path in write_plan(plan, tmp_path)}
-    assert "report.html" in names
-    assert "no collisions were checked" in (tmp_path / "report.html").read_text()
-
-
 def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(write, "write_joint_trajectory", fail)
+    full = Mock(side_effect=OSError(28, "No space left on device"))
+    monkeypatch.setattr(write, "write_joint_trajectory", full)
     refuses(ExportError, "No space left", write_plan, small_plan(), tmp_path / "plan")
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import html
 import importlib.util
 import json
 import re
@@ -13,6 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -83,9 +85,7 @@ def evil_page() -> str:
 
 
 def quoted(text: str) -> str:
-    for character, entity in (("&", "amp"), ("<", "lt"), (">", "gt"), ('"', "quot")):
-        text = text.replace(character, f"&{entity};")
-    return text
+    return html.escape(text, quote=False).replace('"', "&quot;")
 
 
 def body(mass: float) -> str:
@@ -106,7 +106,12 @@ def tree(page: str) -> Any:
 
 
 def elements(page: str, name: str) -> list[Any]:
-    return list(tree(page).iter(f"{{http://www.w3.org/1999/xhtml}}{name}"))
+    return list(tree(page).iter(f"{{*}}{name}"))
+
+
+def flat(element: Any) -> str:
+    """Return the words of an element."""
+    return re.sub(r"\s+", " ", "".join(element.itertext())).strip()
 
 
 def pictures(page: str, *, scene: bool = False) -> list[Any]:
@@ -145,8 +150,7 @@ def self_contained(page: str) -> None:
     assert len(drawn) == 1
     assert len(runs) == 3
     (allowed,) = re.findall(r"script-src ([^;\"]*)", page)
-    digests = [hashlib.sha256(each.text.encode()).digest() for each in runs]
-    assert allowed.split() == [f"'sha256-{base64.b64encode(d).decode()}'" for d in digests]
+    assert allowed.split() == [digest_of(each.text) for each in runs]
     assert not any(each.attrib for each in runs)
     allowed = {"a": r"#", "img": r"data:image/svg\+xml;base64,", "use": r"#"}
     for element in (part for root in (tree(page), *drawn) for part in root.iter("{*}*")):
@@ -163,15 +167,27 @@ def self_contained(page: str) -> None:
     assert "url(" not in style
     assert "@import" not in style
     assert all(image.get("alt") for image in elements(page, "img"))
-    policies = [
+    (given,) = [
         meta.get("content")
         for meta in elements(page, "meta")
         if meta.get("http-equiv") == "Content-Security-Policy"
     ]
-    assert len(policies) == 1
-    assert {"default-src 'none'", "img-src data:"} <= set(policies[0].split("; "))
+    assert {"default-src 'none'", "img-src data:"} <= set(given.split("; "))
     ids = [e.get("id") for e in tree(page).iter("{*}*") if e.get("id")]
     assert len(ids) == len(set(ids))
+    assert all(a.get("href")[1:] in ids for a in elements(page, "a"))
+
+
+def digest_of(script: str) -> str:
+    """Return what a policy names a script by."""
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def tells(page: str, *texts: str) -> None:
+    """Check that a page says these words."""
+    shown = words(page)
+    assert [text for text in texts if text not in shown] == []
 
 
 def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
@@ -180,48 +196,31 @@ def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
         assert not pictures(text)
         assert len(charts(text)) == CHARTS
         self_contained(text)
-        ids = [e.get("id") for e in tree(text).iter("{*}*") if e.get("id")]
-        assert all(a.get("href")[1:] in ids for a in elements(text, "a"))
 
 
 def test_names_are_escaped(evil_page: str) -> None:
-    shown = words(evil_page)
-    assert EVIL in shown
-    assert EVIL_LINK in shown
-    assert "<b>arm$" in shown
-    assert "$\\undefined$" in shown
-    # Data of scene and charts, and what draws them.
+    tells(evil_page, EVIL, EVIL_LINK, "<b>arm$", "$\\undefined$")
+    # Data of scene and charts, and what draws them; none that a name brought.
     assert evil_page.count("<script") == len(elements(evil_page, "script")) == 5
     assert not elements(evil_page, "b")[0].get("onerror")
-    # None that a name brought.
-    assert not pictures(evil_page)
 
 
 def test_it_tells_the_whole_story(result: Identification, page: str) -> None:
-    shown = words(page)
     certificate = result.certificate
-    for text in (
-        result.problem.robot.name,
-        "low-pass filter at 10 Hz",
-        EVIL,
-        "50 Hz",
-        "20 s",
-        "Condition number",
-        "validation (held out)",
+    tells(
+        page,
+        *("low-pass filter at 10 Hz", EVIL, "50 Hz", "20 s", "Condition number", "Coulomb"),
+        *("validation (held out)", "standard error", COMMAND),
         f"{result.validation.r2[0]:.4f}",
         f"{result.training.r2[1]:.4f}",
-        "standard error",
-        "Coulomb",
         certificate.to_dict()["sha256"],
         f"{certificate.lower_bound:#.10g}",
-        COMMAND,
         *result.verdict,
         *result.problem.base.names,
         *result.problem.base.theta_names,
         *(s.name for s in constraint_states(result.estimate) if s.active),
-        *result.problem.robot.joint_names,
-    ):
-        assert text in shown, text
+        *(result.problem.robot.name, *result.problem.robot.joint_names),
+    )
     # A bar for every standard parameter, each of them full.
     bars = [e for e in elements(page, "span") if e.get("class") == "bar"]
     assert len(bars) == result.problem.n_theta
@@ -233,17 +232,14 @@ def test_it_tells_the_whole_story(result: Identification, page: str) -> None:
 def test_it_begins_with_the_verdict_in_short_and_shows_baselines(
     result: Identification, page: str
 ) -> None:
-    shown = words(page)
-    short = headline(result)
+    shown, short = words(page), headline(result)
     least = result.held_out.baselines["least squares"].moving
-    for text in (short.error, short.worst, short.step, "least squares", f"{least.rmse[0]:#.3g}"):
-        assert text in shown, text
+    tells(page, short.error, short.worst, short.step, "least squares", f"{least.rmse[0]:#.3g}")
     assert shown.index(short.error) < shown.index(result.verdict[0])
     blocks = hold_out(result.estimate, result.wls, None)
     alone = replace(result, validation=None, validation_samples=None, held_out=blocks)
-    shown = words(report_html(alone))
-    for text in ("5 blocks (held out in turn)", "relative residual, same motion", *alone.verdict):
-        assert text in shown, text
+    said = ("5 blocks (held out in turn)", "relative residual, same motion", *alone.verdict)
+    tells(report_html(alone), *said)
 
 
 def test_its_sections_stand_in_order(page: str) -> None:
@@ -260,12 +256,11 @@ def test_its_sections_stand_in_order(page: str) -> None:
 
 
 def test_every_link_stands_beside_its_description(result: Identification, page: str) -> None:
-    (section,) = [each for each in elements(page, "section") if each.get("id") == "links"]
-    shown = re.sub(r"\s+", " ", "".join(section.itertext()))
-    found = link_properties(result.estimate)
-    for k, name in enumerate(result.problem.robot.link_names):
+    (shown,) = [flat(each) for each in elements(page, "section") if each.get("id") == "links"]
+    masses = link_properties(result.estimate).value[:, 5]
+    for name, mass in zip(result.problem.robot.link_names, masses, strict=True):
         assert name in shown
-        assert number(found.value[k, 5], 3) in shown
+        assert number(mass, 3) in shown
     # There is no prior: the data do not tell the mass of a link that turns about one axis.
     assert "not told" in shown
     assert "description" not in shown.partition("link from")[2]  # this arm has none
@@ -292,10 +287,8 @@ def test_without_validation_or_command(result: Identification) -> None:
     alone = replace(result, validation=None, validation_samples=None, held_out=None)
     text = report_html(alone)
     self_contained(text)
-    shown = words(text)
-    assert "held out)" not in shown
-    assert "Nothing was held out" in shown
-    assert "From Python" in shown
+    tells(text, "Nothing was held out", "From Python")
+    assert "held out)" not in words(text)
     assert len(charts(text)) == CHARTS
 
 
@@ -322,26 +315,19 @@ def test_a_long_record_is_drawn_with_few_points_and_says_so() -> None:
 def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(result: Identification) -> None:
     """As of a problem whose rows are elsewhere: `samples` is one in so many."""
     problem = result.problem
-
     assert problem.rows is not None
     thinned = problem.rows.on(problem.samples.every(10))
     there = replace(problem, rows=replace(thinned, elsewhere=Many(problem.rows)))
     thin = sdpid.validate(replace(result.estimate, problem=there), there.samples)
-    seen = replace(
-        result, problem=there, training=thin, validation=None, validation_samples=None,
-        held_out=None,
-    )  # fmt: skip
-    text = report_html(seen, sha256="0")
+    alone = {"validation": None, "validation_samples": None, "held_out": None}
+    text = report_html(replace(result, problem=there, training=thin, **alone), sha256="0")
     self_contained(text)
-    shown = words(text)
-    for part in (
+    tells(
+        text,
         f"{problem.samples.n_samples:,} samples of 2 joints",
         f"{problem.n_rows:,} of {problem.samples.effort.size:,}",
-        "50 Hz",
-        "one in 10 samples",
-        "higher frequencies are folded",
-    ):
-        assert part in shown, part
+        *("50 Hz", "one in 10 samples", "higher frequencies are folded"),
+    )
     assert "one in" not in words(report_html(result, sha256="0"))
 
 
@@ -369,38 +355,32 @@ def test_intervals_are_shown(result: Identification) -> None:
     # Intervals as anybody may make them.
     ends = {"lower": np.array([-1.25, 0.0]), "upper": np.array([2.5, np.inf])}
     given = SimpleNamespace(names=(base, theta), label=("from data", "from physics"), **ends)
-    shown = words(report_html(result, intervals=given))
-    assert "−1.250 … 2.500" in shown
-    assert "0 … –" in shown
-    assert "from physics" in shown
+    tells(report_html(result, intervals=given), "−1.250 … 2.500", "0 … –", "from physics")
     gauss = sdpid.confidence_intervals(result.estimate, method="gauss_markov")
-    assert "from data" in words(report_html(result, intervals=gauss))
+    tells(report_html(result, intervals=gauss), "from data")
 
 
 def test_cross_validation_and_pieces_are_shown() -> None:
-    logs = [recorded(1), recorded(2)]
-    found = sdpid.identify(recorded_arm(), logs, folds=2)
+    found = sdpid.identify(recorded_arm(), [recorded(1), recorded(2)], folds=2)
     text = report_html(found)
     self_contained(text)
-    shown = words(text)
-    for part in (
+    tells(
+        text,
         "2 blocks of time held out in turn",
         "relative residual in motion of blocks held out in turn",
-        "block 2 of 2",
-        "pieces, recorded apart",
+        *("block 2 of 2", "pieces, recorded apart"),
         f"{found.cross_validation.rmse[0]:#.3g}",
         *found.notes,
-    ):
-        assert part in shown, part
+    )
 
 
 def test_values_at_a_bound_are_zero(result: Identification) -> None:
-    rows = parameters.base_rows(result._subject, None)
     tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
-    other = replace(result, estimate=tiny)
-    again = parameters.base_rows(other._subject, None)
-    assert again[0]["value"] == 0.0
-    assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
+    rows, again = (
+        [row["value"] for row in parameters.base_rows(each._subject, None)]
+        for each in (result, replace(result, estimate=tiny))
+    )
+    assert again == [0.0, *rows[1:]]
 
 
 def test_it_is_written_whole_or_not_at_all(
@@ -410,11 +390,7 @@ def test_it_is_written_whole_or_not_at_all(
     before = path.read_text(encoding="utf-8")
     nowhere = tmp_path / "nowhere" / "report.html"
     refuses(ExportError, "nowhere", write_report, result, nowhere, sha256="0")
-
-    def fail(*_: object, **__: object) -> None:
-        raise ExportError("no")
-
-    monkeypatch.setattr(report, "atomic_write_text", fail)
+    monkeypatch.setattr(report, "atomic_write_text", Mock(side_effect=ExportError("no")))
     refuses(ExportError, "no", result.save, tmp_path, figures=False)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert path.read_text(encoding="utf-8") == before
@@ -424,18 +400,16 @@ def test_save_writes_it_with_what_the_written_files_predict(
     result: Identification, tmp_path: Path
 ) -> None:
     assert tmp_path / "report.html" in result.save(tmp_path, figures=False, command=COMMAND)
-    shown = words((tmp_path / "report.html").read_text(encoding="utf-8"))
     certificate, content = (
         json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
         for name in ("certificate", "result")
     )
-    assert certificate["sha256"] in shown
-    assert COMMAND in shown
-    assert "As the written files predict it" in shown
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    tells(page, certificate["sha256"], COMMAND, "As the written files predict it")
     for export in content["exports"]:
         both = [f"{100.0 * export[kind]['file']:#.3g} %" for kind in ("validation", "training")]
         share = f"{100.0 * export['left_out'][0]['share']:.2g} %"
-        assert f"{export['file']} {both[0]}{both[1]} Offset {share}" in shown
+        tells(page, f"{export['file']} {both[0]}{both[1]} Offset {share}")
     assert "As the written files" not in words(report_html(result))
     # A file that loses too much says so, one that does not is silent.
     urdf = sdpid.write_urdf(result.estimate, target=tmp_path / "again.urdf")
@@ -490,9 +464,7 @@ def test_a_browser_shows_it(page: str, tmp_path: Path) -> None:
 
     async def visit(tab: Tab) -> None:
         for width in (1280, 390):
-            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-            await tab.call("Emulation.setDeviceMetricsOverride", **size)
-            assert await tab.value("document.documentElement.scrollWidth") <= width
+            await tab.fits(width)
             assert await tab.value(FORESTS_SEEN) == {"cut": [], "drawn": FORESTS}
         # Charts are drawn where they are looked at.
         assert await tab.value(drawn) < CHARTS - 8
@@ -571,8 +543,7 @@ def test_only_given_scripts_run() -> None:
     assert "script-src" not in policy()
     assert "default-src 'none'" in policy().split("; ")
     script = "'use strict'; // <é>"
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert f"script-src 'sha256-{digest}'" in policy([script]).split("; ")
+    assert f"script-src {digest_of(script)}" in policy([script]).split("; ")
 
 
 # What the report says of a recording.

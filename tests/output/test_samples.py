@@ -1,5 +1,6 @@
 """Drawn robots: their friction, ranges and files."""
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -55,35 +56,33 @@ def made(terms: Terms, friction: Array, links: Array, noise: float) -> Estimate:
     return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
 
 
+def attributes_of(estimate: Estimate) -> dict[str, list[float]]:
+    """Return the attributes of the joints of an estimate's robot, kind by kind."""
+    found = joint_attributes(estimate.problem, estimate.theta, PLACES, "robot").values
+    known = [(kind, name) for kind, name in PLACES.items() if name in found["joint_1"]]
+    return {kind: [found[joint][name] for joint in ARM.joint_names] for kind, name in known}
+
+
 @pytest.mark.parametrize("terms", TERMS.values(), ids=TERMS)
 def test_a_draw_has_the_attributes_of_a_robot_of_its_own(terms: Terms) -> None:
     """Of exact data: what the estimate leaves unexplained is nothing for either."""
     rng = np.random.default_rng(5)
     theta = random_theta(ARM, rng, terms)
     links, friction = theta[:20], theta[20:]
+    draws = friction * rng.uniform(0.5, 1.5, (4, len(friction)))
     estimate = made(terms, friction, links, 0.0)
-    draws = [friction * rng.uniform(0.5, 1.5, len(friction)) for _ in range(4)]
     thetas = np.array([np.concatenate([links, each]) for each in draws])
     found = drawn_attributes(estimate.problem, estimate.theta, thetas, PLACES, "robots")
     for k, draw in enumerate(draws):
-        own = made(terms, draw, links, 0.0)
-        expected = joint_attributes(own.problem, own.theta, PLACES, "robot").values
-        for kind, values in found.items():
-            for j, joint in enumerate(ARM.joint_names):
-                assert abs(values[k, j] - expected[joint][PLACES[kind]]) <= ROUNDING
-
-
-@pytest.mark.parametrize("terms", TERMS.values(), ids=TERMS)
-def test_the_estimate_itself_is_among_them(terms: Terms) -> None:
-    rng = np.random.default_rng(6)
-    theta = random_theta(ARM, rng, terms)
-    estimate = made(terms, theta[20:], theta[:20], 0.05)
-    found = drawn_attributes(estimate.problem, theta, theta[None], PLACES, "robots")
-    expected = joint_attributes(estimate.problem, theta, PLACES, "robot").values
-    assert {PLACES[kind] for kind in found} == set(expected["joint_1"])
+        for kind, expected in attributes_of(made(terms, draw, links, 0.0)).items():
+            np.testing.assert_allclose(found[kind][k], expected, rtol=0, atol=ROUNDING)
+    # Among them, with noise, the estimate itself.
+    noisy = made(terms, friction, links, 0.05)
+    found = drawn_attributes(noisy.problem, theta, theta[None], PLACES, "robots")
+    expected = attributes_of(noisy)
+    assert found.keys() == expected.keys()
     for kind, values in found.items():
-        for j, joint in enumerate(ARM.joint_names):
-            assert abs(values[0, j] - expected[joint][PLACES[kind]]) <= ROUNDING
+        np.testing.assert_allclose(values[0], expected[kind], rtol=0, atol=ROUNDING)
 
 
 # The log-Cholesky form of a change: round trips, and what each of its numbers does.
@@ -211,7 +210,13 @@ def thetas(estimate: Estimate) -> Array:
 
 @pytest.fixture(scope="module")
 def ranges(estimate: Estimate, thetas: Array) -> Ranges:
-    return SampleWriter(estimate, thetas, kinds=()).ranges(PROBABILITY, {"seed": 0})
+    return ranges_of(estimate, thetas, made={"seed": 0})
+
+
+def ranges_of(
+    estimate: Estimate, thetas: Array, probability: float = PROBABILITY, made: Any = None
+) -> Ranges:
+    return SampleWriter(estimate, thetas, kinds=()).ranges(probability, made or {})
 
 
 @pytest.mark.parametrize("kind", ["urdf", "mjcf", "turned"])
@@ -268,12 +273,11 @@ def test_any_robot_within_the_ranges_is_a_body(ranges: Ranges, thetas: Array) ->
 
 
 def test_a_larger_share_has_wider_ranges(estimate: Estimate, thetas: Array) -> None:
-    writer = SampleWriter(estimate, thetas, kinds=())
-    narrow, wide = (writer.ranges(probability, {}) for probability in (0.5, 0.95))
+    narrow, wide = (ranges_of(estimate, thetas, share) for share in (0.5, 0.95))
     for a, b in zip(narrow.bodies, wide.bodies, strict=True):
-        assert all(
-            b.changes[n][0] <= a.changes[n][0] <= a.changes[n][1] <= b.changes[n][1] for n in NAMES
-        )
+        for name in NAMES:
+            (low, high), (least, most) = a.changes[name], b.changes[name]
+            assert least <= low <= high <= most
     assert narrow.inside <= wide.inside
 
 
@@ -282,20 +286,16 @@ def test_independence_is_told_to_widen(estimate: Estimate, thetas: Array) -> Non
     problem = estimate.problem
     _, _, V = np.linalg.svd(problem.A @ problem.base.matrix)
     unseen = V[problem.base.count :]
-    along = thetas.mean(axis=0) + 0.1 * (thetas - thetas.mean(axis=0)) @ unseen.T @ unseen
-    along += 1e-6 * (thetas - thetas.mean(axis=0))
-    found = SampleWriter(estimate, along, kinds=()).ranges(PROBABILITY, {})
-    usual = SampleWriter(estimate, thetas, kinds=()).ranges(PROBABILITY, {})
+    apart = thetas - thetas.mean(axis=0)
+    along = thetas.mean(axis=0) + 0.1 * apart @ unseen.T @ unseen + 1e-6 * apart
+    found, usual = ranges_of(estimate, along), ranges_of(estimate, thetas)
     assert found.widened > 100.0 > usual.widened > 0.0
 
 
 def test_draws_that_are_too_few_are_told(estimate: Estimate, thetas: Array) -> None:
-    enough = SampleWriter(estimate, thetas, kinds=()).ranges(0.95, {})
-    assert enough.number == 40
-    assert enough.notes == ()
-    few = SampleWriter(estimate, thetas[:39], kinds=()).ranges(0.95, {})
+    enough, few, one = (ranges_of(estimate, thetas[:count], 0.95) for count in (40, 39, 1))
+    assert (enough.number, enough.notes) == (40, ())
     assert "draw 40 or more" in few.notes[0]
-    one = SampleWriter(estimate, thetas[:1], kinds=()).ranges(0.95, {})
     assert one.widened is None
     assert one.to_dict()["independent"]["efforts_widened"] is None
     assert one.to_dict()["notes"] == list(one.notes) != []
@@ -406,14 +406,12 @@ def test_files_of_others_are_not_replaced(estimate: Estimate, draws: Array, tmp_
 def test_a_failure_leaves_nothing(
     estimate: Estimate, draws: Array, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = patterns.compiled
-    calls: list[str] = []
+    real, calls = patterns.compiled, itertools.count(1)
 
-    def refusing(text: str, path: None, what: str) -> object:
-        calls.append(what)
-        if len(calls) == 3:
+    def refusing(*given: Any) -> object:
+        if next(calls) == 3:
             raise ExportError("no")
-        return real(text, path, what)
+        return real(*given)
 
     monkeypatch.setattr(patterns, "compiled", refusing)
     refuses(ExportError, "no", written, estimate, draws, tmp_path / "new", "urdf", "mjcf")
@@ -423,13 +421,13 @@ def test_a_failure_leaves_nothing(
 def test_impossible_draws_are_refused_by_name(
     estimate: Estimate, draws: Array, tmp_path: Path
 ) -> None:
-    wrong = draws.copy()
-    wrong[3, 4] = -1.0
-    words = r"link 'column' is not consistent"
-    refuses(ExportError, words, written, estimate, wrong, tmp_path, "urdf")
-    wrong = draws.copy()
-    wrong[2, -1] = -0.5
-    refuses(ExportError, r"Ia\d of joint", written, estimate, wrong, tmp_path, "mjcf")
+    for place, value, kind, words in (
+        ((3, 4), -1.0, "urdf", "link 'column' is not consistent"),
+        ((2, -1), -0.5, "mjcf", r"Ia\d of joint"),
+    ):
+        wrong = draws.copy()
+        wrong[place] = value
+        refuses(ExportError, words, written, estimate, wrong, tmp_path, kind)
     assert not any(tmp_path.iterdir())
 
 
@@ -445,6 +443,9 @@ def test_what_cannot_be_written(
     estimate: Estimate, draws: Array, kinds: Any, source: str | None, words: str
 ) -> None:
     refuses(ExportError, words, SampleWriter, estimate, draws, kinds=kinds, source=source)
+    loose = estimate_of(small_arm(2), consistency="spatial_inertia")
+    words = "solve with consistency='pseudo_inertia'"
+    refuses(ExportError, words, SampleWriter, loose, draws_about(loose, 2), kinds=("mjcf",))
 
 
 def test_a_robot_without_a_urdf_has_an_mjcf(tmp_path: Path) -> None:
@@ -472,9 +473,3 @@ def test_a_floating_base_has_a_body_too(tmp_path: Path) -> None:
     written(estimate, draws_about(estimate, 2), tmp_path, "urdf", "mjcf")
     assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "robot_0002.xml")).nv == 6 + 6
-
-
-def test_draws_that_need_be_no_bodies_are_refused() -> None:
-    estimate = estimate_of(small_arm(2), consistency="spatial_inertia")
-    given, words = (estimate, draws_about(estimate, 2)), "solve with consistency='pseudo_inertia'"
-    refuses(ExportError, words, SampleWriter, *given, kinds=("mjcf",))

@@ -37,15 +37,13 @@ def moved(robot: RobotModel, seconds: float = 2.0, rate: float = 100.0, **fields
     """Return samples of a slow motion."""
     pytest.importorskip("jinja2")
     time = np.arange(round(seconds * rate)) / rate
-    turned = 0.5 * np.sin(time)[:, None] * np.ones(robot.n)
+    position = 0.5 * np.sin(time)[:, None] * np.ones(robot.n)
     if robot.free_flyer:
         start = neutral(robot)
-        position = np.stack([pin.integrate(robot.pin_model, start, each) for each in turned])
-    else:
-        position = turned
+        position = np.stack([pin.integrate(robot.pin_model, start, each) for each in position])
     rest = np.zeros((len(time), robot.n))
-    motion = {"velocity": rest, "acceleration": rest, "effort": rest}
-    return Samples(position=position, **motion, **{"time": time, **fields})
+    fields = {"time": time, **fields}
+    return Samples(position=position, velocity=rest, acceleration=rest, effort=rest, **fields)
 
 
 def data_of(scene: Scene) -> dict[str, Any]:
@@ -108,16 +106,15 @@ def test_impossible_and_missing_bodies_are_told() -> None:
     assert "identified" not in {each["group"] for each in data_of(shown(robot))["ellipsoids"]}
 
 
-def test_names_are_no_markup_and_bytes_are_the_same() -> None:
-    robot = sdpid.load_robot(TREE.replace('"tree"', '"&lt;/script>&lt;b>"'))
-    hostile = sdpid.load_robot(TREE.replace('"column"', '"&lt;/script>&lt;b>"'))
-    for each in (robot, hostile):
-        theta = np.zeros(each.prior.size)
-        scene = shown(each, theta)
-        assert scene == shown(each, theta)
-        assert scene.markup.count("</script>") == 1
-        assert "<b>" not in scene.markup
-        assert "&lt;b&gt;" in scene.markup
+@pytest.mark.parametrize("name", ["tree", "column"])
+def test_names_are_no_markup_and_bytes_are_the_same(name: str) -> None:
+    robot = sdpid.load_robot(TREE.replace(f'"{name}"', '"&lt;/script>&lt;b>"'))
+    theta = np.zeros(robot.prior.size)
+    scene = shown(robot, theta)
+    assert scene == shown(robot, theta)
+    assert scene.markup.count("</script>") == 1
+    assert "<b>" not in scene.markup
+    assert "&lt;b&gt;" in scene.markup
 
 
 def test_recordings_play_their_first_minute() -> None:
@@ -287,18 +284,15 @@ def test_meshes_lie_beside_the_description(tmp_path: Path) -> None:
     assert np.allclose(np.linalg.norm(areas, axis=1), 0.01)
 
 
-def test_robots_without_shapes_are_capsules() -> None:
+def test_robots_without_shapes_are_capsules_and_shapes_that_make_no_picture_are_told() -> None:
     found, notes = described_surfaces(small_arm(2))
     assert {each.link for each in found} == {-1, 0, 1}
     assert "capsules" in notes[0]
-
-
-@pytest.mark.parametrize("size", ["0 0 0", "1e200 1e200 1e200"])
-def test_shapes_that_make_no_picture_are_told(size: str) -> None:
-    shape = f'<visual><geometry><box size="{size}"/></geometry></visual>'
-    found, notes = described_surfaces(load_robot(ROBOT.format(base="", arm=shape)))
-    assert all(np.abs(each.points).max() < 10.0 for each in found)
-    assert "arm" in notes[0]
+    for size in ("0 0 0", "1e200 1e200 1e200"):
+        shape = f'<visual><geometry><box size="{size}"/></geometry></visual>'
+        found, notes = described_surfaces(load_robot(ROBOT.format(base="", arm=shape)))
+        assert all(np.abs(each.points).max() < 10.0 for each in found)
+        assert "arm" in notes[0]
 
 
 def test_thinned_surfaces_keep_their_shape() -> None:

@@ -11,21 +11,19 @@ import pytest
 
 from sdpid.errors import DataError, ExportError, MissingExtraError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import build_problem
 from sdpid.output.tables.parameters_file import read_parameters, write_parameters
 from sdpid.robot.model.load import load_robot
 from tests.helpers.data import make_samples, random_theta
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE
 
-SUFFIXES = [".json", ".yaml", ".yml"]
+HEAD = '{"format": "sdpid parameters", "version": 1'
 
 
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
-    from sdpid.estimation.problem import build_problem
-
-    robot = load_robot(TREE)
-    rng = np.random.default_rng(3)
+    robot, rng = load_robot(TREE), np.random.default_rng(3)
     theta = random_theta(robot, rng)
     samples = make_samples(robot, theta, rng, count=200, noise=0.01, block=10)
     problem = build_problem(robot, samples, weighting="residual")
@@ -33,16 +31,13 @@ def estimate() -> Estimate:
     return Estimate.of_theta(problem, theta, method="sdp", status="optimal")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".json", ".yaml", ".yml"])
 def test_round_trip(tmp_path: Path, estimate: Estimate, suffix: str) -> None:
     path = write_parameters(estimate, tmp_path / f"p{suffix}")
     assert read_parameters(path) == estimate.named_theta()
     assert list(read_parameters(path)) == list(estimate.problem.base.theta_names)
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_base_parameters_only(tmp_path: Path, estimate: Estimate, suffix: str) -> None:
-    path = write_parameters(replace(estimate, theta=None, method="wls"), tmp_path / f"p{suffix}")
+    # Of base parameters only, too.
+    write_parameters(replace(estimate, theta=None, method="wls"), path)
     assert read_parameters(path) == estimate.named()
 
 
@@ -50,16 +45,13 @@ def test_what_stands_in_it(tmp_path: Path, estimate: Estimate) -> None:
     base = estimate.problem.base
     name = base.theta_names[-1]
     assert name in base.names
+    ends = {"lower": np.array([-np.inf, 1.0]), "upper": np.array([2.0, 3.0])}
     given = SimpleNamespace(
-        names=(base.names[0], name),
-        kind=("base", "base"),
-        lower=np.array([-np.inf, 1.0]),
-        upper=np.array([2.0, 3.0]),
-        method="profile",
-        level=0.9,
+        names=(base.names[0], name), kind=("base", "base"), method="profile", level=0.9, **ends
     )
-    path = write_parameters(estimate, tmp_path / "p.json", intervals=given)
-    content = json.loads(path.read_text())
+    content = json.loads(
+        write_parameters(estimate, tmp_path / "p.json", intervals=given).read_text()
+    )
     assert content["robot"] == "tree"
     assert content["links"]["1"] == "column"
     assert content["interval_level"] == 0.9
@@ -68,25 +60,22 @@ def test_what_stands_in_it(tmp_path: Path, estimate: Estimate) -> None:
     assert first["unit"] == base.units[0]
     assert first["standard_error"] == estimate.standard_errors[0]
     assert content["standard"][name]["interval"] == [1.0, 3.0]
-    assert content["standard"]["m_1"]["interval"] is None
-    shares = content["standard"]["m_1"]["shares"]
-    assert sum(shares.values()) == pytest.approx(1.0)
-    same = write_parameters(estimate, tmp_path / "p.yaml", intervals=given)
+    mass = content["standard"]["m_1"]
+    assert mass["interval"] is None
+    assert sum(mass["shares"].values()) == pytest.approx(1.0)
     yaml = pytest.importorskip("yaml")
+    same = write_parameters(estimate, tmp_path / "p.yaml", intervals=given)
     assert yaml.safe_load(same.read_text()) == content
 
 
-def test_intervals_without_kinds(tmp_path: Path, estimate: Estimate) -> None:
+def test_intervals_without_kinds_and_errors_without_rows(
+    tmp_path: Path, estimate: Estimate
+) -> None:
     given = SimpleNamespace(names=("m_1",), lower=np.array([1.0]), upper=np.array([2.0]))
-    path = write_parameters(estimate, tmp_path / "p.json", intervals=given)
-    content = json.loads(path.read_text())
+    sent = replace(estimate, problem=estimate.problem.without_rows())
+    content = json.loads(write_parameters(sent, tmp_path / "p.json", intervals=given).read_text())
     assert content["standard"]["m_1"]["interval"] == [1.0, 2.0]
     assert content["interval_method"] is None
-
-
-def test_errors_without_rows(tmp_path: Path, estimate: Estimate) -> None:
-    sent = replace(estimate, problem=estimate.problem.without_rows())
-    content = json.loads(write_parameters(sent, tmp_path / "p.json").read_text())
     assert {entry["standard_error"] for entry in content["base"].values()} == {None}
 
 
@@ -105,16 +94,10 @@ def test_numbers_written_by_hand(tmp_path: Path) -> None:
         ("[" * 100000, "not JSON"),
         ("[]", "no file of parameters"),
         ('{"format": "sdpid parameters", "version": 2}', "version 2"),
-        ('{"format": "sdpid parameters", "version": 1}', "'base' holds no parameters"),
-        (
-            '{"format": "sdpid parameters", "version": 1, "standard": {"m_1": {"value": "x"}}}',
-            "standard, m_1: the value is 'x'",
-        ),
-        (
-            '{"format": "sdpid parameters", "version": 1, "standard": {"m_1": {"value": NaN}}}',
-            "m_1: the value is nan",
-        ),
-        ('{"format": "sdpid parameters", "version": 1, "base": {"b": null}}', "value is None"),
+        (HEAD + "}", "'base' holds no parameters"),
+        (HEAD + ', "standard": {"m_1": {"value": "x"}}}', "standard, m_1: the value is 'x'"),
+        (HEAD + ', "standard": {"m_1": {"value": NaN}}}', "m_1: the value is nan"),
+        (HEAD + ', "base": {"b": null}}', "value is None"),
     ],
 )
 def test_files_that_are_none(tmp_path: Path, text: str, match: str) -> None:
@@ -126,12 +109,11 @@ def test_files_that_are_none(tmp_path: Path, text: str, match: str) -> None:
 def test_other_refusals(
     tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = r"\.json, \.yaml or \.yml"
+    words, lacking = r"\.json, \.yaml or \.yml", r"pip install .pyyaml"
     refuses(ExportError, words, write_parameters, estimate, tmp_path / "p.toml")
     refuses(DataError, r"cannot read .*absent", read_parameters, tmp_path / "absent.json")
     (tmp_path / "p.yaml").write_text("a: [1\nb: }")
     refuses(DataError, "not YAML", read_parameters, tmp_path / "p.yaml")
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(MissingExtraError, match=r"pip install .pyyaml"):
-        write_parameters(estimate, tmp_path / "q.yaml")
+    refuses(MissingExtraError, lacking, write_parameters, estimate, tmp_path / "q.yaml")
     assert not (tmp_path / "q.yaml").exists()

@@ -1,7 +1,9 @@
 """Plots are drawn from arrays, without global state, and written whole."""
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -105,21 +107,38 @@ def test_saved_whole_and_the_same_each_time(make: Any, suffix: str, tmp_path: Pa
     assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
 
 
-@pytest.mark.parametrize("make", FIGURES)
-def test_no_text_runs_into_other_text(make: Any) -> None:
-    figure = figure_of(make())
+def apart(boxes: Sequence[Any]) -> bool:
+    """Whether no box lies upon another one, or beside the figure."""
+    beside = any(box.x0 < 0.0 or box.y0 < 0.0 for box in boxes)
+    return not beside and not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+
+
+def drawn(axes: Any) -> tuple[Figure, Callable[[Any], Any]]:
+    """Return a figure that was laid out, and what returns the place of a text in it."""
+    figure = figure_of(axes)
     figure.draw_without_rendering()
     renderer = figure._get_renderer()
-    boxes = []
+    return figure, lambda text: text.get_window_extent(renderer)
+
+
+@pytest.mark.parametrize("make", FIGURES)
+def test_no_text_runs_into_other_text(make: Any) -> None:
+    figure, place = drawn(make())
+    texts = [*figure.legends]
     for axis in figure.axes:
-        texts = [axis.title, axis._left_title, axis._right_title, axis.xaxis.label]
-        texts.append(axis.yaxis.label)
-        boxes += [t.get_window_extent(renderer) for t in texts if t.get_text()]
-    boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
-    for i, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[:i])
-        assert box.x0 >= 0.0
-        assert box.y0 >= 0.0
+        titles = axis.title, axis._left_title, axis._right_title
+        labels = axis.xaxis.label, axis.yaxis.label
+        texts += [text for text in (*titles, *labels) if text.get_text()]
+        # Nor numbers into labels.
+        for label, numbers in zip(
+            labels, (axis.get_xticklabels(), axis.get_yticklabels()), strict=True
+        ):
+            assert not any(
+                place(each).overlaps(place(label)) for each in numbers if label.get_text()
+            )
+    assert apart([place(text) for text in texts])
+    below = [axis.xaxis.label for axis in figure.axes if axis.xaxis.label.get_text()]
+    assert apart([place(text) for text in (*figure.texts, *figure.legends, *below)])
 
 
 TIME, ONES = np.arange(9.0), np.ones((9, 2))
@@ -160,8 +179,9 @@ def test_figures_are_drawn_into_given_axes(kind: str) -> None:
 def test_too_few_axes_are_refused() -> None:
     axes = Figure(figsize=(9.0, 9.0), layout="constrained").subplots(2, 2).ravel()
     refuses(DataError, "3 axes were given to draw in, 4 are needed", reconstruction, axes=axes[:3])
-    with pytest.raises(DataError, match="1 axes were given to draw in, 2 are needed"):
-        plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=axes[0])
+    given = ["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}
+    words = "1 axes were given to draw in, 2 are needed"
+    refuses(DataError, words, plot_parameters, *given, axes=axes[0])
 
 
 def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
@@ -177,17 +197,13 @@ def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-def test_pyplot_is_not_touched() -> None:
-    filtering()
-    pyplot = sys.modules.get("matplotlib.pyplot")
-    assert pyplot is None or pyplot.get_fignums() == []
-
-
 def test_unknown_format_and_missing_folder(tmp_path: Path) -> None:
     figure = convergence()
     refuses(ExportError, r"'\.bmp'", save_figure, figure, tmp_path / "a.bmp")
     refuses(ExportError, "cannot write", save_figure, figure, tmp_path / "no" / "a.png")
     assert list(tmp_path.iterdir()) == []
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    assert pyplot is None or pyplot.get_fignums() == []
 
 
 def test_decimation_keeps_the_extremes_and_the_ends() -> None:
@@ -210,23 +226,25 @@ def test_long_records_are_drawn_with_few_points() -> None:
     lines = [line for axis in figure.axes for line in axis.get_lines()]
     assert max(len(line.get_xdata()) for line in lines) <= POINTS + 4
     assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=1e-4)
+    # It is said in the figure.
+    said = [t.get_text() for t in figure_of(reconstruction(15_000)).texts]
+    assert said == [f"drawn: least and greatest value of each {stretch(15_000)} samples"]
+    assert not figure_of(reconstruction(POINTS)).texts
+    assert stretch(15_000) == 20
 
 
 def test_a_recording_and_a_fit_are_drawn() -> None:
-    rng = np.random.default_rng(0)
     time = 0.01 * np.arange(4000)
     q = np.sin(np.outer(time, [1.0, 2.0]))
-    log = sdpid.Recording(
-        time=time, position=q, effort=q + 0.1 * rng.standard_normal(q.shape), joint_names=("a", "b")
-    )
-    stages = sdpid.Processing.paper().stages(log, 1, window=(15.0, 25.0))
-    figure = figure_of(stages.plot())
-    assert [axis.get_ylabel() for axis in figure.axes[::2]] == [
-        "Position [rad]", "Torque [N·m]", "Velocity [rad/s]", "Acceleration [rad/s²]",
-    ]  # fmt: skip
-    assert figure.axes[0].get_xlim() == pytest.approx((15.0, 25.0), abs=0.02)
-    with pytest.raises(DataError, match="joint 2 does not exist"):
-        sdpid.Processing.paper().stages(log, 2, window=(15.0, 25.0))
+    noisy = q + 0.1 * np.random.default_rng(0).standard_normal(q.shape)
+    log = sdpid.Recording(time=time, position=q, effort=noisy, joint_names=("a", "b"))
+    stages, window = sdpid.Processing.paper().stages, (15.0, 25.0)
+    figure = figure_of(stages(log, 1, window=window).plot())
+    labels = [axis.get_ylabel() for axis in figure.axes[::2]]
+    units = ("Position [rad]", "Torque [N·m]", "Velocity [rad/s]", "Acceleration [rad/s²]")
+    assert labels == list(units)
+    assert figure.axes[0].get_xlim() == pytest.approx(window, abs=0.02)
+    refuses(DataError, "joint 2 does not exist", stages, log, 2, window=window)
     samples = sdpid.Samples(
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
@@ -234,7 +252,7 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
     axis = fit.plot(count=2000, title="two pieces")[0, 0]
     drawn = axis.get_lines()[0].get_ydata()
     assert np.isnan(drawn).sum() == 1
-    assert np.nanmax(np.abs(drawn - 0.0)) <= 1.0
+    assert np.nanmax(np.abs(drawn)) <= 1.0
 
 
 def test_reconstruction_names_errors_and_shades() -> None:
@@ -274,83 +292,43 @@ def test_reconstruction_without_time_and_with_units() -> None:
     assert axes[0, 0].get_ylabel() == "effort [N]"
 
 
-def test_convergence_counts_ends() -> None:
-    axis = convergence(label="local")
-    labels = [text.get_text() for text in axis.get_legend().get_texts()]
-    assert "end of a start (1)" in labels
-    assert "end, infeasible (1)" in labels
-    assert any(label.startswith("SDP (gap 0.0e+00") for label in labels)
-
-
-def test_convergence_over_iterations_with_failures() -> None:
+def test_convergence_counts_ends_and_failures() -> None:
+    shown = " | ".join(labels(convergence(label="local")))
+    for words in ("end of a start (1)", "end, infeasible (1)", "SDP (gap 0.0e+00"):
+        assert words in shown
     axis = convergence(against="iterations", failed=3)
     assert axis.get_xlabel() == "iteration"
     assert axis.get_xscale() == "linear"
     assert max(line.get_xdata()[-1] for line in axis.get_lines() if len(line.get_xdata()) > 2) == 2
-    labels = [text.get_text() for text in axis.get_legend().get_texts()]
-    assert "failed, nothing to draw (3)" in labels
-    assert any(label.startswith("proven lower bound") for label in labels)
+    shown = labels(axis)
+    assert "failed, nothing to draw (3)" in shown
+    assert any(label.startswith("proven lower bound") for label in shown)
     refuses(DataError, "against is 'hours'", convergence, against="hours")
-
-
-def test_steps_far_outside_leave_the_picture() -> None:
+    # Steps far outside leave the picture; of exact data it shows differences.
     wild = [Step(0.0, 90.0, 0.0), Step(0.1, 1e15, 7.0), Step(0.5, 10.1, 0.0)]
-    axis = plot_convergence([wild], 10.0)
-    assert axis.get_ylim()[1] < 100.0
-
-
-def test_convergence_of_exact_data() -> None:
+    assert plot_convergence([wild], 10.0).get_ylim()[1] < 100.0
     axis = plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
     assert axis.get_ylabel() == "cost − bound"
 
 
 def test_bad_input_is_named() -> None:
-    time = np.arange(5.0)
-    refuses(DataError, "the same names", plot_signals, time, {"position": time}, {"torque": time})
-    with pytest.raises(DataError, match="position has 3 rows"):
-        plot_signals(time, {"position": time}, {"position": time[:3]})
-    with pytest.raises(DataError, match="window 9 to 10 s"):
-        plot_signals(time, {"position": time}, {"position": time}, window=(9.0, 10.0))
-    y = np.ones((5, 2))
-    refuses(DataError, "predicted has 4 rows", plot_reconstruction, time, y, y[:4], ["a", "b"])
-    refuses(DataError, "joint_names has 1", plot_reconstruction, time, y, y, ["a"])
-    with pytest.raises(DataError, match="must agree"):
-        plot_reconstruction(time, y, y, ["a", "b"], mask=np.ones((5, 1), dtype=bool))
-    refuses(DataError, "rmse has 1", plot_reconstruction, time, y, y, ["a", "b"], [1.0])
-    refuses(DataError, "nothing to draw", plot_convergence, [], 1.0)
-    refuses(DataError, "nothing to draw", plot_parameters, [], [], {})
-    with pytest.raises(DataError, match="2 joints with"):
-        plot_motion(time, {"a": [("x", time, None, None)], "b": []})
-    refuses(DataError, r"SDP has shape \(2,\)", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]})
-
-
-@pytest.mark.parametrize("make", [reconstruction, long_reconstruction])
-def test_numbers_do_not_run_into_labels(make: Any) -> None:
-    figure = figure_of(make())
-    figure.draw_without_rendering()
-    renderer = figure._get_renderer()
-    texts = list(figure.texts)
-    for axis in figure.axes:
-        label = axis.yaxis.label.get_window_extent(renderer)
-        for number in axis.get_yticklabels():
-            assert not number.get_window_extent(renderer).overlaps(label)
-        below = axis.xaxis.label
-        if below.get_text():
-            texts.append(below)
-            for number in axis.get_xticklabels():
-                extent = number.get_window_extent(renderer)
-                assert not extent.overlaps(below.get_window_extent(renderer))
-    boxes = [text.get_window_extent(renderer) for text in (*texts, *figure.legends)]
-    for i, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[:i])
-        assert box.y0 >= 0.0
-
-
-def test_thinning_is_said_in_the_figure() -> None:
-    said = [t.get_text() for t in figure_of(reconstruction(15_000)).texts]
-    assert said == [f"drawn: least and greatest value of each {stretch(15_000)} samples"]
-    assert not figure_of(reconstruction(POINTS)).texts
-    assert stretch(15_000) == 20
+    time, y, names = np.arange(5.0), np.ones((5, 2)), ["a", "b"]
+    one = {"position": time}
+    for words, call, *given in (
+        ("the same names", plot_signals, time, one, {"torque": time}),
+        ("position has 3 rows", plot_signals, time, one, {"position": time[:3]}),
+        ("predicted has 4 rows", plot_reconstruction, time, y, y[:4], names),
+        ("joint_names has 1", plot_reconstruction, time, y, y, ["a"]),
+        ("rmse has 1", plot_reconstruction, time, y, y, names, [1.0]),
+        ("nothing to draw", plot_convergence, [], 1.0),
+        ("nothing to draw", plot_parameters, [], [], {}),
+        ("2 joints with", plot_motion, time, {"a": [("x", time, None, None)], "b": []}),
+        (r"SDP has shape \(2,\)", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]}),
+    ):
+        refuses(DataError, words, call, *given)
+    refuses(DataError, "window 9 to 10 s", plot_signals, time, one, one, window=(9.0, 10.0))
+    mask = np.ones((5, 1), dtype=bool)
+    refuses(DataError, "must agree", plot_reconstruction, time, y, y, names, mask=mask)
 
 
 def test_a_png_is_drawn_once(tmp_path: Path) -> None:
@@ -376,9 +354,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
     y = -123456.0 * np.sin(np.arange(4000.0))
     time = 1e-3 * np.arange(4000.0)
     starts = tuple(range(0, 4000, 4000 // pieces))[:pieces]
-    figure = figure_of(plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts))
-    figure.draw_without_rendering()
-    renderer = figure._get_renderer()
+    figure, place = drawn(plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts))
     texts = []
     for axis in figure.axes:
         texts += [axis.xaxis.label, axis.yaxis.label, axis.yaxis.offsetText]
@@ -387,15 +363,10 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
             # Those in view.
             ticks = part._update_ticks()
             texts += [tick.label1 for tick in ticks if tick.label1.get_visible()]
-    shown = [t for t in texts if not hasattr(t, "get_text") or t.get_text()]
-    boxes = [text.get_window_extent(renderer) for text in shown]
+    boxes = [place(t) for t in texts if not hasattr(t, "get_text") or t.get_text()]
     wide, high = 100.0 * figure.get_size_inches()
-    for i, box in enumerate(boxes):
-        assert box.x0 >= 0.0
-        assert box.x1 <= wide
-        assert box.y0 >= 0.0
-        assert box.y1 <= high
-        assert not any(box.overlaps(other) for other in boxes[:i]), shown[i]
+    assert apart(boxes)
+    assert all(box.x1 <= wide and box.y1 <= high for box in boxes)
 
 
 def test_gaps_break_a_line() -> None:
@@ -408,14 +379,12 @@ def test_gaps_break_a_line() -> None:
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("bins", [0, 5])
 def test_errors_without_anything_in_them_are_drawn(timed: bool, bins: int) -> None:
-    some = np.zeros(bins)
+    none = {name: np.zeros(bins) for name in ("velocity", "mean", "low", "high")}
+    none["velocity"] = np.arange(float(bins))
     for length in (1, 2, 50):
-        errors = JointErrors(
-            joint="a", frequency=np.arange(float(length)), effort_density=np.zeros(length),
-            error_density=np.zeros(length), lag=np.zeros(1), autocorrelation=np.ones(1),
-            independent=1.0, velocity=np.arange(float(bins)), mean=some, low=some, high=some,
-            share=0.0, with_sign=0.0, with_velocity=0.0,
-        )  # fmt: skip
+        flat = {"error_density": np.zeros(length), "effort_density": np.zeros(length)}
+        lags = {"lag": np.zeros(1), "autocorrelation": np.ones(1), "independent": 1.0}
+        errors = replace(ERRORS, frequency=np.arange(float(length)), **flat, **lags, **none)
         figure_of(plot_joint_errors(errors, timed=timed)).draw_without_rendering()
 
 

@@ -1,5 +1,6 @@
 """Parameters that were found elsewhere, judged against the proven optimum."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,8 +22,9 @@ from sdpid.workflow.certify_parameters import (
     certify_parameters,
     read_given,
 )
-from tests.helpers import commands, world
+from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF, write_arm
+from tests.helpers.commands import printed, ran, refused, run, told
 from tests.helpers.data import make_samples, random_theta
 from tests.helpers.forged import written
 from tests.helpers.refusals import refuses
@@ -43,10 +45,8 @@ def solved() -> tuple[Problem, Array, Estimate]:
 
 def named(theta: Any, **others: float) -> dict[str, float]:
     """Return standard parameters by name, some of them others."""
-    return {
-        **dict(zip(solved()[0].base.theta_names, np.array(theta).tolist(), strict=True)),
-        **others,
-    }
+    values = np.array(theta).tolist()
+    return {**dict(zip(solved()[0].base.theta_names, values, strict=True)), **others}
 
 
 def rigid(theta: Array) -> dict[str, float]:
@@ -85,13 +85,8 @@ def test_broken_constraints_are_named_with_number_and_limit(tmp_path: Path) -> N
     assert found.feasible is False
     words = " ".join(found.violations)
     first, second = problem.robot.link_names
-    for each in (
-        f"mass of {first} at least",
-        "is -2 kg",
-        f"consistency of {second}: margin",
-        "at least 0.0001",
-        "Fs1 at least 0: is -0.5",
-    ):
+    masses = (f"mass of {first} at least", "is -2 kg", "at least 0.0001")
+    for each in (*masses, f"consistency of {second}: margin", "Fs1 at least 0: is -0.5"):
         assert each in words
     assert found.summary().splitlines()[1].startswith("not feasible: ")
     # Further conditions, and a link whose mass has no margin.
@@ -183,19 +178,17 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_every_format_is_read_alike(folder: Path) -> None:
+def test_every_format_is_read_alike(tmp_path: Path) -> None:
     problem, _, best = solved()
-    sdpid.write_parameters(best, folder / "p.json")
-    sdpid.write_parameters(best, folder / "p.yaml")
-    theta_table(best).write(folder / "p.csv")
-    base_table(best).write(folder / "base.csv")
-    for name, expected in (
-        *((name, best.named_theta()) for name in ("p.json", "p.yaml", "p.csv")),
-        ("base.csv", best.named()),
-    ):
-        read = read_given(folder / name, problem.robot)
+    for name in ("p.json", "p.yaml"):
+        sdpid.write_parameters(best, tmp_path / name)
+    theta_table(best).write(tmp_path / "p.csv")
+    base_table(best).write(tmp_path / "base.csv")
+    for name in ("p.json", "p.yaml", "p.csv", "base.csv"):
+        read, standard = read_given(tmp_path / name, problem.robot), name != "base.csv"
+        expected = best.named_theta() if standard else best.named()
         assert read.values == pytest.approx(expected, rel=1e-12)
-        assert read.standard(problem) == (name != "base.csv")
+        assert read.standard(problem) == standard
 
 
 def test_descriptions_must_have_the_same_joints(folder: Path) -> None:
@@ -210,25 +203,26 @@ def test_descriptions_must_have_the_same_joints(folder: Path) -> None:
 
 def test_command(folder: Path) -> None:
     log, robot, out = folder / "log.npz", folder / "arm.urdf", folder / "results"
-    commands.ran("identify", log, "--robot", robot, "--out", out, "--no-figures")
-    proof = folder / "proof.json"
-    config = ("--config", out / "run.toml")
-    told = commands.printed("certify", out / "parameters.json", *config, "--certificate", proof)
-    assert "feasible: every constraint holds (proven)" in told
-    commands.ran("verify", proof)
-    told = commands.printed("certify", robot, "--log", log, "--robot", robot, "--json")
-    assert '"feasible": true' in told
-    rows = [line.split(",")[:3] for line in (out / "parameters.csv").read_text().splitlines()]
-    broken = [[*row[:2], "-1"] if row[0] == "m_2" else row for row in rows]
-    (folder / "broken.csv").write_text("\n".join(map(",".join, broken)) + "\n")
-    assert "not feasible: " in commands.printed("certify", folder / "broken.csv", *config, status=3)
+    proof, found, config = folder / "proof.json", out / "parameters.json", out / "run.toml"
+    ran("identify", log, "--robot", robot, "--out", out, "--no-figures")
+    certify = ("certify", found, "--config")
+    assert "feasible: every constraint holds (proven)" in printed(
+        *certify, config, "--certificate", proof
+    )
+    ran("verify", proof)
+    assert told("certify", robot, "--log", log, "--robot", robot)["feasible"] is True
+    table = (out / "parameters.csv").read_text()
+    broken, count = re.subn("(?m)^(m_2,kg,)[^,]*", r"\g<1>-1", table)
+    assert count == 1
+    (folder / "broken.csv").write_text(broken)
+    given = ("certify", folder / "broken.csv", "--config", config)
+    assert "not feasible: " in printed(*given, status=3)
     for wrong in (
-        ("certify", out / "run.toml", *config),
-        ("certify", folder / "missing.json", *config),
-        ("certify", out / "parameters.json", *config, "--certificate", out / "parameters.json"),
-        ("certify", out / "parameters.json", *config, "--certificate", folder / "no" / "p.json"),
+        ("certify", config, "--config", config),
+        ("certify", folder / "missing.json", "--config", config),
+        (*certify, config, "--certificate", found),
+        (*certify, config, "--certificate", folder / "no" / "p.json"),
     ):
-        commands.refused(commands.run(*wrong), 2)
+        refused(run(*wrong), 2)
     (folder / "odd.toml").write_text("colour = 3\n")
-    done = commands.run("certify", out / "parameters.json", "--config", folder / "odd.toml")
-    commands.refused(done, 2, "no option of 'sdpid certify'")
+    refused(run(*certify, folder / "odd.toml"), 2, "no option of 'sdpid certify'")

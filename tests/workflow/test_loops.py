@@ -85,20 +85,20 @@ def identified(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 
 def test_motors_alone_identify_a_loop(identified: Run) -> None:
     result, log, path, _ = identified
-    gap, fit = result.certificate.gap, result.validation
+    fit = result.validation
     assert result.certificate.passed
-    assert gap < 1e-6
+    assert result.certificate.gap < 1e-6
     # Torques of chains have noise of a thousandth.
     assert fit.moving.relative < (5e-4 if path.suffix == ".urdf" else 3e-3)
     described = result.held_out.baselines["description as it is"]
     assert described.moving.relative > 10.0 * fit.moving.relative
     assert (fit.floating is None) == (log.base is None)
     if fit.floating is not None:
-        assert fit.floating.force < 1e-3
-        assert fit.floating.torque < 1e-3
+        assert max(fit.floating.force, fit.floating.torque) < 1e-3
     # Nothing was measured at joints without motors, and nothing is to be said of them.
+    verdict = " ".join(result.verdict)
     for words in ("wrong sign", "unit or scale", "worse than a constant"):
-        assert not [line for line in result.verdict if words in line]
+        assert words not in verdict
     assert "at rest" not in result.headline.error
     assert not {"joint_at_rest", "effort_constant"} & {each.kind for each in result.findings}
 

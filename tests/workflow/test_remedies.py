@@ -12,6 +12,7 @@ import sdpid
 from sdpid.experiment.recording.recording import Recording
 from sdpid.output.report.report import report_html
 from sdpid.workflow.result import Identification
+from tests.helpers.motions import sines
 from tests.helpers.robots import LIFTED
 from tests.helpers.runs import arm
 from tests.helpers.world import arm_log, arm_urdf
@@ -83,9 +84,7 @@ def recorded_with_gain(seed: int, gain: float) -> Recording:
     """Return a recording whose lift has an effort in another unit, with a drive's own noise."""
     rng = np.random.default_rng(seed)
     rate, phase = rng.uniform(1.0, 4.0, (2, 3, ROBOT.n))
-    size = np.array([0.02, 0.6, 0.6, 0.6])
-    angle = rate * T[:, None, None] + phase
-    q, v, a = ((size * rate**k * np.sin(angle + k * np.pi / 2.0)).sum(axis=1) for k in range(3))
+    q, v, a = sines(T, rate, phase, np.array([0.02, 0.6, 0.6, 0.6]))
     bodies = ROBOT.prior * rng.uniform(0.85, 1.15, (ROBOT.n_links, 1))
     effort = ROBOT.inverse_dynamics(bodies, q, v, a) + np.sign(v) * [5.0, 1.0, 0.5, 0.2] + 0.3 * v
     effort += rng.standard_normal(effort.shape) * [1.0, 0.1, 0.05, 0.02]
@@ -126,12 +125,10 @@ COULOMB, VISCOUS = np.array([3.0, 2.0]), np.array([2.5, 2.0])
 
 def simulated(width: float) -> sdpid.Recording:
     """Return a log whose friction has a sign of this width (rad/s)."""
-    rng = np.random.default_rng(1)
-    robot = arm()
+    robot, rng = arm(), np.random.default_rng(1)
     time = np.arange(3000) / 100.0
-    omega = 2.0 * np.pi * rng.uniform(0.04, 0.5, (6, robot.n))
-    waves = np.exp(1j * (time[:, None, None] * omega + rng.uniform(0.0, 6.0, omega.shape)))
-    q, v, a = (np.real(0.25 * waves * (1j * omega) ** k).sum(axis=1) for k in range(3))
+    rates = 2.0 * np.pi * rng.uniform(0.04, 0.5, (6, robot.n))
+    q, v, a = sines(time, rates, rng.uniform(0.0, 6.0, rates.shape), 0.25)
     sign = np.tanh(v / width) if width else np.sign(v)
     effort = robot.inverse_dynamics(robot.prior, q, v, a) + COULOMB * sign + VISCOUS * v
     noise = 0.02 * rng.standard_normal(q.shape)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ from sdpid.workflow.replay.replay import Replay, replay
 from sdpid.workflow.verify import Verification
 from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF
-from tests.helpers.forged import edit, edit_json, reseal
+from tests.helpers.forged import edit, edit_json, reseal, set_to
+from tests.helpers.logs import numbered, write_csv
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 from tests.helpers.strategies import friction_terms_of, reals
@@ -48,6 +50,8 @@ BOX = constraints.CenterOfMassInBox("fore", (-np.inf, -0.2, -0.2), (0.5, 0.2, np
 MASS = constraints.TotalMass(4.9, tolerance=0.5)
 HULL = constraints.CenterOfMassInHull("fore", [*0.5 * np.eye(3), (-0.5, -0.5, -0.5)])
 
+HEADER = "t,q_a,q_b,tau_a,tau_b"
+
 Change = Callable[[Any], Any]
 
 
@@ -57,6 +61,16 @@ class OfYourOwn(constraints.Condition):
     def compile(self, layout: constraints.Layout) -> list[constraints.Row]:
         """Return a row that says little."""
         return [constraints.Row("light", np.eye(layout.count)[0], 0.0, 99.0)]
+
+
+def identified(folder: Path, name: str | Path, **options: Any) -> Path:
+    """Write the results of a run, and return the folder that they are in."""
+    return saved(sdpid.identify(folder / "arm.urdf", folder / "run.csv", **options), folder / name)
+
+
+def saved(result: Any, folder: Path) -> Path:
+    result.save(folder, figures=False)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -71,23 +85,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def identified(folder: Path, name: str | Path, **options: Any) -> Path:
-    """Write the results of a run, and return the folder that they are in."""
-    result = sdpid.identify(folder / "arm.urdf", folder / "run.csv", **options)
-    return saved(result, folder / name)
-
-
-def saved(result: Any, folder: Path) -> Path:
-    result.save(folder, figures=False)
-    return folder
-
-
 def write_log(path: Path, log: sdpid.Recording) -> Path:
     """Write a recording as text, every digit of it."""
-    table = np.column_stack([log.time, log.position, log.effort])
-    header = "t,q_a,q_b,tau_a,tau_b"
-    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.17g")
-    return path
+    return write_csv(path, HEADER.split(","), log.time, log.position, log.effort)
 
 
 @pytest.fixture
@@ -172,13 +172,12 @@ def test_what_the_description_alone_can_show(
 ) -> None:
     """Without it nothing is said to be wrong: of no prior, of a tool that a link took over."""
     robot, log = tmp_path / "arm.urdf", recorded(1)
-    mass = 6.0 if "accept" in options else 0.4
-    robot.write_text(ARM_URDF.replace('<mass value="0.4"/>', f'<mass value="{mass}"/>'))
+    heavy = '<mass value="6.0"/>' if "accept" in options else '<mass value="0.4"/>'
+    robot.write_text(ARM_URDF.replace('<mass value="0.4"/>', heavy))
     result = sdpid.identify(robot, log, intervals=False, effects="none", **options)
-    folder = saved(result, tmp_path / "results")
-    proof = replay(folder, log)
+    proof = replay(saved(result, tmp_path / "results"), log)
     assert {name for name, state in states(proof).items() if state != SAME} == unchecked
-    assert {*states(replay(folder, log, robot=robot)).values()} == {SAME}
+    assert {*states(replay(tmp_path / "results", log, robot=robot)).values()} == {SAME}
 
 
 def test_what_differs_from_the_defaults_is_told_in_full(run: Path, tmp_path: Path) -> None:
@@ -209,11 +208,11 @@ def test_how_a_log_is_read_is_told_in_full(run: Path, tmp_path: Path) -> None:
     """What stands behind the first 200 characters could scale the rows."""
     header, rest = (run / "run.csv").read_text().split("\n", 1)
     names = [f"{name}_{'x' * 120}" for name in header.split(",")]
-    (tmp_path / "long.csv").write_text(f"{','.join(names)}\n{rest}")
+    (long := tmp_path / "long.csv").write_text(f"{','.join(names)}\n{rest}")
     columns = {"time": names[0], "position": names[1:3], "effort": names[3:5]}
-    log = sdpid.read_recording(tmp_path / "long.csv", columns=columns)
+    log = sdpid.read_recording(long, columns=columns)
     results = saved(sdpid.identify(run / "arm.urdf", log, intervals=False), tmp_path / "r")
-    found = sdpid.verify(results, data=tmp_path / "long.csv", robot=run / "arm.urdf")
+    found = sdpid.verify(results, data=long, robot=run / "arm.urdf")
     assert any(names[4] in each for each in found.made_again)
 
 
@@ -264,15 +263,13 @@ def test_what_was_asked_of_the_parameters(
 
 @pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq18"])
 def test_a_recording_in_memory_with_periods(tmp_path: Path, weighting: Any) -> None:
-    log = recorded(3, seconds=40.0, period=5.0)
-    result = sdpid.identify(
-        arm(), log, weighting=weighting, prior=False, intervals=False, effects="none"
-    )
-    folder = saved(result, tmp_path / "results")
+    log, other = (recorded(seed, seconds=40.0, period=5.0) for seed in (3, 4))
+    options = {"prior": False, "intervals": False, "effects": "none"}
+    folder = saved(sdpid.identify(arm(), log, weighting=weighting, **options), tmp_path / "results")
     proof = replay(folder, log)
     assert wrong(proof) == []
     assert "the recording in memory has the SHA-256 of the manifest" in proof.links[0].text
-    assert states(replay(folder, recorded(4, seconds=40.0, period=5.0)))["log"] == OTHER
+    assert states(replay(folder, other))["log"] == OTHER
 
 
 # ---- Other logs and other robots.
@@ -340,11 +337,8 @@ def test_bad_input_is_no_finding(run: Path, monkeypatch: pytest.MonkeyPatch) -> 
     refuses(DataError, "is given int, expected the path", replay, results, 3)
     refuses(ModelError, "no robot 'nobody'", replay, results, log, robot="nobody")
     refuses(CertificateError, "is no folder", replay, log, log)
-
-    def refuse(*_: Any, **__: Any) -> None:
-        raise MissingExtraError("h5py is not installed")
-
-    monkeypatch.setattr(module, "read_recording", refuse)
+    lacking = Mock(side_effect=MissingExtraError("h5py is not installed"))
+    monkeypatch.setattr(module, "read_recording", lacking)
     refuses(MissingExtraError, "h5py", replay, results, log)
 
 
@@ -359,7 +353,7 @@ def edit_of(results: Path, path: str, change: Change) -> Path:
         *way, last = (int(key) if key.lstrip("-").isdigit() else key for key in keys)
         for key in way:
             place = place[key]
-        place[last] = change(place[last])
+        place[last] = change(place[last] if isinstance(place, list) else place.get(last))
 
     edit_json(results / f"{first}.json", apply)
     return results
@@ -643,28 +637,24 @@ def test_the_same_axes_by_another_quaternion(run: Path, results: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "stated"),
     [
-        ('xyz="0 0 1"', 'xyz="0 0 -1"'),
-        ('xyz="0.4 0 0"', 'xyz="0.9 0 0"'),
-        ('effort="100"', 'effort="1000"'),
+        ('xyz="0 0 1"', 'xyz="0 0 -1"', True),
+        ('xyz="0.4 0 0"', 'xyz="0.9 0 0"', True),
+        ('effort="100"', 'effort="1000"', True),
+        ('xyz="0 0 1"', 'xyz="0 0 -1"', False),
+        # A recipe that does not state it is no proof of what was not changed.
+        ("", "", False),
     ],
 )
 def test_another_kinematics_in_urdf_and_manifest(
-    run: Path, results: Path, old: str, new: str
+    run: Path, results: Path, old: str, new: str, stated: bool
 ) -> None:
-    edit(results / URDF, swap(old, new, 1))
-    digest = kinematics_digest(sdpid.load_robot(results / URDF))
+    if old:
+        edit(results / URDF, swap(old, new, 1))
+    digest = kinematics_digest(sdpid.load_robot(results / URDF)) if stated else None
     edit_of(results, "manifest.recipe.robot.kinematics", lambda _: digest)
-    refused(run, results, URDF)
-
-
-@pytest.mark.parametrize("turned", [True, False])
-def test_a_recipe_without_kinematics(run: Path, results: Path, turned: bool) -> None:
-    if turned:
-        edit(results / URDF, swap('xyz="0 0 1"', 'xyz="0 0 -1"'))
-    edit_of(results, "manifest.recipe.robot.kinematics", lambda _: None)
-    refused(run, results, URDF if turned else "kinematics")
+    refused(run, results, URDF if old else "kinematics")
 
 
 def test_a_folder_of_before_is_made_again_but_for_intervals(run: Path, results: Path) -> None:
@@ -672,12 +662,9 @@ def test_a_folder_of_before_is_made_again_but_for_intervals(run: Path, results: 
     edit_json(results / "manifest.json", lambda data: data["recipe"].pop("profiled"))
     edit(results / "parameters.csv", behind("(m_2,kg,[^,]*,)[^,]*", "-9.0"))
     refused(run, results, "parameters.csv")
-
-    def earlier(data: Any) -> None:
-        data.update(version=5, compression={"relative": 1e-9, "absolute": 1e-9})
-        data["origin"]["contacts"] = None
-
-    edit_json(results / "certificate.json", earlier)
+    earlier = {"version": 5, "compression": {"relative": 1e-9, "absolute": 1e-9}}
+    edit_json(results / "certificate.json", lambda data: data.update(earlier))
+    edit_of(results, "certificate.origin.contacts", lambda _: None)
     digest = reseal(results)
     for name in ("parameters.json", "result.json", *FRICTION):
         edit(results / name, behind(r"(certificate\W+)[0-9a-f]{64}", digest))
@@ -707,11 +694,7 @@ def test_files_of_another_run(run: Path, results: Path, names: tuple[str, ...]) 
 @pytest.mark.parametrize("name", [URDF, MJCF, "parameters.csv"])
 def test_a_file_that_is_not_sealed_is_none_of_the_run(results: Path, name: str) -> None:
     """A swapped file that neither manifest nor result.json names any more is not passed over."""
-
-    def forget(data: Any) -> None:
-        data["exports"] = [each for each in data["exports"] if each["file"] != name]
-
-    edit_json(results / "result.json", forget)
+    edit_of(results, "result.exports", lambda given: [e for e in given if e["file"] != name])
     edit(results / name, lambda text: re.sub("([1-9])", lambda m: str(10 - int(m[1])), text))
     reseal(results, without=name)
     assert any(name in each for each in sdpid.verify(results).problems)
@@ -737,45 +720,43 @@ def without_friction(kind: str) -> Change:
     return change
 
 
-def better(data: Any) -> None:
-    assert data["held_out"]["by"] == "blocks"
-    data["held_out"]["this estimate"]["moving"]["relative_residual"] *= 0.9
-
-
 @pytest.mark.parametrize(
-    ("name", "change", "words"),
+    ("path", "value", "words"),
     [
-        ("certificate.json", lambda d: d["claims"].update(gap=0.5), "more than 1e-06"),
-        ("certificate.json", lambda d: d["origin"].update(loss="huber"), "loss of the certificate"),
+        ("certificate.claims.gap", 0.5, "more than 1e-06"),
+        ("certificate.origin.loss", "huber", "loss of the certificate"),
+        ("certificate.problem.lower.10", 0.5, "the lower bound of 'm_2'"),
+        ("certificate.problem.upper.10", 2.0, "the upper bound of 'm_2'"),
         (
-            "certificate.json",
-            lambda d: d["problem"]["lower"].__setitem__(10, 0.5),
-            "the lower bound of 'm_2'",
+            "result.held_out.this estimate.moving.relative_residual",
+            0.01,
+            "result.json: 'held_out this estimate'",
         ),
-        (
-            "certificate.json",
-            lambda d: d["problem"]["upper"].__setitem__(10, 2.0),
-            "the upper bound of 'm_2'",
-        ),
-        ("result.json", better, "result.json: 'held_out this estimate'"),
-        ("friction", lambda data: data["terms"].pop(), "identified_friction"),
-        ("friction", lambda data: data["terms"].append(data["terms"][0]), "identified_friction"),
-        ("friction", lambda data: data.update(robot="another"), "identified_friction"),
-        ("friction", lambda data: data.update(certificate="0" * 64), "identified_friction"),
-        ("friction", lambda data: data["joints"].reverse(), "identified_friction"),
-        ("friction", lambda data: data["left_out"].append("Tilt"), "identified_friction"),
-        ("friction", without_friction("width"), "identified_friction"),
-        ("friction", without_friction("velocity"), "identified_friction"),
     ],
 )
-def test_other_numbers(run: Path, results: Path, name: str, change: Change, words: str) -> None:
-    if name == "friction":
-        write_friction(results, change)
-    else:
-        edit_json(results / name, change)
+def test_other_numbers(run: Path, results: Path, path: str, value: Any, words: str) -> None:
+    edit_of(results, path, lambda _: value)
     refused(run, results, words)
     if "m_2" in words:
         assert any("'m_2'" in each for each in verified(run, results).statements)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data["terms"].pop(),
+        lambda data: data["terms"].append(data["terms"][0]),
+        set_to("another", "robot"),
+        set_to("0" * 64, "certificate"),
+        lambda data: data["joints"].reverse(),
+        lambda data: data["left_out"].append("Tilt"),
+        without_friction("width"),
+        without_friction("velocity"),
+    ],
+)
+def test_other_friction(run: Path, results: Path, change: Change) -> None:
+    write_friction(results, change)
+    refused(run, results, "identified_friction")
 
 
 def test_friction_of_a_writer_that_is_wrong(
@@ -838,12 +819,9 @@ def test_masses_within_the_gap(run: Path, tmp_path: Path) -> None:
 def test_a_profile_interval_is_compared_with_its_width(run: Path, tmp_path: Path) -> None:
     results = identified(run, tmp_path / "profile", intervals="profile", effects="none")
     assert verified(run, results).passed
-
-    def narrower(data: Any) -> None:
-        ends = data["standard"]["m_2"]["interval"]
-        ends[0] += 0.03 * (ends[1] - ends[0])
-
-    edit_json(results / "parameters.json", narrower)
+    low, high = json.loads((results / "parameters.json").read_text())["standard"]["m_2"]["interval"]
+    narrower = low + 0.03 * (high - low)
+    edit_of(results, "parameters.standard.m_2.interval.0", lambda _: narrower)
     refused(run, results, "parameters.json: .*interval.* made again")
 
 
@@ -919,12 +897,12 @@ def test_a_cost_of_other_parameters_is_as_far_as_it_is(
 
 
 @pytest.mark.parametrize("factor", [1e200, np.inf, np.nan, 1e100, 0.0, -1.0])
-def test_numbers_that_are_no_rows_are_far_from_all(factor: float) -> None:
+@pytest.mark.parametrize("k", range(3))
+def test_numbers_that_are_no_rows_are_far_from_all(factor: float, k: int) -> None:
     made = cost_of(1, -1.0)
     with np.errstate(all="ignore"):
-        for k in range(3):
-            cost: Any = (*made[:k], factor * made[k], *made[k + 1 :])
-            assert not distance(cost, made) <= 1e-6
+        cost: Any = (*made[:k], factor * made[k], *made[k + 1 :])
+        assert not distance(cost, made) <= 1e-6
 
 
 # ---- A recipe makes the same rows of the same log again.
@@ -961,22 +939,18 @@ def test_a_recipe_that_was_json_is_the_same_recipe(
 
 
 def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
-    log = recorded(1)
-    table = np.column_stack([1e3 * log.time, np.degrees(log.position), log.effort / 50.0])
-    header = "stamp,p1,p2,i1,i2"
-    np.savetxt(tmp_path / "run.csv", table, delimiter=",", header=header, comments="")
-    (tmp_path / "run.toml").write_text(
+    log, robot, file = recorded(1), tmp_path / "arm.urdf", tmp_path / "run.csv"
+    tables = (1e3 * log.time, np.degrees(log.position), log.effort / 50.0)
+    write_csv(file, ["stamp", *numbered("p{}", "i{}")], *tables)
+    (mapping := tmp_path / "run.toml").write_text(
         'joint_names = ["a", "b"]\neffort_scale = [50.0, 50.0]\n'
         '[columns]\ntime = "stamp"\nposition = "p"\neffort = "i"\n'
         '[units]\ntime = "ms"\nposition = "deg"\neffort = "A"\n'
     )
-    (tmp_path / "arm.urdf").write_text(ARM_URDF)
-    result = sdpid.identify(
-        tmp_path / "arm.urdf", tmp_path / "run.csv", effects="tilt,load", intervals=False
-    )
-    (tmp_path / "run.toml").unlink()
-    results = saved(result, tmp_path / "results")
-    proof = replay(results, tmp_path / "run.csv", robot=tmp_path / "arm.urdf")
+    robot.write_text(ARM_URDF)
+    result = sdpid.identify(robot, file, effects="tilt,load", intervals=False)
+    mapping.unlink()
+    proof = replay(saved(result, tmp_path / "results"), file, robot=robot)
     assert {*states(proof).values()} == {SAME}, wrong(proof)
     assert "number for number those of the run" in text_of(proof, "samples")
     assert RobotRecipe.of(result.problem.robot) == result.recipe.robot
@@ -985,15 +959,14 @@ def test_the_rows_of_a_file_are_made_again(tmp_path: Path) -> None:
 
 
 def test_a_recording_in_memory_is_known_by_its_numbers() -> None:
-    log = recorded(1)
-    effort = np.array(log.effort)
+    logs = recorded(1), recorded(2)
+    effort = np.array(logs[0].effort)
     effort[7, 1] = np.nextafter(effort[7, 1], np.inf)
-    assert recording_digest(log) == recording_digest(replace(log))
-    assert recording_digest(log) != recording_digest(replace(log, effort=effort))
-    assert recording_digest(log) != recording_digest(replace(log, joint_names=("b", "a")))
-    result = sdpid.identify(arm(), [log, recorded(2)], intervals=False, effects="none")
-    digests = [recording_digest(each) for each in (log, recorded(2))]
-    assert [each["sha256"] for each in result.inputs[:2]] == digests
+    for changes, same in (({}, True), ({"effort": effort}, False), ({"joint_names": "ba"}, False)):
+        digest = recording_digest(replace(logs[0], **changes))
+        assert (digest == recording_digest(logs[0])) == same
+    result = sdpid.identify(arm(), list(logs), intervals=False, effects="none")
+    assert [each["sha256"] for each in result.inputs[:2]] == [*map(recording_digest, logs)]
     assert result.recipe.reading == (None, None)
 
 

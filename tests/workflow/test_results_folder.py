@@ -9,17 +9,20 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 import sdpid
 from sdpid._common import files as _files
 from sdpid._common import staging
+from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.errors import ExportError
 from sdpid.output.report import report
 from sdpid.plots.figures import save_figure
 from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.result import NAMES, Identification
+from tests.helpers.forged import contents
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import arm, recorded
 
@@ -86,10 +89,6 @@ def other() -> Identification:
 def _disarmed(injector: Injector) -> Iterator[None]:
     yield
     injector.arm(None)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def test_a_run_replaces_what_an_earlier_one_wrote(
@@ -211,3 +210,14 @@ def test_a_folder_in_the_place_of_a_file(result: Identification, tmp_path: Path,
     why = f"{name}: it is a folder"
     refuses(ExportError, why, result.save, tmp_path, figures=True)
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_what_cannot_be_written_leaves_nothing(
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Certificate, "to_json", Mock(side_effect=ExportError("no")))
+    new, file = tmp_path / "new", tmp_path / "file"
+    file.write_text("")
+    refuses(ExportError, "^no$", result.save, new, figures=False)
+    refuses(ExportError, "name a folder", result.save, file, figures=False)
+    assert [*tmp_path.iterdir()] == [file]

@@ -18,6 +18,7 @@ from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 from sdpid.workflow.runs import RunComparison, compare_runs
 from sdpid.workflow.sample import ParameterSamples
+from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.commands import printed
 from tests.helpers.forged import edit_json
@@ -30,14 +31,13 @@ LINKS = 20
 
 
 def test_only_friction_moves_and_the_result_is_proven() -> None:
-    result = sdpid.identify(arm(), recorded(1), intervals=False)
+    result = world.result()
     first, warm = result.estimate, recorded(2, damping=0.8)
     adapted = sdpid.adapt(first, warm)
     np.testing.assert_array_equal(adapted.theta[:LINKS], first.theta[:LINKS])
-    found, old = adapted.named_theta(), first.named_theta()
-    for joint in ("1", "2"):
-        assert old[f"Fv{joint}"] == pytest.approx(0.4, abs=0.05)
-        assert found[f"Fv{joint}"] == pytest.approx(0.8, abs=0.05)
+    for estimate, damping in ((first, 0.4), (adapted, 0.8)):
+        found = estimate.named_theta()
+        assert [found["Fv1"], found["Fv2"]] == pytest.approx([damping] * 2, abs=0.05)
     assert sdpid.certify(adapted).passed
     samples = adapted.problem.samples
     before, after = (sdpid.validate(each, samples).relative for each in (first, adapted))
@@ -46,10 +46,8 @@ def test_only_friction_moves_and_the_result_is_proven() -> None:
 
 
 def test_rotors_and_gravity_stay_too() -> None:
-    log = recorded(3)
-    first = sdpid.identify(arm(), log, effects=("rotor_inertia", "tilt"), intervals=False).estimate
-    adapted = sdpid.adapt(first, recorded(4))
-    old, new = first.named_theta(), adapted.named_theta()
+    first = world.result(3, effects=("rotor_inertia", "tilt")).estimate
+    old, new = first.named_theta(), sdpid.adapt(first, recorded(4)).named_theta()
     for name in ("Gx", "Gy", "Ia1", "Ia2"):
         assert new[name] == old[name]
 
@@ -106,21 +104,21 @@ def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("n", "seed", "words"),
     [
-        ((0, 0), "n: is 0; give a whole number from 1 to 1000000"),
-        ((10**9, 0), "give a whole number from 1 to 1000000"),
-        ((True, 0), "n: is True"),
-        ((2.5, 0), "n: is 2.5"),
-        (("ten", 0), "n: is 'ten'"),
-        ((5, -1), "seed: is -1; give a whole number from 0 on"),
-        ((5, None), "seed: is None"),
+        (0, 0, "n: is 0; give a whole number from 1 to 1000000"),
+        (10**9, 0, "give a whole number from 1 to 1000000"),
+        (True, 0, "n: is True"),
+        (2.5, 0, "n: is 2.5"),
+        ("ten", 0, "n: is 'ten'"),
+        (5, -1, "seed: is -1; give a whole number from 0 on"),
+        (5, None, "seed: is None"),
     ],
 )
-def test_numbers_that_are_none(result: Identification, arguments: Any, words: str) -> None:
-    refuses(DataError, words, sdpid.sample_parameters, result, *arguments)
+def test_numbers_that_are_none(result: Identification, n: Any, seed: Any, words: str) -> None:
+    refuses(DataError, words, sdpid.sample_parameters, result, n, seed)
     words = "estimate: is str; give what solve_sdp or identify"
-    refuses(DataError, words, sdpid.sample_parameters, "arm", *arguments)
+    refuses(DataError, words, sdpid.sample_parameters, "arm", n, seed)
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -1, 2, float("nan"), True, "half", None])
@@ -169,7 +167,8 @@ def test_an_arm_without_effects_gets_none(options: dict[str, Any]) -> None:
 
 
 def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
-    result = sdpid.identify(arm(), recorded(1), effects="tilt,load", intervals=False)
+    # Effects that the data do not show stand in the notes, with their numbers.
+    result, free = world.result(effects="tilt,load"), world.result()
     page = report_html(result)
     assert "Tilt (Gx, Gy)" in page
     assert "LoadFriction (Fl1, Fl2; width 0.005" in page
@@ -178,10 +177,8 @@ def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
     file = sdpid.write_parameters(result.estimate, tmp_path / "parameters.json")
     told = {each["name"]: each for each in json.loads(file.read_text())["effects"]}
     assert told["tilt"]["chosen"]
-    found = result.estimate.named_theta()
-    assert f"{np.degrees(found['Gx']):.2f}° about x" in told["tilt"]["words"]
-    # Effects that the data do not show stand in the notes, with their numbers.
-    free = sdpid.identify(arm(), recorded(1), intervals=False)
+    degrees = np.degrees(result.estimate.named_theta()["Gx"])
+    assert f"{degrees:.2f}° about x" in told["tilt"]["words"]
     assert all("would lower the cost by" in each.words for each in free.effects)
     for found in (result, free):
         assert {each.words for each in found.effects} <= {*found.notes}
