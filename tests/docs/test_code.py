@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from typer.testing import CliRunner
 
-from sdpid import cli
+from tests.helpers import commands
 from tests.helpers.world import write_world
 
 if sys.version_info >= (3, 11):
@@ -70,8 +69,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(command: str, *, refused: bool) -> None:
     """Run a line of a terminal and look at its exit status."""
-    words = shlex.split(command.replace("\\\n", " "), comments=True)
-    done = CliRunner().invoke(cli.app, words[1:], prog_name="sdpid")
+    done = commands.run(*shlex.split(command.replace("\\\n", " "), comments=True)[1:])
     shown = f"{command}\n{done.output[-3000:]}"
     assert done.exception is None or isinstance(done.exception, SystemExit), shown
     assert (done.exit_code != 0) == refused, f"status {done.exit_code}: {shown}"

@@ -21,6 +21,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.workflow.result import Identification
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.data import FRICTION, flat_links, make_samples, random_theta
+from tests.helpers.motions import sines
 from tests.helpers.runs import arm, recorded
 
 RATE = 100.0
@@ -164,12 +165,9 @@ def arm_log(seed: int, load: float = 0.0, gains: tuple[float, ...] | None = None
     robot = sdpid.load_robot(arm_urdf(np.ones(len(_LINKS))))
     rng = np.random.default_rng(seed)
     t = np.arange(round(SECONDS * RATE)) / RATE
-    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, 1, robot.n))
+    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, robot.n))
     size = rng.uniform(0.15, 0.4, w.shape)
-    angle = w * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, w.shape)
-    q = (size * np.sin(angle)).sum(axis=0)
-    v = (size * w * np.cos(angle)).sum(axis=0)
-    a = -(size * w**2 * np.sin(angle)).sum(axis=0)
+    q, v, a = sines(t, w, rng.uniform(0.0, 2.0 * np.pi, w.shape), size)
     theta = robot.prior.copy()
     # The load: a cube of 12 cm whose center stands 8 cm off the tool's frame; where it is to show
     # gains, also off the last axis.
@@ -181,21 +179,22 @@ def arm_log(seed: int, load: float = 0.0, gains: tuple[float, ...] | None = None
     effort += coulomb * np.tanh(v / 0.01) + viscous * v + offset
     effort += np.array(_NOISE) * rng.standard_normal(q.shape)
     q = q + 2e-5 * rng.standard_normal(q.shape)
-    numbers = range(1, robot.n + 1)
     what = "effort" if gains is None else "current"
     effort /= 1.0 if gains is None else np.array(gains)
-    names = ["time", *(f"position_{k}" for k in numbers), *(f"{what}_{k}" for k in numbers)]
+    names = ["time", *(f"{name}_{k + 1}" for name in ("position", what) for k in range(robot.n))]
     rows = (",".join(f"{x:.6f}" for x in row) for row in np.column_stack([t, q, effort]))
     return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def write_world(folder: Path) -> None:
     """Write a description that is 15 % off, two logs, the first motion loaded, and currents."""
-    off = np.array([1.15, 0.85, 1.15, 0.85, 1.15, 0.85])
-    (folder / "arm.urdf").write_text(arm_urdf(off), encoding="utf-8")
-    (folder / "run.csv").write_text(arm_log(1), encoding="utf-8")
-    (folder / "other.csv").write_text(arm_log(2), encoding="utf-8")
-    (folder / "loaded.csv").write_text(arm_log(1, LOAD), encoding="utf-8")
-    for name, load in (("currents", 0.0), ("currents_loaded", LOAD)):
-        text = arm_log(1, load, GAINS)
-        (folder / f"{name}.csv").write_text(text, encoding="utf-8")
+    files = {
+        "arm.urdf": arm_urdf(np.array([1.15, 0.85, 1.15, 0.85, 1.15, 0.85])),
+        "run.csv": arm_log(1),
+        "other.csv": arm_log(2),
+        "loaded.csv": arm_log(1, LOAD),
+        "currents.csv": arm_log(1, 0.0, GAINS),
+        "currents_loaded.csv": arm_log(1, LOAD, GAINS),
+    }
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")

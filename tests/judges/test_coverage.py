@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from tests.judges import SCRIPTS, imported
@@ -52,47 +54,31 @@ def test_a_fall_names_room_number_and_limit() -> None:
         ((900, 1000), (450, 500), 0),
         ((900, 1000), (440, 500), 1),
         ((0, 0), (0, 0), 0),
+        # A room that came, and one that went.
+        (None, (0, 10), 0),
+        ((5, 10), None, 0),
     ],
 )
-def test_what_rounding_takes_is_no_fall(
-    old: tuple[int, int], new: tuple[int, int], number: int
-) -> None:
-    assert len(coverage.falls({"robot": row(*old)}, {"robot": row(*new)}, "all")) == number
-
-
-def test_a_new_room_falls_from_nothing() -> None:
-    assert coverage.falls({}, {"robot": row(0, 10)}, "own") == []
-    assert coverage.falls({"robot": row(5, 10)}, {}, "own") == []
+def test_what_rounding_takes_is_no_fall(old: Any, new: Any, number: int) -> None:
+    tables = ({} if each is None else {"robot": row(*each)} for each in (old, new))
+    assert len(coverage.falls(*tables, "all")) == number
 
 
 def test_what_one_run_executes_counts_once() -> None:
-    def report(lines: list[int], missing: list[int], branches: list, others: list) -> dict:
-        return {
-            "executed_lines": lines,
-            "missing_lines": missing,
-            "executed_branches": branches,
-            "missing_branches": others,
-        }
+    def report(*found: list[Any]) -> dict[str, list[Any]]:
+        names = ("executed_lines", "missing_lines", "executed_branches", "missing_branches")
+        return dict(zip(names, found, strict=True))
 
-    first = {
-        "robot/model/a.py": report([1, 2], [3], [[1, 2]], [[1, 3]]),
-        "robots.py": report([1], [], [], []),
-    }
-    second = {
-        "robot/model/a.py": report([1, 3], [2], [[1, 3]], [[1, 2]]),
-        "robot/b.py": report([], [1, 2], [], []),
-    }
+    a, b = "robot/model/a.py", "robot/b.py"
+    first = {a: report([1, 2], [3], [[1, 2]], [[1, 3]]), "robots.py": report([1], [], [], [])}
+    second = {a: report([1, 3], [2], [[1, 3]], [[1, 2]]), b: report([], [1, 2], [], [])}
     names = ["robot", "robot/model", "plots"]
-    assert coverage.counted([first], names) == {
-        "robot": row(3, 5),
-        "robot/model": row(3, 5),
-        "plots": row(0, 0),
-    }
-    assert coverage.counted([first, second], names) == {
-        "robot": row(5, 7),
-        "robot/model": row(5, 5),
-        "plots": row(0, 0),
-    }
+    for reports, of_robot, of_model in (
+        ([first], row(3, 5), row(3, 5)),
+        ([first, second], row(5, 7), row(5, 5)),
+    ):
+        counted = coverage.counted(reports, names)
+        assert counted == {"robot": of_robot, "robot/model": of_model, "plots": row(0, 0)}
 
 
 def test_a_table_is_read_as_it_was_written() -> None:
@@ -121,12 +107,9 @@ def test_each_test_belongs_to_one_room_or_to_the_rest() -> None:
 
 
 def test_only_changes_of_the_room_ask_for_a_new_run() -> None:
-    before = {"sdpid/_common/a.py": "1", "tests/common/test_a.py": "1", "sdpid/robot/b.py": "1"}
-    now = {"sdpid/_common/a.py": "2", "tests/common/test_b.py": "1", "sdpid/robot/b.py": "2"}
+    own, test, other = "sdpid/_common/a.py", "tests/common/test_a.py", "sdpid/robot/b.py"
+    before = {own: "1", test: "1", other: "1"}
+    now = {own: "2", "tests/common/test_b.py": "1", other: "2"}
     assert rooms.changed("plots", before, now) == []
-    assert rooms.changed("robot", before, now) == ["sdpid/robot/b.py"]
-    assert rooms.changed("_common", before, now) == [
-        "sdpid/_common/a.py",
-        "tests/common/test_a.py",
-        "tests/common/test_b.py",
-    ]
+    assert rooms.changed("robot", before, now) == [other]
+    assert rooms.changed("_common", before, now) == [own, test, "tests/common/test_b.py"]

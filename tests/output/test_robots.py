@@ -49,23 +49,11 @@ from sdpid.output.robots.joint_friction import Kind, LeftOut, added, joint_attri
 from sdpid.output.robots.mjcf import PLACES as MJCF
 from sdpid.output.robots.mjcf_skeleton import inertial_values
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
-from sdpid.robot.description.bodies import (
-    central,
-    exists,
-    inside,
-    read_urdf_bodies,
-    rounded,
-    tensor_rows,
-)
+from sdpid.robot import inertia
+from sdpid.robot.description import bodies as described
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import parse_xml, undeclared, xml_text
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.inertia import (
-    margin,
-    physical_parameters,
-    point_masses,
-    second_moment_from_inertia,
-)
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
@@ -74,6 +62,7 @@ from tests.helpers import legged, strategies, world
 from tests.helpers.arm import ARM as FRICTION_ARM
 from tests.helpers.data import friction_model, full_regressor, random_links, random_theta
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
 from tests.helpers.small_robots import URDFS
@@ -149,7 +138,7 @@ MIMIC = MIMIC.replace('type="continuous"', 'type="revolute"').replace(
 
 def bodies(rng: np.random.Generator, count: int, points: int = 8) -> np.ndarray:
     """Random bodies of point masses: with three points or fewer, on the edge of the set."""
-    return point_masses(
+    return inertia.point_masses(
         rng.uniform(0.2, 1.0, (count, points)), rng.uniform(-0.3, 0.3, (count, points, 3))
     )
 
@@ -275,7 +264,7 @@ def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
     split = written(arm, LINKS, target, fixed={"tool": tool})
     assert split.lumped == ()
     assert "tool" in split.links_changed
-    found = {b.name: b.theta for b in read_urdf_bodies(target.read_text(), "written")[1]}
+    found = {b.name: b.theta for b in described.read_urdf_bodies(target.read_text(), "written")[1]}
     np.testing.assert_allclose(found["tool"], tool, atol=1e-12)
     kept = target.read_bytes()
     for asked, said in (
@@ -416,7 +405,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
     assert urdf.lumped == report.lumped
     assert differences(estimate, tmp_path / "out.urdf") == []
     prior = sdpid.load_robot(tmp_path / "out.urdf").prior
-    assert margin(prior, "pseudo_inertia").min() > -1e-15
+    assert inertia.margin(prior, "pseudo_inertia").min() > -1e-15
     states = generic_states(problem.robot, 20, 79)
     expected = problem.robot.inverse_dynamics(links, *states)
     found = mujoco_efforts(tmp_path / "out.urdf", problem.robot, states)
@@ -644,18 +633,16 @@ def _tilted_log(seed: int, times: np.ndarray) -> tuple[tuple[np.ndarray, ...], s
     down = np.array([0.6 * np.sin(0.028), 0.8 * np.sin(0.028), np.cos(0.028)])
     robot = sdpid.load_robot(world.arm_urdf(np.ones(6)), gravity=(-9.81 * down).tolist())
     rng = np.random.default_rng(seed)
-    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, 1, robot.n))
+    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, robot.n))
     size, phase = rng.uniform(0.15, 0.4, w.shape), rng.uniform(0.0, 2.0 * np.pi, w.shape)
-    waves = (size * np.sin(w * times[:, None] + phase), size * np.cos(w * times[:, None] + phase))
-    motion = (waves[0].sum(0), (w * waves[1]).sum(0), -(w**2 * waves[0]).sum(0))
+    motion = sines(times, w, phase, size)
     friction = 0.5 + 0.5 * np.arange(robot.n)[::-1]
     effort = robot.inverse_dynamics(robot.prior, *motion)
     effort += friction * (np.tanh(motion[1] / 0.01) + motion[1]) + 0.2
     effort += 0.2 * rng.standard_normal(effort.shape)
-    position = motion[0] + 2e-5 * rng.standard_normal(effort.shape)
-    return motion, sdpid.Recording(
-        time=times, position=position, effort=effort, joint_names=robot.joint_names
-    )
+    position, names = motion[0] + 2e-5 * rng.standard_normal(effort.shape), robot.joint_names
+    log = sdpid.Recording(time=times, position=position, effort=effort, joint_names=names)
+    return motion, log
 
 
 def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Path) -> None:
@@ -727,14 +714,14 @@ def exactly(body: np.ndarray) -> list[Fraction]:
 
 @given(strategies.bodies())
 def test_each_written_number_is_the_nearest(body: np.ndarray) -> None:
-    exact, found = central(exactly(body)), rounded(exactly(body))
+    exact, found = described.central(exactly(body)), described.rounded(exactly(body))
     assert about_origin(*exact) == exactly(body)
     written = (found.mass, *found.com, *found.moments)
     for number, value in zip(written, (exact[0], *exact[1], *exact[2]), strict=True):
         assert abs(Fraction(number) - value) <= Fraction(math.ulp(number)) / 2
-    mass, com, inertia = physical_parameters(body)
+    mass, com, tensor = inertia.physical_parameters(body)
     assert (found.mass, found.com) == (mass, tuple(com))
-    apart = np.array(found.moments) - inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    apart = np.array(found.moments) - tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     assert np.abs(apart).max() <= 1e-14 * np.abs(body[4:]).max()
 
 
@@ -747,26 +734,29 @@ def test_the_edge(consistency: str) -> None:
     plate = about_origin(m, [m / 2, m, m], [m, m * 0, m, m * 0, m * 0, 2 * m])
     ball = about_origin(m, [m / 2, m, m], [m, m * 0, m, m * 0, m * 0, m])
     for body in (point, rod):
-        found = inside(body, consistency)
+        found = described.inside(body, consistency)
         assert 0 < found[4] - body[4] < Fraction(1e-12)
-        written = rounded(found)
-        assert exists(written.mass, written.moments, consistency)
-    raised = inside(plate, consistency)
+        written = described.rounded(found)
+        assert described.exists(written.mass, written.moments, consistency)
+    raised = described.inside(plate, consistency)
     assert raised is not None
     assert (raised != plate) == (consistency == "pseudo_inertia")
-    assert inside(ball, consistency) == ball
-    assert inside(about_origin(m, [m, m, m], [-m, m * 0, m, m * 0, m * 0, m]), consistency) is None
-    assert inside([Fraction(0)] * 10, consistency) is None
+    assert described.inside(ball, consistency) == ball
+    assert (
+        described.inside(about_origin(m, [m, m, m], [-m, m * 0, m, m * 0, m * 0, m]), consistency)
+        is None
+    )
+    assert described.inside([Fraction(0)] * 10, consistency) is None
 
 
 @given(strategies.bodies())
 def test_principal_axes(body: np.ndarray) -> None:
     """Moments and quaternion give the tensor back to its rounding, and obey the inequality."""
-    written = rounded(exactly(body))
+    written = described.rounded(exactly(body))
     found = inertial_values(written)
     moments = np.array(found["diaginertia"].split(), dtype=float)
     R = Rotation.from_quat(np.roll(np.array(found["quat"].split(), dtype=float), -1)).as_matrix()
-    wanted = np.array(tensor_rows(written.moments))
+    wanted = np.array(described.tensor_rows(written.moments))
     assert np.abs(R @ np.diag(moments) @ R.T - wanted).max() <= 1e-14 * np.abs(wanted).max()
     assert moments.min() >= 0.0
     assert moments[0] + moments[1] >= moments[2]
@@ -1132,8 +1122,8 @@ def load_everywhere(text: str) -> Any:
 
 
 def tensors(text: str) -> dict[str, np.ndarray]:
-    _, described = read_urdf_bodies(text, "test")
-    return {body.name: body.tensor for body in described if body.tensor is not None}
+    _, found = described.read_urdf_bodies(text, "test")
+    return {body.name: body.tensor for body in found if body.tensor is not None}
 
 
 @given(wrong())
@@ -1147,13 +1137,13 @@ def test_repaired_is_nearest_loads_and_stays(case: tuple[float, np.ndarray]) -> 
     assert body.link == "link2"
     assert body.mass == body.new_mass == mass
     # Weyl: nothing that is positive can be nearer than the most negative eigenvalues.
-    P = second_moment_from_inertia(tensor)
+    P = inertia.second_moment_from_inertia(tensor)
     negative = np.minimum(np.linalg.eigvalsh(P), 0.0)
     assert body.proof.distance >= np.linalg.norm(negative) * (1.0 - 1e-9)
     assert body.proof.lower_bound <= body.proof.distance
     assert body.proof.distance <= (1.0 + NEAREST) * body.proof.lower_bound
     found = tensors(report.text)["link2"]
-    moved = np.linalg.norm(second_moment_from_inertia(found) - P)
+    moved = np.linalg.norm(inertia.second_moment_from_inertia(found) - P)
     assert moved == pytest.approx(body.proof.distance, rel=1e-9)
     assert sdpid.audit_urdf(report.text).passed
     again = repair_urdf(report.text)

@@ -14,24 +14,11 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 import sdpid
+from sdpid import plots
 from sdpid.assurance.diagnostics.causes import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Step
-from sdpid.plots import (
-    plot_against_limits,
-    plot_convergence,
-    plot_forest,
-    plot_friction_curve,
-    plot_joint,
-    plot_joint_errors,
-    plot_mass_matrix,
-    plot_motion,
-    plot_parameters,
-    plot_reconstruction,
-    plot_signals,
-    save_figure,
-)
 from sdpid.plots.figures import BLUE, figure_of
 from sdpid.plots.joints import detail
 from sdpid.plots.lines import POINTS, decimate, spans, stretch
@@ -46,23 +33,23 @@ def filtering(count: int = 400, **options: object) -> Any:
     rng = np.random.default_rng(0)
     after = {name: np.sin(time * (k + 1)) for k, name in enumerate(SIGNALS)}
     before = {name: y + 0.1 * rng.standard_normal(count) for name, y in after.items()}
-    return plot_signals(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
+    return plots.plot_signals(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
 
 
 def reconstruction(count: int = 300, **options: object) -> Any:
     time = np.linspace(0.0, 3.0, count)
     y = np.sin(np.outer(time, [1.0, 2.0]))
-    return plot_reconstruction(time, y, y + 0.5, ["a", "b"], **options)  # type: ignore[arg-type]
+    return plots.plot_reconstruction(time, y, y + 0.5, ["a", "b"], **options)  # type: ignore[arg-type]
 
 
 def convergence(**options: object) -> Any:
     good = [Step(0.0, 90.0, 0.0), Step(0.1, 20.0, 0.0), Step(0.5, 10.001, 0.0)]
     bad = [Step(0.0, 50.0, 1.0), Step(0.2, 8.0, 0.1)]
-    return plot_convergence([good, bad, []], 10.0, {"SDP": (0.05, 10.0)}, **options)  # type: ignore[arg-type]
+    return plots.plot_convergence([good, bad, []], 10.0, {"SDP": (0.05, 10.0)}, **options)  # type: ignore[arg-type]
 
 
 def parameters() -> Any:
-    return plot_parameters(
+    return plots.plot_parameters(
         ["xx1", "Fs1", "Fv1"], ["kg.m2", "N.m", "N.m.s/rad"],
         {"WLS": [1.0, 2.0, 3.0], "SDP": [1.1, 2.0, 2.9]},
         true=[1.0, 2.0, 3.0], errors={"WLS": [0.1, 0.1, 0.1]}, title="base",
@@ -71,7 +58,7 @@ def parameters() -> Any:
 
 def panels() -> Any:
     time = np.linspace(0.0, 3.0, 40)
-    return plot_against_limits(time, [("a", np.sin(time), -2.0, None), ("b", time, 0.0, 3.0)])
+    return plots.plot_against_limits(time, [("a", np.sin(time), -2.0, None), ("b", time, 0.0, 3.0)])
 
 
 def iterations() -> Any:
@@ -82,7 +69,7 @@ def long_reconstruction() -> Any:
     time = np.linspace(0.0, 3.0, 9000)
     y = np.stack([-123456.0 * np.sin(time), 2e-4 * np.cos(time)], axis=1)
     mask = np.abs(y) > 1e-5
-    return plot_reconstruction(time, y, 1.1 * y, ["a", "b"], mask=mask, title="heading")
+    return plots.plot_reconstruction(time, y, 1.1 * y, ["a", "b"], mask=mask, title="heading")
 
 
 FIGURES = [
@@ -100,8 +87,8 @@ FIGURES = [
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_saved_whole_and_the_same_each_time(make: Any, suffix: str, tmp_path: Path) -> None:
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    assert save_figure(make(), first, dpi=50.0) == first
-    save_figure(make(), second, dpi=50.0)
+    assert plots.save_figure(make(), first, dpi=50.0) == first
+    plots.save_figure(make(), second, dpi=50.0)
     assert first.read_bytes() == second.read_bytes()
     assert first.stat().st_size > 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
@@ -151,16 +138,26 @@ INTO: dict[str, tuple[int, Any]] = {
     "convergence": (1, lambda a: convergence(axes=a[0], title="one")),
     "parameters": (
         2,
-        lambda a: plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=a, title="two"),
+        lambda a: plots.plot_parameters(
+            ["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=a, title="two"
+        ),
     ),
-    "efforts": (4, lambda a: plot_reconstruction(TIME, ONES, ONES, ["a", "b"], axes=a, title="4")),
-    "signals": (2, lambda a: plot_signals(TIME, {"a": TIME}, {"a": TIME}, axes=a, title="two")),
-    "joint": (2, lambda a: plot_joint(TIME, TIME, TIME, TIME > 0.0, axes=list(a))),
-    "errors": (3, lambda a: plot_joint_errors(ERRORS, axes=a)),
-    "limits": (1, lambda a: plot_against_limits(TIME, [("a", TIME, None, 2.0)], axes=a[0])),
+    "efforts": (
+        4,
+        lambda a: plots.plot_reconstruction(TIME, ONES, ONES, ["a", "b"], axes=a, title="4"),
+    ),
+    "signals": (
+        2,
+        lambda a: plots.plot_signals(TIME, {"a": TIME}, {"a": TIME}, axes=a, title="two"),
+    ),
+    "joint": (2, lambda a: plots.plot_joint(TIME, TIME, TIME, TIME > 0.0, axes=list(a))),
+    "errors": (3, lambda a: plots.plot_joint_errors(ERRORS, axes=a)),
+    "limits": (1, lambda a: plots.plot_against_limits(TIME, [("a", TIME, None, 2.0)], axes=a[0])),
     "motion": (
         4,
-        lambda a: plot_motion(TIME, {"a": [("x", TIME, None, 2.0)] * 4}, axes=a, title="four"),
+        lambda a: plots.plot_motion(
+            TIME, {"a": [("x", TIME, None, 2.0)] * 4}, axes=a, title="four"
+        ),
     ),
 }
 
@@ -181,7 +178,7 @@ def test_too_few_axes_are_refused() -> None:
     refuses(DataError, "3 axes were given to draw in, 4 are needed", reconstruction, axes=axes[:3])
     given = ["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}
     words = "1 axes were given to draw in, 2 are needed"
-    refuses(DataError, words, plot_parameters, *given, axes=axes[0])
+    refuses(DataError, words, plots.plot_parameters, *given, axes=axes[0])
 
 
 def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
@@ -193,14 +190,14 @@ def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
     part = whole.subfigures(1, 2)[1].subplots()
     assert figure_of([[part]]) is whole
     assert figure_of(whole) is whole
-    paths = [save_figure(x, tmp_path / f"{k}.svg") for k, x in enumerate((many, many[0, 0]))]
+    paths = [plots.save_figure(x, tmp_path / f"{k}.svg") for k, x in enumerate((many, many[0, 0]))]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_unknown_format_and_missing_folder(tmp_path: Path) -> None:
     figure = convergence()
-    refuses(ExportError, r"'\.bmp'", save_figure, figure, tmp_path / "a.bmp")
-    refuses(ExportError, "cannot write", save_figure, figure, tmp_path / "no" / "a.png")
+    refuses(ExportError, r"'\.bmp'", plots.save_figure, figure, tmp_path / "a.bmp")
+    refuses(ExportError, "cannot write", plots.save_figure, figure, tmp_path / "no" / "a.png")
     assert list(tmp_path.iterdir()) == []
     pyplot = sys.modules.get("matplotlib.pyplot")
     assert pyplot is None or pyplot.get_fignums() == []
@@ -273,21 +270,21 @@ def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
     y = np.ones((5, 2))
     time = np.arange(5.0)
     figures = [
-        plot_reconstruction(time, y, y, [bad, "$x^2$"], units=bad, title=bad),
-        plot_signals(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
-        plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
+        plots.plot_reconstruction(time, y, y, [bad, "$x^2$"], units=bad, title=bad),
+        plots.plot_signals(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
+        plots.plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
         convergence(label=bad, title=bad),
         # No font of matplotlib has these.
-        plot_signals(time, {"关节一": time}, {"关节一": time}, title="关节一"),
+        plots.plot_signals(time, {"关节一": time}, {"关节一": time}, title="关节一"),
     ]
     for k, figure in enumerate(figures):
         for suffix in (".png", ".svg"):
-            save_figure(figure, tmp_path / f"{k}{suffix}", dpi=40.0)
+            plots.save_figure(figure, tmp_path / f"{k}{suffix}", dpi=40.0)
 
 
 def test_reconstruction_without_time_and_with_units() -> None:
     y = np.ones((5, 2))
-    axes = plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
+    axes = plots.plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
     assert axes[-1, 0].get_xlabel() == "sample"
     assert axes[0, 0].get_ylabel() == "effort [N]"
 
@@ -306,8 +303,8 @@ def test_convergence_counts_ends_and_failures() -> None:
     refuses(DataError, "against is 'hours'", convergence, against="hours")
     # Steps far outside leave the picture; of exact data it shows differences.
     wild = [Step(0.0, 90.0, 0.0), Step(0.1, 1e15, 7.0), Step(0.5, 10.1, 0.0)]
-    assert plot_convergence([wild], 10.0).get_ylim()[1] < 100.0
-    axis = plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
+    assert plots.plot_convergence([wild], 10.0).get_ylim()[1] < 100.0
+    axis = plots.plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
     assert axis.get_ylabel() == "cost − bound"
 
 
@@ -315,27 +312,27 @@ def test_bad_input_is_named() -> None:
     time, y, names = np.arange(5.0), np.ones((5, 2)), ["a", "b"]
     one = {"position": time}
     for words, call, *given in (
-        ("the same names", plot_signals, time, one, {"torque": time}),
-        ("position has 3 rows", plot_signals, time, one, {"position": time[:3]}),
-        ("predicted has 4 rows", plot_reconstruction, time, y, y[:4], names),
-        ("joint_names has 1", plot_reconstruction, time, y, y, ["a"]),
-        ("rmse has 1", plot_reconstruction, time, y, y, names, [1.0]),
-        ("nothing to draw", plot_convergence, [], 1.0),
-        ("nothing to draw", plot_parameters, [], [], {}),
-        ("2 joints with", plot_motion, time, {"a": [("x", time, None, None)], "b": []}),
-        (r"SDP has shape \(2,\)", plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]}),
+        ("the same names", plots.plot_signals, time, one, {"torque": time}),
+        ("position has 3 rows", plots.plot_signals, time, one, {"position": time[:3]}),
+        ("predicted has 4 rows", plots.plot_reconstruction, time, y, y[:4], names),
+        ("joint_names has 1", plots.plot_reconstruction, time, y, y, ["a"]),
+        ("rmse has 1", plots.plot_reconstruction, time, y, y, names, [1.0]),
+        ("nothing to draw", plots.plot_convergence, [], 1.0),
+        ("nothing to draw", plots.plot_parameters, [], [], {}),
+        ("2 joints with", plots.plot_motion, time, {"a": [("x", time, None, None)], "b": []}),
+        (r"SDP has shape \(2,\)", plots.plot_parameters, ["a"], ["kg"], {"SDP": [1.0, 2.0]}),
     ):
         refuses(DataError, words, call, *given)
-    refuses(DataError, "window 9 to 10 s", plot_signals, time, one, one, window=(9.0, 10.0))
+    refuses(DataError, "window 9 to 10 s", plots.plot_signals, time, one, one, window=(9.0, 10.0))
     mask = np.ones((5, 1), dtype=bool)
-    refuses(DataError, "must agree", plot_reconstruction, time, y, y, names, mask=mask)
+    refuses(DataError, "must agree", plots.plot_reconstruction, time, y, y, names, mask=mask)
 
 
 def test_a_png_is_drawn_once(tmp_path: Path) -> None:
     figure = figure_of(reconstruction())
     own, drawn = figure.draw, []
     figure.draw = lambda renderer: (drawn.append(1), own(renderer))
-    save_figure(figure, tmp_path / "a.png")
+    plots.save_figure(figure, tmp_path / "a.png")
     assert len(drawn) == 1
     assert figure.dpi == 100.0
 
@@ -354,7 +351,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
     y = -123456.0 * np.sin(np.arange(4000.0))
     time = 1e-3 * np.arange(4000.0)
     starts = tuple(range(0, 4000, 4000 // pieces))[:pieces]
-    figure, place = drawn(plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts))
+    figure, place = drawn(plots.plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts))
     texts = []
     for axis in figure.axes:
         texts += [axis.xaxis.label, axis.yaxis.label, axis.yaxis.offsetText]
@@ -371,7 +368,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
 
 def test_gaps_break_a_line() -> None:
     y = np.zeros(9)
-    line, _ = plot_joint(None, y, y, y == 0.0, starts=(0, 4))[0].get_lines()
+    line, _ = plots.plot_joint(None, y, y, y == 0.0, starts=(0, 4))[0].get_lines()
     assert line.get_color() == BLUE
     assert np.flatnonzero(np.isnan(line.get_ydata())).tolist() == [4]
 
@@ -385,7 +382,7 @@ def test_errors_without_anything_in_them_are_drawn(timed: bool, bins: int) -> No
         flat = {"error_density": np.zeros(length), "effort_density": np.zeros(length)}
         lags = {"lag": np.zeros(1), "autocorrelation": np.ones(1), "independent": 1.0}
         errors = replace(ERRORS, frequency=np.arange(float(length)), **flat, **lags, **none)
-        figure_of(plot_joint_errors(errors, timed=timed)).draw_without_rendering()
+        figure_of(plots.plot_joint_errors(errors, timed=timed)).draw_without_rendering()
 
 
 def test_the_stretch_about_the_largest_error_is_shown() -> None:
@@ -397,9 +394,9 @@ def test_the_stretch_about_the_largest_error_is_shown() -> None:
     error[:] = np.nan
     assert detail(error) == slice(0, 400)
     y = np.zeros(4000)
-    assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
+    assert len(plots.plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
     few = np.zeros(800)
-    assert len(plot_joint(None, few, few, few == 0.0)) == 2
+    assert len(plots.plot_joint(None, few, few, few == 0.0)) == 2
 
 
 @dataclass
@@ -424,13 +421,13 @@ def labels(axis: object) -> list[str]:
 
 def test_a_friction_curve_shows_its_band_and_what_was_driven() -> None:
     cloud = np.array([-1.0, 0.5, 0.5]), np.array([-1.1, 0.9, 30.0])
-    axis = plot_friction_curve(curve(), cloud=cloud, driven=(-1.0, 0.5))
+    axis = plots.plot_friction_curve(curve(), cloud=cloud, driven=(-1.0, 0.5))
     assert labels(axis) == ["measured", "90 % band", "friction"]
     assert axis.get_xlim() == (-2.0, 2.0)
     assert axis.get_ylim()[1] < 33.0
     shaded = [(span.get_x(), span.get_x() + span.get_width()) for span in axis.patches]
     assert shaded == [(-2.0, -1.0), (0.5, 2.0)]
-    bare = plot_friction_curve(Curve(np.array([1.0, 2.0]), np.ones(2), unit="N"))
+    bare = plots.plot_friction_curve(Curve(np.array([1.0, 2.0]), np.ones(2), unit="N"))
     assert labels(bare) == ["friction"]
     assert bare.get_xlabel() == "velocity [m/s]"
 
@@ -443,12 +440,12 @@ def test_a_forest_has_a_scale_for_each_row() -> None:
         "this estimate": [2.0, 1e-3, 0.0],
     }
     lower, upper = [1.9, -1e-3, 0.0], [2.1, 3e-3, np.inf]
-    axis = plot_forest(names, values, lower=lower, upper=upper)
+    axis = plots.plot_forest(names, values, lower=lower, upper=upper)
     assert [tick.get_text() for tick in axis.get_yticklabels()] == list(names)
     told = [text.get_text() for text in axis.texts]
     assert told == ["2.00 ± 0.10", "0.0010 ± 0.0020", "0"]
     # A limit cuts an interval off: its ends are written.
-    cut = plot_forest(("Fs1",), {"this estimate": [0.0]}, lower=[0.0], upper=[0.048])
+    cut = plots.plot_forest(("Fs1",), {"this estimate": [0.0]}, lower=[0.0], upper=[0.048])
     assert [text.get_text() for text in cut.texts] == ["0.000 … 0.048"]
     lines = {line.get_label(): line for line in axis.lines}
     assert lines["this estimate"].get_xdata() == pytest.approx([2.0 / 2.1, 1.0 / 3.0, 0.0])
@@ -458,21 +455,21 @@ def test_a_forest_has_a_scale_for_each_row() -> None:
     ]
     assert arrow.get_ydata()[arrow.get_xdata() < -1.0].tolist() == [1.0]
     own = Figure().subplots()
-    assert plot_forest(names[:1], {"this estimate": [1.0]}, axes=own) is own
-    refuses(DataError, "there are 3 names", plot_forest, names, {"this estimate": [1.0]})
-    refuses(DataError, "at least one", plot_forest, (), {"this estimate": []})
+    assert plots.plot_forest(names[:1], {"this estimate": [1.0]}, axes=own) is own
+    refuses(DataError, "there are 3 names", plots.plot_forest, names, {"this estimate": [1.0]})
+    refuses(DataError, "at least one", plots.plot_forest, (), {"this estimate": []})
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e4])
 def test_eigenvalues_of_any_size_are_seen_beside_each_other(factor: float) -> None:
     t = np.linspace(0.0, 5.0, 50)
     own = 0.003 + 0.001 * np.sin(t)
-    axis = plot_mass_matrix(
+    axis = plots.plot_mass_matrix(
         t, {"least squares": -factor * own, "this estimate": own}, bound=0.0015, starts=(0, 20)
     )
     assert labels(axis) == ["least squares", "this estimate"]
     low, high = axis.get_ylim()
     place = axis.transData.transform([[0.0, x] for x in (low, 0.0, 0.003, high)])[:, 1]
     assert (place[2] - place[1]) > 0.1 * (place[3] - place[0])
-    refuses(DataError, "nothing to draw", plot_mass_matrix, t, {})
-    refuses(DataError, "50", plot_mass_matrix, t, {"a": own[1:]})
+    refuses(DataError, "nothing to draw", plots.plot_mass_matrix, t, {})
+    refuses(DataError, "50", plots.plot_mass_matrix, t, {"a": own[1:]})

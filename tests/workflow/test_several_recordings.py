@@ -15,9 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.prepare import agreed, chosen_processing, prepare, samples_of
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.output.report.report import report_html
 from sdpid.plots.lines import TimeLine
-from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.formulate import CrossValidation, formulate
 from sdpid.workflow.result import Identification
 from tests.helpers.refusals import refuses
@@ -147,22 +145,6 @@ def test_why_there_are_none_is_said(tmp_path: Path) -> None:
     header = (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
     assert "lower" not in header
     assert sdpid.identify(arm(), short, intervals=False).intervals_note is None
-
-
-def test_no_line_is_drawn_across_a_join(logs: list[sdpid.Recording]) -> None:
-    # Masked rows would be gaps of the errors' line too.
-    result = sdpid.identify(arm(), logs[:2], processing={"reversal_time": None}, intervals=False)
-    samples = result.problem.samples
-    axes = plot_fit(samples, result.training)
-    seconds = sum(float(samples.time[p][-1] - samples.time[p][0]) for p in samples.parts)
-    for axis in axes.ravel():
-        for line in axis.get_lines():
-            x, y = line.get_data()
-            gaps = np.flatnonzero(np.isnan(y))
-            assert len(gaps) == 1
-            assert np.all(np.diff(x) > 0.0)
-            assert x[-1] - x[0] == pytest.approx(1.02 * seconds)
-    assert "pieces, recorded apart" in report_html(result)
 
 
 def test_time_lines() -> None:
