@@ -21,7 +21,7 @@ from sdpid.output.scene.contents import inertia_ellipsoid, recorded_motion
 from sdpid.output.scene.identified import identified_scene
 from sdpid.output.scene.scene import Scene
 from sdpid.output.scene.surfaces import Surface, described_surfaces, hull, thinned
-from sdpid.robot.inertia import pseudo_inertia, theta_from_physical
+from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia, theta_from_physical
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
@@ -229,8 +229,6 @@ def test_impossible_bodies_have_none(body: Array) -> None:
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=16, max_size=16))
 def test_exactly_consistent_bodies_have_one(entries: list[float]) -> None:
-    from sdpid.robot.inertia import from_pseudo_inertia
-
     root = np.reshape(entries, (4, 4))
     body = from_pseudo_inertia(root @ root.T + 1e-3 * np.eye(4))
     assert inertia_ellipsoid(body) is not None

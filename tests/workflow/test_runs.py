@@ -21,7 +21,7 @@ from sdpid.workflow.sample import ParameterSamples
 from tests.helpers import world
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.commands import printed
-from tests.helpers.forged import edit_json
+from tests.helpers.forged import edit_json, set_to
 from tests.helpers.identified import ARM, arm_theta, identified, moved
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
@@ -200,8 +200,7 @@ def saved(folder: Path, seed: int, *, log: str, heavier: float = 1.0, **options:
     intervals = sdpid.confidence_intervals(result.estimate, method="gauss_markov")
     entry = {"role": "log", "name": f"{log}.csv", "bytes": 1, "sha256": log * 64}
     replace(result, intervals=intervals, inputs=(entry,)).save(folder, figures=False)
-    recipe = {"processing": PROCESSING}
-    edit_json(folder / "manifest.json", lambda manifest: manifest.update(recipe=recipe))
+    edit_json(folder / "manifest.json", set_to({"processing": PROCESSING}, "recipe"))
     return folder
 
 
@@ -295,9 +294,8 @@ def test_a_folder_without_a_manifest_is_compared(runs: dict[str, Path], tmp_path
     bare = shutil.copytree(runs["first"], tmp_path / "bare")
     (bare / "manifest.json").unlink()
     unknown = compare_runs(bare, runs["other"])
-    assert unknown.same_log is None
+    assert (unknown.same_log, unknown.outside) == (None, ())
     assert "no manifest" in unknown.text()
-    assert unknown.outside == ()
 
 
 def test_what_is_called_the_same_must_be_the_same(runs: dict[str, Path], tmp_path: Path) -> None:
@@ -342,15 +340,13 @@ def test_damaged_files_are_refused_in_words(
 
 
 def test_folders_that_are_none(runs: dict[str, Path], tmp_path: Path) -> None:
-    refuses(DataError, "is no folder", compare_runs, tmp_path / "no", runs["first"])
+    joints = list(small_arm(3).joint_names)
+    change = set_to(joints, "problem", "joints")
+    alien = changed(runs["first"], tmp_path / "x", "result.json", change)
     words = r"has no result\.json and no parameters\.json"
+    refuses(DataError, "is no folder", compare_runs, tmp_path / "no", runs["first"])
     refuses(DataError, words, compare_runs, runs["first"], tmp_path)
     refuses(DataError, "3: is no folder", sdpid.compare, 3, 4)
-
-    def three(content: dict[str, Any]) -> None:
-        content["problem"]["joints"] = list(small_arm(3).joint_names)
-
-    alien = changed(runs["first"], tmp_path / "x", "result.json", three)
     refuses(DataError, "compare runs of one robot", compare_runs, runs["first"], alien)
 
 

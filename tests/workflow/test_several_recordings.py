@@ -117,11 +117,7 @@ def test_intervals_come_by_default_and_are_written(result: Identification, tmp_p
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"intervals": "profile"},
-        {"prior": sdpid.Prior(strength=1.0)},
-        {"prior": sdpid.Prior(strength=1e9)},
-    ],
+    [{"intervals": "profile"}, *({"prior": sdpid.Prior(strength=each)} for each in (1.0, 1e9))],
 )
 def test_no_interval_excludes_the_estimate(
     logs: list[sdpid.Recording], options: dict[str, Any]
@@ -140,10 +136,8 @@ def test_why_there_are_none_is_said(tmp_path: Path) -> None:
     assert "log-det" in result.intervals_note
     assert result.intervals_note in result.to_dict()["notes"]
     result.save(tmp_path, figures=False)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "No intervals of the parameters" in page
-    header = (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
-    assert "lower" not in header
+    assert "No intervals of the parameters" in (tmp_path / "report.html").read_text("utf-8")
+    assert "lower" not in (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
     assert sdpid.identify(arm(), short, intervals=False).intervals_note is None
 
 

@@ -352,6 +352,14 @@ FAINT = sdpid.Prior(kind="entropic", strength=1e-3, friction=False)
 # What the default prior costs on the data it was trained on, relative to the optimum without one,
 # is measured, not promised: 4.4 and 4.8 % of the cost, 2.3 and 2.5 % of the residual. A prior so
 # faint that it only chooses where the data hardly do costs next to nothing.
+@pytest.mark.parametrize(
+    ("consistency", "prior", "cost", "residual"),
+    [
+        ("pseudo_inertia", sdpid.Prior(), 0.06, 0.03),
+        ("spatial_inertia", sdpid.Prior(), 0.06, 0.03),
+        ("pseudo_inertia", FAINT, 1e-3, 1e-3),
+    ],
+)
 def test_what_a_prior_costs(
     data_folder: Path, consistency: Consistency, prior: sdpid.Prior, cost: float, residual: float
 ) -> None:
