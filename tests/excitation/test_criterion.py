@@ -24,11 +24,10 @@ from sdpid.excitation.criterion.belief import (
 from sdpid.excitation.criterion.criterion import Criterion, Objective
 from sdpid.excitation.criterion.earlier import earlier_information
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
-from sdpid.excitation.criterion.purpose import PURPOSES, effort_functionals, purpose_of
+from sdpid.excitation.criterion.purpose import PURPOSES, Purpose, effort_functionals, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin
-from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.arm import ARM
 from tests.helpers.data import FRICTION as LINEAR
 from tests.helpers.data import make_samples, random_theta
@@ -37,8 +36,8 @@ from tests.helpers.robots import planar_arm, small_arm
 from tests.helpers.small_robots import SMALL, URDFS
 
 TERMS = ("coulomb", "viscous")
-FRICTION = FrictionModel.from_terms(TERMS, ARM.joint_names)
-BASE = structural_base(ARM, FRICTION)
+ROWS = BaseRows.of(ARM, TERMS)
+BASE = ROWS.base
 THETA = random_theta(ARM, np.random.default_rng(0))
 
 
@@ -55,7 +54,7 @@ def scaled(J: np.ndarray, by: np.ndarray) -> np.ndarray:
 
 def test_it_is_the_inverse_of_the_covariance() -> None:
     estimate = estimated()
-    found = earlier_information(ARM, FRICTION, BASE, estimate)
+    found = earlier_information(ROWS, estimate)
     dense = np.linalg.inv(NoiseSpectrum.of(estimate.problem, estimate.theta).covariance)
     np.testing.assert_allclose(scaled(found.information, dense), scaled(dense, dense), atol=1e-6)
     np.testing.assert_allclose(BASE.matrix @ found.theta, estimate.base, atol=1e-9)
@@ -64,7 +63,7 @@ def test_it_is_the_inverse_of_the_covariance() -> None:
 
 def test_terms_of_the_earlier_model_alone_are_marginalized() -> None:
     estimate = estimated(terms=(*TERMS, "offset"))
-    found = earlier_information(ARM, FRICTION, BASE, estimate)
+    found = earlier_information(ROWS, estimate)
     C = NoiseSpectrum.of(estimate.problem, estimate.theta).covariance
     own = [estimate.problem.base.names.index(name) for name in BASE.names]
     dense = np.linalg.inv(C[np.ix_(own, own)])
@@ -72,10 +71,9 @@ def test_terms_of_the_earlier_model_alone_are_marginalized() -> None:
 
 
 def test_of_terms_that_it_did_not_have_it_tells_nothing() -> None:
-    model = FrictionModel.from_terms((*TERMS, "offset"), ARM.joint_names)
-    base = structural_base(ARM, model)
-    found = earlier_information(ARM, model, base, estimated())
-    offsets = [base.names.index(name) for name in ("Fo1", "Fo2")]
+    rows = BaseRows.of(ARM, (*TERMS, "offset"))
+    found = earlier_information(rows, estimated())
+    offsets = [rows.base.names.index(name) for name in ("Fo1", "Fo2")]
     assert not found.information[offsets].any()
     assert any("Fo1" in note for note in found.notes)
 
@@ -84,17 +82,13 @@ def test_what_holds_an_estimate_and_recordings_do_too() -> None:
     class Result:
         estimate = estimated()
 
-    whole = earlier_information(ARM, FRICTION, BASE, Result())
-    np.testing.assert_array_equal(
-        whole.information, earlier_information(ARM, FRICTION, BASE, Result.estimate).information
-    )
+    whole, alone = (earlier_information(ROWS, each) for each in (Result(), Result.estimate))
+    np.testing.assert_array_equal(whole.information, alone.information)
 
 
 def test_another_robot_is_refused() -> None:
-    other = small_arm(3)
-    model = FrictionModel.from_terms(TERMS, other.joint_names)
-    with pytest.raises(DataError, match="the plan is for"):
-        earlier_information(other, model, structural_base(other, model), estimated())
+    other = BaseRows.of(small_arm(3), TERMS)
+    refuses(DataError, "the plan is for", earlier_information, other, estimated())
 
 
 # Information of some parameters, and of a prior, against dense inverses.
@@ -132,22 +126,19 @@ def test_information_of_rows_is_the_inverse_of_a_covariance(seed: int) -> None:
 
 
 def test_a_prior_says_nothing_of_what_it_does_not_believe() -> None:
-    friction = FrictionModel.from_terms(("coulomb", "viscous"), ARM.joint_names)
-    base = structural_base(ARM, friction)
     bodies = np.tile([1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.2], (ARM.n_links, 1))
     rms = np.array([1.0, 2.0])
-    of_links = base.kept < 10 * ARM.n_links
-    without = prior_information(
-        ARM, friction, base, sdpid.Prior(bodies=bodies, friction=False), rms
+    of_links = BASE.kept < 10 * ARM.n_links
+    without, whole, doubled = (
+        prior_information(ROWS, sdpid.Prior(bodies=bodies, **how), rms)
+        for how in ({"friction": False}, {}, {"strength": 2.0})
     )
     size = np.sqrt(np.diag(without)[of_links].max())
     assert np.all(np.abs(without[~of_links]) < 1e-9 * size)
-    whole = prior_information(ARM, friction, base, sdpid.Prior(bodies=bodies), rms)
     assert np.all(np.linalg.eigvalsh(whole) > 0.0)
-    doubled = prior_information(ARM, friction, base, sdpid.Prior(strength=2.0, bodies=bodies), rms)
     own = np.ix_(of_links, of_links)
     np.testing.assert_allclose(doubled[own], 2.0 * whole[own], rtol=1e-6, atol=1e-9)
-    assert not prior_information(ARM, friction, base, False, rms).any()
+    assert not prior_information(ROWS, False, rms).any()
 
 
 @pytest.mark.parametrize("name", ["ur10_robot", "denso_vp6242", *URDFS])
@@ -392,80 +383,73 @@ def test_rows_are_the_regressor_of_the_base_parameters() -> None:
 
 
 ROBOT = small_arm(3)
-LAWS = FrictionModel.from_terms(("coulomb", "viscous"), ROBOT.joint_names)
-BASIS = structural_base(ROBOT, LAWS)
+LAWS = BaseRows.of(ROBOT, ("coulomb", "viscous"))
+BASIS = LAWS.base
 MOTION = tuple(RNG.standard_normal((40, 3)) for _ in range(3))
 X = RNG.standard_normal((200, BASIS.count))
 INFORMATION = X.T @ X
 
 
+C = np.linalg.inv(INFORMATION)
+
+
+def covariance(purpose: Purpose, information: Array) -> Array:
+    """Return the covariance of what counts."""
+    own = np.linalg.inv(purpose.directions.T @ information @ purpose.directions)
+    return np.asarray(purpose.functionals @ own @ purpose.functionals.T)
+
+
 @pytest.mark.parametrize("name", PURPOSES)
 def test_more_information_never_widens(name: str) -> None:
-    purpose = purpose_of(name, ROBOT, LAWS, BASIS, motion=MOTION)
-    before = purpose.covariance(INFORMATION)
-    after = purpose.covariance(INFORMATION + np.outer(X[0], X[0]))
+    purpose = purpose_of(name, LAWS, motion=MOTION)
+    before = covariance(purpose, INFORMATION)
+    after = covariance(purpose, INFORMATION + np.outer(X[0], X[0]))
     assert np.linalg.eigvalsh(before - after).min() > -1e-12 * np.trace(before)
 
 
-@given(st.floats(0.01, 100.0))
-def test_covariances_scale(factor: float) -> None:
-    purpose = purpose_of("torque", ROBOT, LAWS, BASIS, motion=MOTION)
-    np.testing.assert_allclose(
-        purpose.covariance(factor * INFORMATION), purpose.covariance(INFORMATION) / factor
-    )
-
-
 def test_all_and_friction_are_blocks_of_the_covariance() -> None:
-    C = np.linalg.inv(INFORMATION)
-    np.testing.assert_allclose(
-        purpose_of("all", ROBOT, LAWS, BASIS).covariance(INFORMATION), C, atol=1e-12
-    )
     own = BASIS.kept >= 10 * ROBOT.n_links
-    friction = purpose_of("friction", ROBOT, LAWS, BASIS)
-    np.testing.assert_allclose(friction.covariance(INFORMATION), C[np.ix_(own, own)], atol=1e-12)
+    for name, block in (("all", C), ("friction", C[np.ix_(own, own)])):
+        found = covariance(purpose_of(name, LAWS), INFORMATION)
+        np.testing.assert_allclose(found, block, atol=1e-12)
 
 
 def test_a_payload_is_the_last_link_with_all_else_known() -> None:
-    purpose = purpose_of("payload", ROBOT, LAWS, BASIS)
+    purpose = purpose_of("payload", LAWS)
     columns = BASIS.matrix[:, 10 * ROBOT.n_links - 10 : 10 * ROBOT.n_links]
     assert purpose.directions.shape[1] == np.linalg.matrix_rank(columns)
     # Knowing all else is knowing more.
-    others = np.linalg.inv(INFORMATION)
-    D = purpose.directions
-    marginal = np.linalg.pinv(D) @ others @ np.linalg.pinv(D).T
-    assert np.linalg.eigvalsh(marginal - purpose.covariance(INFORMATION)).min() > -1e-12
+    back = np.linalg.pinv(purpose.directions)
+    wider = back @ C @ back.T - covariance(purpose, INFORMATION)
+    assert np.linalg.eigvalsh(wider).min() > -1e-12
 
 
 def test_torque_is_the_mean_variance_of_efforts() -> None:
     scale = np.array([1.0, 2.0, 3.0])
-    L = effort_functionals(ROBOT, LAWS, BASIS, *MOTION, scale=scale)
-    C = np.linalg.inv(INFORMATION)
+    L = effort_functionals(LAWS, *MOTION, scale=scale)
     W = ROBOT.regressor(*MOTION)
-    W = np.concatenate([W, LAWS.columns(MOTION[1], MOTION[2])], axis=2)[:, :, BASIS.kept]
+    W = np.concatenate([W, LAWS.friction.columns(*MOTION[1:])], axis=2)[:, :, BASIS.kept]
     variance = np.einsum("kjb,bc,kjc->kj", W, C, W) / scale**2
     np.testing.assert_allclose(np.trace(L @ C @ L.T), variance.mean())
 
 
 def test_gravity_asks_nothing_of_friction() -> None:
-    purpose = purpose_of("gravity", ROBOT, LAWS, BASIS)
+    purpose = purpose_of("gravity", LAWS)
     assert purpose.kind == "sum"
     assert not purpose.functionals[:, BASIS.kept >= 10 * ROBOT.n_links].any()
 
 
 def test_gravity_counts_all_around_where_the_description_has_no_limits() -> None:
-    robot = SMALL["without_limits"].model
-    base = structural_base(robot, none := FrictionModel.from_terms((), robot.joint_names))
-    variances = purpose_of("gravity", robot, none, base).covariance(np.eye(base.count))
-    assert np.linalg.matrix_rank(variances, tol=1e-6) == 4  # mx and mz of two links
+    purpose = purpose_of("gravity", BaseRows.of(SMALL["without_limits"].model, ()))
+    assert np.linalg.matrix_rank(purpose.functionals, tol=1e-6) == 4  # mx and mz of two links
 
 
 def test_wrong_purposes_are_refused() -> None:
-    refuses(DataError, "use one of", purpose_of, "speed", ROBOT, LAWS, BASIS)
-    refuses(DataError, "give the motion", purpose_of, "torque", ROBOT, LAWS, BASIS)
-    none = FrictionModel.from_terms((), ROBOT.joint_names)
-    with pytest.raises(DataError, match="no friction terms"):
-        purpose_of("friction", ROBOT, none, structural_base(ROBOT, none))
-    upright = small_arm(1)
-    terms = FrictionModel.from_terms(("viscous",), upright.joint_names)
-    with pytest.raises(DataError, match="'gravity', and none of the robot's 2 base parameters"):
-        purpose_of("gravity", upright, terms, structural_base(upright, terms))
+    upright = BaseRows.of(small_arm(1), ("viscous",))
+    for words, name, rows in (
+        ("use one of", "speed", LAWS),
+        ("give the motion", "torque", LAWS),
+        ("no friction terms", "friction", BaseRows.of(ROBOT, ())),
+        ("'gravity', and none of the robot's 2 base parameters", "gravity", upright),
+    ):
+        refuses(DataError, words, purpose_of, name, rows)

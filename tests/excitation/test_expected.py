@@ -15,14 +15,11 @@ from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.earlier import EarlierInformation
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.expected.expect import Known, _kept_above, _posterior, expect
+from sdpid.excitation.expected.expect import _kept_above, _posterior, _sums, expect
 from sdpid.excitation.expected.expected import Expected
-from sdpid.excitation.expected.open_directions import Asked, OpenDirection, open_directions
+from sdpid.excitation.expected.open_directions import OpenDirection, open_directions
 from sdpid.excitation.expected.rehearsal import rehearse
-from sdpid.excitation.expected.run_errors import RunErrors
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.robots import TREE_MIMIC, small_arm
 
 ARM = small_arm(2)
@@ -73,19 +70,25 @@ def test_averaging_periods_divides_the_variance(times: int) -> None:
 
 def test_a_motion_run_twice_as_long_has_half_the_variance() -> None:
     run = rehearse(ARM, motion(), friction=TERMS, noise=0.1, prior=False)
-    own = RunErrors.of(run.spectrum)
-    once, twice = (each.root @ each.scores @ each.root.T for each in (own, own.plus(own)))
+    own = _sums(run.spectrum)
+    once, twice = (
+        _posterior(run, times * own)[0].covariance(run.rows.base.matrix) for times in (1, 2)
+    )
     np.testing.assert_allclose(twice, once / 2.0, rtol=1e-6)
 
 
 def test_what_the_sums_of_a_run_hide_is_not_promised() -> None:
     run = rehearse(ARM, motion(), friction=TERMS, noise=0.1, prior=False)
-    own = RunErrors.of(run.spectrum)
-    alike = np.eye(len(own.information))
+    own = _sums(run.spectrum)
+    alike = np.eye(own.shape[1])
     alike[:, 2] = alike[:, 1] + 1e-9 * alike[:, 2]
-    sums = {name: alike.T @ getattr(own, name) @ alike for name in ("information", "sums")}
-    variance = _posterior(run, replace(own, **sums)).spread(run.problem.base.matrix)[0]
+    variance = _posterior(run, alike.T @ own @ alike)[0].spread(run.rows.base.matrix)[0]
     np.testing.assert_array_equal(np.flatnonzero(np.isinf(variance)), [1, 2])
+    # Nothing at all is known of a run that is not made, without a prior.
+    assert np.isinf(_posterior(run, 0.0 * own)[0].spread(run.rows.base.matrix)[0]).all()
+
+
+def test_repetitions_are_what_longer_runs_have() -> None:
     found = expected(prior=False, repetitions=(1, 2, 4, 8))
     long = expected(4, prior=False)
     # What is extrapolated is what the longer run itself has.
@@ -171,11 +174,9 @@ def test_sums_over_a_run_have_the_errors_of_its_spectrum() -> None:
     b, weights = run.problem.base.count, run.spectrum.known
     assert len(weights) > b
     assert np.all(weights[b:] > 1e-2 * run.spectrum.size)
-    errors = RunErrors.of(run.spectrum)
-    root = errors.root
-    np.testing.assert_allclose(
-        np.diag(root @ errors.scores @ root.T), np.diag(run.spectrum.covariance), rtol=1e-5
-    )
+    errors = _posterior(run, _sums(run.spectrum))[0].errors
+    found = np.diag(errors.root @ errors.scores @ errors.root.T)
+    np.testing.assert_allclose(found, np.diag(run.spectrum.covariance), rtol=1e-5)
 
 
 def test_bands_are_as_wide_as_those_of_simulated_identifications() -> None:
@@ -183,8 +184,7 @@ def test_bands_are_as_wide_as_those_of_simulated_identifications() -> None:
     terms = (sdpid.friction.Coulomb(), sdpid.friction.SigmoidFriction(velocity=0.01), "viscous")
     given = {"friction": terms, "noise": 0.5, "prior": PRIOR}
     run, found = rehearse(ARM, motion(), **given), expected(**given)
-    base = run.problem.base
-    W = BaseRows(robot=ARM, friction=run.problem.friction, base=base).rows(*motion().sample())
+    W = run.rows.rows(*motion().sample())
     value = run.problem.base_of(run.theta)
     errors = []
     for seed in range(20):
@@ -201,18 +201,11 @@ def test_bands_are_as_wide_as_those_of_simulated_identifications() -> None:
     assert np.all((ratio > 0.8) & (ratio < 1.5)), ratio
 
 
-def test_what_is_known_of_open_directions_is_nothing() -> None:
-    known = Known(np.diag([4.0, 0.0]))
-    found = known.variance(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
-    np.testing.assert_array_equal(found, [0.25, np.inf, np.inf])
-
-
 # What stays open, and why: by trial of other motions.
 
 
 SMALL_ARM = small_arm(3)
-FRICTION = FrictionModel.from_terms(("coulomb", "viscous"), SMALL_ARM.joint_names)
-BASE = structural_base(SMALL_ARM, FRICTION)
+ROWS = BaseRows.of(SMALL_ARM, TERMS)
 TIME = np.arange(0.0, 20.0, 0.05)[:, None]
 OMEGA = np.array([0.9, 1.3, 2.1])
 
@@ -233,21 +226,14 @@ def states(size: Array) -> tuple[Array, Array, Array]:
 def found(
     size: Array, *, density: float = 0.01, believed: float = 1.0, limits: Limits | None = None
 ) -> tuple[OpenDirection, ...]:
-    motion = states(size)
-    W = SMALL_ARM.regressor(*motion)
-    W = np.concatenate([W, FRICTION.columns(motion[1], motion[2])], axis=2)[:, :, BASE.kept]
-    information = np.einsum("kjb,kjc->bc", W, W) / density
+    W = ROWS.rows(*states(size))
     return open_directions(
-        Asked(
-            robot=SMALL_ARM,
-            friction=FRICTION,
-            base=BASE,
-            motion=motion,
-            density=np.full(3, density),
-            information=information,
-            believed=believed * np.eye(BASE.count),
-            limits=limits,
-        )
+        ROWS,
+        states(size),
+        density=np.full(3, density),
+        information=np.einsum("kjb,kjc->bc", W, W) / density,
+        believed=believed * np.eye(ROWS.count),
+        limits=limits,  # type: ignore[arg-type]
     )
 
 

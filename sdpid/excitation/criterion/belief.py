@@ -8,11 +8,12 @@ from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.prior.prior import Prior, prior_terms, repaired
 from sdpid.excitation.criterion.noise import usual_effort
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia
-from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
+from sdpid.robot.model.base_parameters import characteristic_length
 from sdpid.robot.model.geometry import neutral
 from sdpid.robot.model.model import RobotModel
 
@@ -96,13 +97,7 @@ def default_prior(robot: RobotModel, prior: Prior | bool | None) -> Prior | None
     return Prior() if prior else None
 
 
-def prior_information(
-    robot: RobotModel,
-    friction: FrictionModel,
-    base: BaseParameters,
-    prior: Prior | bool | None,
-    effort_rms: Array,
-) -> Array:
+def prior_information(rows: BaseRows, prior: Prior | bool | None, effort_rms: Array) -> Array:
     """Return the information (b, b) of a prior about the base parameters.
 
     It is the inverse of ``B·S·B^T`` with S the covariance of theta that the prior believes, zero
@@ -110,7 +105,7 @@ def prior_information(
 
     Parameters
     ----------
-    robot, friction, base
+    rows : BaseRows
         The robot, its friction terms and base parameters.
     prior : Prior or bool, optional
         By default that of `sdpid.identify`; False for none.
@@ -122,6 +117,7 @@ def prior_information(
     DataError
         When no link has a body.
     """
+    robot, base = rows.robot, rows.base
     found = default_prior(robot, prior)
     if found is None:
         return np.zeros((base.count, base.count))
@@ -135,7 +131,7 @@ def prior_information(
         acceleration=speed * np.roll(wave, _STATES // 4, axis=0),
         effort=np.asarray(effort_rms) * wave,
     )
-    terms = prior_terms(found, RowSource(robot, friction, base, samples)).terms
+    terms = prior_terms(found, RowSource(robot, rows.friction, base, samples)).terms
     theta = np.zeros(len(base.theta_names))
     bodies = np.array(robot.prior if found.bodies is None else found.bodies)
     # The prior's curvature is taken at the bodies believed, made possible.

@@ -21,10 +21,9 @@ from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.excitation.criterion.belief import default_prior, inverse, marginal
 from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.experiment.preparation.prepare import Logs, prepare
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import BaseParameters
-from sdpid.robot.model.model import RobotModel
 
 # An estimate, an `Identification` (which holds one), or recordings.
 Previous: TypeAlias = "Estimate | object | Logs"
@@ -55,19 +54,13 @@ class EarlierInformation:
     notes: tuple[str, ...] = ()
 
 
-def earlier_information(
-    robot: RobotModel, friction: FrictionModel, base: BaseParameters, previous: Previous
-) -> EarlierInformation:
+def earlier_information(rows: BaseRows, previous: Previous) -> EarlierInformation:
     """Return what earlier runs tell of a plan's base parameters.
 
     Parameters
     ----------
-    robot : RobotModel
-        The robot.
-    friction : FrictionModel
-        The plan's friction terms.
-    base : BaseParameters
-        The plan's base parameters.
+    rows : BaseRows
+        The plan's robot, friction terms and base parameters.
     previous : Estimate, Identification, Recording or path, or a sequence of recordings or paths
         Recordings are processed and fitted together, with the plan's friction terms.
 
@@ -79,8 +72,8 @@ def earlier_information(
     given: Any = previous
     estimate = getattr(given, "estimate", given)
     if not isinstance(estimate, Estimate):
-        estimate = _identified(robot, friction, base, given)
-    problem = estimate.problem
+        estimate = _identified(rows, given)
+    problem, robot, base = estimate.problem, rows.robot, rows.base
     if problem.robot.joint_names != robot.joint_names or problem.robot.n_links != robot.n_links:
         raise DataError(
             f"previous: is of robot '{problem.robot.name}' with joints "
@@ -103,21 +96,19 @@ def earlier_information(
     )
 
 
-def _identified(
-    robot: RobotModel, friction: FrictionModel, base: BaseParameters, logs: Logs
-) -> Estimate:
+def _identified(rows: BaseRows, logs: Logs) -> Estimate:
     """Return the estimate from recordings, with the plan's terms and the default prior."""
-    prepared = prepare(robot, logs, name="previous")
-    samples = prepared.samples
+    robot = rows.robot
+    samples = prepare(robot, logs, name="previous").samples
     with_periods = samples.covariance is not None
     problem = build_problem(
         robot,
         samples,
-        friction=friction.terms,
+        friction=rows.friction.terms,
         weighting="gls" if with_periods else "residual",
         constraints=Constraints.of_size(robot),
         prior=None if with_periods else default_prior(robot, None),
-        base=base,
+        base=rows.base,
         check_excitation=False,
     )
     return solve_sdp(problem)
@@ -128,7 +119,7 @@ def _data_information(spectrum: NoiseSpectrum) -> Array:
     b = spectrum.base_count
     H = spectrum.information() + np.diag(spectrum.known)
     scores = spectrum.information(spectrum.density)
-    scores += float(spectrum.power.sum() / spectrum.room.sum()) * np.diag(spectrum.known)
+    scores += spectrum.size * np.diag(spectrum.known)
     # J = H·M^(-1)·H; then what is known of the speeds that the data chose is marginalized.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(scores), np.finfo(float).tiny))
     whole = H * scale @ inverse(scores * np.outer(scale, scale)) @ (H * scale).T

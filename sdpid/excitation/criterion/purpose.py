@@ -9,13 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.excitation.criterion.belief import nominal_bodies
 from sdpid.excitation.criterion.noise import usual_effort
-from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.base_parameters import BaseParameters
-from sdpid.robot.model.model import RobotModel
+from sdpid.excitation.criterion.rows import BaseRows
 
 PURPOSES = ("all", "payload", "friction", "gravity", "torque")
 
@@ -24,6 +20,9 @@ _POSTURES, _SEED = 400, 20210621
 
 # Directions that matter less than this, beside the one that matters most, do not count.
 _NEGLIGIBLE = 1e-9
+
+# States whose rows are made at a time.
+_TOGETHER = 1000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,42 +43,16 @@ class Purpose:
     kind : {"volume", "sum"}
         Whether the logarithm of the volume of their errors counts (units do not matter), or the
         sum of their variances.
-    words : str
-        What is wanted, to follow 'this plan is for'.
     """
 
     name: str
     directions: Array
     functionals: Array
     kind: Literal["volume", "sum"]
-    words: str
-
-    def information(self, information: Array) -> Array:
-        """Return the information (r, r) of the unknown numbers, from that of all (b, b)."""
-        return np.asarray(self.directions.T @ information @ self.directions)
-
-    def covariance(self, information: Array) -> Array:
-        """Return the covariance (k, k) of what counts, from the information (b, b) of all.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the information leaves an unknown number open.
-        """
-        own = self.information(information)
-        scale = 1.0 / np.sqrt(np.diag(own))
-        root = np.linalg.cholesky(own * np.outer(scale, scale))
-        half = np.linalg.solve(root, (self.functionals * scale).T)
-        return np.asarray(half.T @ half)
 
 
 def purpose_of(
-    name: str,
-    robot: RobotModel,
-    friction: FrictionModel,
-    base: BaseParameters,
-    *,
-    motion: tuple[Array, Array, Array] | None = None,
+    name: str, rows: BaseRows, *, motion: tuple[Array, Array, Array] | None = None
 ) -> Purpose:
     """Return what counts for a purpose.
 
@@ -89,8 +62,8 @@ def purpose_of(
         ``all``: every base parameter. ``payload``: the ten parameters of the last link, the other
         links and friction known. ``friction``: the friction terms. ``gravity``: the efforts that
         hold the robot still, over its range. ``torque``: the efforts of a motion.
-    robot, friction, base
-        The robot, its terms and base parameters.
+    rows : BaseRows
+        The robot, its friction terms and base parameters.
     motion : (position, velocity, acceleration), optional
         States (K, n) for ``torque``.
 
@@ -101,75 +74,61 @@ def purpose_of(
     """
     if name not in PURPOSES:
         raise DataError(f"purpose: is {name!r}; use one of {', '.join(PURPOSES)}.")
-    every = np.eye(base.count)
-    links = 10 * robot.n_links
+    robot, base = rows.robot, rows.base
+    every, links = np.eye(base.count), 10 * robot.n_links
     if name == "all":
-        return _made(name, every, every, "volume", "all parameters")
+        return _made(name, every, every, "volume")
     if name == "payload":
         held = _independent(base.matrix[:, links - 10 : links])
-        words = f"the payload: the inertial parameters of '{robot.link_names[-1]}', others known"
-        return _made(name, held, np.eye(held.shape[1]), "volume", words)
+        return _made(name, held, np.eye(held.shape[1]), "volume")
     if name == "friction":
         own = np.flatnonzero(base.kept >= links)
         if not own.size:
             raise DataError("purpose: is 'friction', but there are no friction terms; name some.")
-        return _made(name, every, every[own], "volume", "friction")
+        return _made(name, every, every[own], "volume")
     if name == "gravity":
-        rng = np.random.default_rng(_SEED)
         low, high = robot.position_limits.T
         low, high = (
             np.where(np.isfinite(low), low, -np.pi),
             np.where(np.isfinite(high), high, np.pi),
         )
-        q = rng.uniform(low, high, (_POSTURES, robot.n))
+        q = np.random.default_rng(_SEED).uniform(low, high, (_POSTURES, robot.n))
         still = np.zeros_like(q)
         # At rest friction is what it was: it tells nothing, and nothing is asked of it.
-        functionals = effort_functionals(robot, friction, base, q, still, still)
+        functionals = effort_functionals(rows, q, still, still)
         functionals[:, base.kept >= links] = 0.0
-        words = "gravity: the efforts that hold the robot still, over its range"
-        return _made(name, every, functionals, "sum", words)
+        return _made(name, every, functionals, "sum")
     if motion is None:
         raise DataError(
             "purpose: is 'torque'; give the motion whose efforts are to be predicted (predict=, or "
             "--predict)."
         )
-    functionals = effort_functionals(robot, friction, base, *motion)
-    return _made(name, every, functionals, "sum", "the efforts of the motion given")
+    return _made(name, every, effort_functionals(rows, *motion), "sum")
 
 
 def effort_functionals(
-    robot: RobotModel,
-    friction: FrictionModel,
-    base: BaseParameters,
-    position: Array,
-    velocity: Array,
-    acceleration: Array,
-    scale: Array | None = None,
+    rows: BaseRows, q: Array, v: Array, a: Array, scale: Array | None = None
 ) -> Array:
     """Return L (b, b) such that ``tr(L·C·L^T)`` is the mean variance of efforts, over the joints.
 
     Parameters
     ----------
-    robot, friction, base
+    rows : BaseRows
         What the efforts are those of.
-    position, velocity, acceleration : ndarray, shape (K, n)
+    q, v, a : ndarray, shape (K, n)
         The states.
     scale : ndarray, shape (n,), optional
         Efforts are counted in units of these, N·m; by default each joint's usual effort on these
         states: the geometric mean of its rms and the largest one, by the robot's description.
     """
-    zeros = np.zeros_like(velocity)
-    samples = Samples(position=position, velocity=velocity, acceleration=acceleration, effort=zeros)
-    rows = RowSource(robot, friction, base, samples)
-    products = np.zeros((robot.n, base.count, base.count))
-    for _, W, _, _ in rows.chunks():
-        for j in range(robot.n):
-            products[j] += W[:, j].T @ W[:, j]
-    products /= len(zeros)
     if scale is None:
-        effort = robot.inverse_dynamics(nominal_bodies(robot)[0], position, velocity, acceleration)
+        effort = rows.robot.inverse_dynamics(nominal_bodies(rows.robot)[0], q, v, a)
         scale = usual_effort(np.sqrt(np.mean(effort**2, axis=0)))
-    mean = np.einsum("jab,j->ab", products, 1.0 / scale**2) / robot.n
+    mean = np.zeros((rows.count, rows.count))
+    for k in range(0, len(q), _TOGETHER):
+        W = rows.rows(*(each[k : k + _TOGETHER] for each in (q, v, a))) / scale[:, None]
+        flat = W.reshape(-1, rows.count)
+        mean += flat.T @ flat / (len(q) * len(scale))
     values, vectors = np.linalg.eigh(mean)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
@@ -184,11 +143,7 @@ def _independent(columns: Array) -> Array:
 
 
 def _made(
-    name: str,
-    directions: Array,
-    functionals: Array,
-    kind: Literal["volume", "sum"],
-    words: str,
+    name: str, directions: Array, functionals: Array, kind: Literal["volume", "sum"]
 ) -> Purpose:
     size = np.linalg.norm(functionals, axis=1)
     kept = functionals[size > _NEGLIGIBLE * size.max(initial=0.0)]
@@ -197,10 +152,4 @@ def _made(
             f"purpose: is '{name}', and none of the robot's {len(directions)} base parameters "
             "counts for it; choose another, or all."
         )
-    return Purpose(
-        name=name,
-        directions=frozen(directions),
-        functionals=frozen(kept),
-        kind=kind,
-        words=words,
-    )
+    return Purpose(name=name, directions=frozen(directions), functionals=frozen(kept), kind=kind)

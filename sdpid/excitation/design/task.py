@@ -172,16 +172,16 @@ class Task:
         effort = np.sqrt(np.mean(robot.inverse_dynamics(bodies, *usual) ** 2, axis=0))
         noise, earlier = request.noise, None
         if request.previous is not None:
-            earlier = earlier_information(robot, rows.friction, rows.base, request.previous)
+            earlier = earlier_information(rows, request.previous)
             notes += earlier.notes
             noise = earlier.noise if noise is None else noise
         expected = ExpectedNoise.of(robot.joint_names, noise, effort, RATE_HZ)
         notes += expected.notes
-        known = prior_information(robot, rows.friction, rows.base, request.prior, effort)
+        known = prior_information(rows, request.prior, effort)
         if earlier is not None:
             known = known + earlier.information
         states = None if request.predict is None else request.predict.sample()
-        purpose = purpose_of(request.purpose, robot, rows.friction, rows.base, motion=states)
+        purpose = purpose_of(request.purpose, rows, motion=states)
         torque = TorqueModel.of(robot, spread=request.torque_spread)
         notes += torque.notes
         largest = (np.abs(torque.torque(*usual)) + torque.spread(*usual)).max(axis=0)

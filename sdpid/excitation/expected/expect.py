@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,28 +11,25 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen, generator
 from sdpid._common.threads import one_thread
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.information import information_rows
+from sdpid.estimation.information import information_root, information_rows
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import FitErrors, Posterior
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import information_of_rows
 from sdpid.excitation.criterion.earlier import EarlierInformation
 from sdpid.excitation.criterion.noise import Given
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expected import NORMAL, Band, Duration, Expected
-from sdpid.excitation.expected.open_directions import Asked, Bounds, open_directions
+from sdpid.excitation.expected.open_directions import States, open_directions
 from sdpid.excitation.expected.rehearsal import Reading, Rehearsal, rehearse
-from sdpid.excitation.expected.run_errors import RunErrors
+from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.model import RobotModel
-
-# States (position, velocity, acceleration), (K, n) each.
-States = tuple[Array, Array, Array]
 
 # Probability of the intervals.
 LEVEL = 0.95
@@ -53,10 +50,6 @@ _ENDLESS = 1e9
 # nothing; what is added to their correlations, which come near one.
 _DRAWN, _FAR, _RIDGE = 200, 4.0, 1e-9
 
-# Directions whose information is below this, beside the largest, are open, and functions with more
-# than this share in them.
-_OPEN, _LOST = 1e-13, 1e-9
-
 # What is always assumed.
 _ALWAYS = (
     "the run is taken to follow the plan: a controller that lags or a joint that sticks buys less",
@@ -73,7 +66,7 @@ def expect(
     noise: Given = None,
     prior: Prior | bool | None = None,
     earlier: EarlierInformation | None = None,
-    limits: Bounds | None = None,
+    limits: JointLimits | None = None,
     motions: Mapping[str, States] | None = None,
     reading: Reading = "record",
     repetitions: Iterable[int] = REPETITIONS,
@@ -119,41 +112,42 @@ def expect(
         When the motion cannot be processed, or numbers do not fit.
     """
     given = earlier.noise if noise is None and earlier is not None else noise
-    theta = None if earlier is None else earlier.theta
     rehearsed = partial(
         rehearse,
         robot,
         friction=friction,
         noise=given,
         prior=prior,
-        theta=theta,
+        theta=None if earlier is None else earlier.theta,
         reading=reading,
     )
     run = rehearsed(trajectory)
-    own = RunErrors.of(run.spectrum)
+    base, values, rows = run.problem.base, run.theta, run.rows
+    own = _sums(run.spectrum)
     again = _again(own, trajectory, rehearsed, reading)
-    believed = _believed(run)
-    told = np.zeros_like(believed) if earlier is None else earlier.information
-    before = Known(believed + told)
+    told = np.zeros_like(own)
+    if earlier is not None:
+        told[:, : base.count, : base.count] = earlier.information
+    before, _ = _posterior(run, told)
+    known, root = _posterior(run, own + told)
     states = trajectory.sample()
     random = default_motion(robot, _RANDOM, periods=1).sample()
     asked = {**(motions or {}), "the motion of the run": states, "random motion": random}
-    rows = {name: _rows(run, each) for name, each in asked.items()}
-    base, values = run.problem.base, run.theta
-    errors = own.with_earlier(told)
-    known = _posterior(run, errors)
+    looked = {name: _rows(rows, each) for name, each in asked.items()}
     variance, share, _ = known.spread(base.matrix)
     theta_variance, theta_share, _ = known.spread(np.eye(run.problem.n_theta))
     freedom = run.spectrum.freedom(base.matrix @ known.from_fit @ run.spectrum.root)
     freedom /= np.maximum(1.0 - share, np.finfo(float).eps) ** 2
     speeds, functions, slopes = _friction_functions(run)
-    shape = len(speeds), len(run.problem.friction.joint_names)
-    moves = functions @ known.from_errors + slopes @ errors.whole_root[base.count :]
+    shape = len(speeds), robot.n
+    moves = functions @ known.from_errors + slopes @ root[base.count :]
     friction_variance, _, _ = known.spread(functions, moves)
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
     least, most = run.problem.feasible.limits_of(base.matrix)
     kept = partial(_kept_above, least - value)
+    notes = [*run.notes, *run.noise.notes, *(() if earlier is None else earlier.notes)]
+    notes += [*(() if run.problem.prior is None else run.problem.prior.notes), *_ALWAYS]
     return Expected(
         names=base.names,
         units=base.units,
@@ -162,7 +156,7 @@ def expect(
         half_widths=frozen(half),
         lower=frozen(np.minimum(np.maximum(value - half, least), value)),
         upper=frozen(np.maximum(np.minimum(value + half, most), value)),
-        before=frozen(np.sqrt(before.variance(np.eye(base.count)))),
+        before=frozen(np.sqrt(before.spread(base.matrix)[0])),
         prior_share=frozen(share),
         theta_names=base.theta_names,
         theta_units=base.theta_units,
@@ -179,76 +173,80 @@ def expect(
                 motion=name,
                 effort=frozen(np.sqrt(np.mean((W @ value) ** 2, axis=0))),
                 half_width=frozen(_half_width(W, kept(covariance))),
-                before=frozen(_half_width_before(W, before)),
+                before=frozen(_half_width_before(W, before, base.matrix)),
             )
-            for name, W in rows.items()
+            for name, W in looked.items()
         ),
         durations=tuple(
             _duration(
                 run,
-                own.plus(again, times - trajectory.periods).with_earlier(told),
+                own + (times - trajectory.periods) * again + told,
                 kept,
                 times,
                 trajectory.duration + (times - trajectory.periods) * trajectory.period,
-                rows,
+                looked.values(),
             )
             for times in repetitions
         ),
         open_directions=open_directions(
-            Asked(
-                robot=robot,
-                friction=run.problem.friction,
-                base=base,
-                motion=states,
-                density=run.noise.density,
-                information=own.base_information + told,
-                believed=believed,
-                limits=limits,
-            )
+            rows,
+            states,
+            density=run.noise.density,
+            information=(own + told)[0, : base.count, : base.count],
+            believed=_believed(run),
+            limits=limits,
         ),
         structure=base.eliminated,
         covariance=frozen(covariance),
         noise=run.noise,
         seconds=trajectory.duration,
-        notes=_notes(run, earlier),
+        notes=tuple(notes),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What an information (b, b) says of functions of the base parameters."""
+def _sums(spectrum: NoiseSpectrum) -> Array:
+    """Return ``Σ H_g`` and ``Σ S_g·H_g`` over the rows of a run, (2, c, c).
 
-    information: Array
-
-    def variance(self, functionals: Array) -> Array:
-        """Return the variances (k,) of functionals (k, b); infinite where they are open."""
-        size = np.sqrt(np.maximum(np.diag(self.information), np.finfo(float).tiny))
-        size = np.where(np.diag(self.information) > 0.0, size, 1.0)
-        values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
-        parts = (functionals / size) @ vectors
-        kept = values > _OPEN * max(float(values[-1]), np.finfo(float).tiny)
-        found = np.sum(parts[:, kept] ** 2 / values[kept], axis=1)
-        lost = np.sum(parts[:, ~kept] ** 2, axis=1) > _LOST * np.sum(parts**2, axis=1)
-        return np.where(lost, np.inf, found)
+    The information of the base parameters and of speeds that the data would choose, and the
+    covariance of the scores: what the errors of a fit are made of. Those of runs add up.
+    """
+    return np.stack([spectrum.information(), spectrum.information(spectrum.density)])
 
 
 def _again(
-    own: RunErrors,
+    own: Array,
     trajectory: Trajectory,
     rehearsed: Callable[[Trajectory], Rehearsal],
     reading: Reading,
-) -> RunErrors:
+) -> Array:
     """Return the sums over the rows that one more repetition of the motion adds."""
     leads = trajectory.lead_samples > 0 and is_closed(trajectory.series)
     if reading == "record" and leads:
         longer = rehearsed(trajectory.with_periods(trajectory.periods + 1))
-        return RunErrors.of(longer.spectrum).beyond(own)
-    return own.plus(own, 1.0 / trajectory.periods - 1.0)
+        return np.stack([_positive(each) for each in _sums(longer.spectrum) - own])
+    return own / trajectory.periods
 
 
-def _posterior(run: Rehearsal, errors: RunErrors) -> Posterior:
-    """Return the errors of the estimate that `identify` would make."""
-    A = information_rows(errors.base_information)
+def _positive(matrix: Array) -> Array:
+    """Return the nearest positive semidefinite matrix, in units of its diagonal."""
+    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(positive * np.outer(size, size))
+
+
+def _posterior(run: Rehearsal, sums: Array) -> tuple[Posterior, Array]:
+    """Return the errors of the estimate that `identify` would make, and how the fit is off.
+
+    Of the latter T (c, r), for the base parameters and the logarithms of speeds: what rounding of
+    the sums hides has no column.
+    """
+    spectrum, b = run.spectrum, run.problem.base.count
+    # What is known of speeds beforehand is as uncertain as stated.
+    known = np.diag(spectrum.known)
+    root = information_root(information_rows(sums[0] + known))
+    scores = root.T @ (sums[1] + spectrum.size * known) @ root
+    A = information_rows(sums[0, :b, :b])
     base = run.problem.base_of(run.theta)
     problem = replace(run.problem, A=frozen(A), rhs=frozen(A @ base), floor=0.0)
     about: dict[str, Any] = {"method": "expected", "status": "expected", "iterations": 0}
@@ -257,7 +255,9 @@ def _posterior(run: Rehearsal, errors: RunErrors) -> Posterior:
         estimate = Estimate(problem=problem, base=frozen(base), theta=None, **about)
     else:
         estimate = Estimate.of_theta(problem, run.theta, **about)
-    return Posterior(estimate, FitErrors(errors.root, errors.scores, errors.freedom))
+    # The noise is believed, not estimated.
+    errors = FitErrors(root[:b], scores, lambda directions: np.full(len(directions), np.inf))
+    return Posterior(estimate, errors), root
 
 
 def _believed(run: Rehearsal) -> Array:
@@ -270,13 +270,10 @@ def _believed(run: Rehearsal) -> Array:
     return information_of_rows(R, base.matrix)
 
 
-def _rows(run: Rehearsal, states: States) -> Array:
+def _rows(rows: BaseRows, states: States) -> Array:
     """Return the regressor (K, n, b) at some states of a motion."""
     step = max(1, len(states[0]) // _STATES)
-    q, v, a = (each[::step] for each in states)
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=np.zeros_like(v))
-    rows = RowSource(run.problem.robot, run.problem.friction, run.problem.base, samples)
-    return np.concatenate([W for _, W, _, _ in rows.chunks()])
+    return rows.rows(*(each[::step] for each in states))
 
 
 def _kept_above(least: Array, covariance: Array) -> Array:
@@ -310,27 +307,27 @@ def _half_width(W: Array, covariance: Array) -> Array:
     return np.asarray(NORMAL * np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _half_width_before(W: Array, before: Known) -> Array:
+def _half_width_before(W: Array, before: Posterior, matrix: Array) -> Array:
     """Return the same before the run; infinite where it is open."""
-    variance = before.variance(W.reshape(-1, W.shape[2])).reshape(W.shape[:2])
-    return np.asarray(NORMAL * np.sqrt(variance.mean(axis=0)))
+    variance, _, _ = before.spread(W.reshape(-1, W.shape[2]) @ matrix)
+    return np.asarray(NORMAL * np.sqrt(variance.reshape(W.shape[:2]).mean(axis=0)))
 
 
 def _duration(
     run: Rehearsal,
-    errors: RunErrors,
+    sums: Array,
     kept: Callable[[Array], Array],
     times: int,
     seconds: float,
-    rows: Mapping[str, Array],
+    rows: Iterable[Array],
 ) -> Duration:
     """Return what is known after `times` repetitions."""
-    known = _posterior(run, errors)
+    known, _ = _posterior(run, sums)
     base, links = run.problem.base, run.problem.robot.n_links
     covariance, values = kept(known.covariance(base.matrix)), base.matrix @ run.theta
     masses = np.eye(run.problem.n_theta)[: 10 * links : 10]
     shares = []
-    for W in rows.values():
+    for W in rows:
         effort = float(np.linalg.norm(W @ values)) / np.sqrt(len(W))
         half = float(np.linalg.norm(_half_width(W, covariance)))
         shares.append(half / max(effort, np.finfo(float).tiny))
@@ -354,35 +351,26 @@ def _friction_functions(run: Rehearsal) -> tuple[Array, Array, Array]:
         Derivatives by the logarithms of the speeds that the data choose.
     """
     problem, friction = run.problem, run.problem.friction
-    tail = len(friction.parameters)
-    bending = Bending.of(friction, problem.origin.profiled, run.sizes[problem.n_theta - tail :])
+    rest = problem.n_theta - len(friction.parameters)
+    bending = Bending.of(friction, problem.origin.profiled, run.sizes[rest:])
     top = np.abs(problem.samples.velocity).max()
-    speeds = [speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]] if tail else []
-    functions, slopes = [], []
-    for speed in speeds:
-        v = np.array([[speed], [-speed]]) * np.ones(problem.robot.n)
-        columns = friction.columns(v, np.zeros_like(v))[:, friction.first :]
-        own = v[:, friction.first :]
-        motion = SampledMotion(
-            position=own, velocity=own, acceleration=np.zeros_like(own), robot=problem.robot
-        )
-        bends = bending.columns(motion)[:, friction.first :]
-        columns, bends = (0.5 * (each[0] - each[1]) for each in (columns, bends))
-        functions.append(np.pad(columns, ((0, 0), (problem.n_theta - tail, 0))))
-        slopes.append(bends)
-    if not speeds:
-        return frozen([]), np.zeros((0, problem.n_theta)), np.zeros((0, len(bending.deviations)))
-    return frozen(speeds), np.concatenate(functions), np.concatenate(slopes)
+    speeds = [speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]]
+    speeds *= bool(friction.parameters)
+    v = np.array([(speed, -speed) for speed in speeds]).reshape(-1, 1) * np.ones(problem.robot.n)
+    motion = SampledMotion(
+        position=v, velocity=v, acceleration=np.zeros_like(v), robot=problem.robot
+    )
+    columns, bends = (
+        0.5 * (each[::2] - each[1::2])
+        for each in (friction.columns_in(motion), bending.columns(motion))
+    )
+    functions = np.pad(columns, ((0, 0), (0, 0), (rest, 0)))
+    count = len(speeds) * problem.robot.n
+    flat = functions.reshape(count, problem.n_theta), bends.reshape(count, bends.shape[2])
+    return frozen(speeds), *flat
 
 
 def _quantile(freedom: Array) -> Array:
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.minimum(freedom, _ENDLESS), 0.5 * (1.0 + LEVEL)))
-
-
-def _notes(run: Rehearsal, earlier: EarlierInformation | None) -> tuple[str, ...]:
-    """Return what all of it rests on, in words."""
-    notes = [*run.notes, *run.noise.notes, *(() if earlier is None else earlier.notes)]
-    notes += [*(() if run.problem.prior is None else run.problem.prior.notes), *_ALWAYS]
-    return tuple(notes)

@@ -10,18 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.estimation.compression.covariance import JointRows
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.information import WEAK
-from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.base_parameters import BaseParameters
-from sdpid.robot.model.model import RobotModel
+from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.limits.joint_limits import JointLimits
 
 # At most so many directions are told apart.
 _MOST = 12
@@ -43,28 +39,11 @@ _REACHED = 0.9
 _CLEAR = 1.15
 
 
+# States (position, velocity, acceleration), (K, n) each.
+States: TypeAlias = tuple[Array, Array, Array]
+
 # What is changed about a motion, and of which joint.
 Change: TypeAlias = tuple[str, "str | None"]
-
-
-class Bounds(Protocol):
-    """The part of `JointLimits` that is looked at."""
-
-    @property
-    def lower(self) -> Array:
-        """Least positions (n,)."""
-
-    @property
-    def upper(self) -> Array:
-        """Largest positions (n,)."""
-
-    @property
-    def velocity(self) -> Array:
-        """Largest speeds (n,)."""
-
-    @property
-    def acceleration(self) -> Array:
-        """Largest accelerations (n,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,63 +78,51 @@ class OpenDirection:
     words: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Asked:
-    """What open directions are looked for in.
+def open_directions(
+    rows: BaseRows,
+    motion: States,
+    *,
+    density: Array,
+    information: Array,
+    believed: Array,
+    limits: JointLimits | None = None,
+) -> tuple[OpenDirection, ...]:
+    """Return the directions that a run leaves open, the worst first.
 
-    Attributes
+    Parameters
     ----------
-    robot, friction, base
-        The robot, its friction terms and base parameters.
+    rows : BaseRows
+        The regressor.
     motion : (position, velocity, acceleration)
         States (K, n) of the run.
     density : ndarray, shape (n,)
         Of the noise.
     information, believed : ndarray, shape (b, b)
         What run and earlier runs tell, and what a prior does.
-    limits : JointLimits or None
+    limits : JointLimits, optional
         Those of the motion.
     """
-
-    robot: RobotModel
-    friction: FrictionModel
-    base: BaseParameters
-    motion: tuple[Array, Array, Array]
-    density: Array
-    information: Array
-    believed: Array
-    limits: Bounds | None = None
-
-
-def open_directions(asked: Asked) -> tuple[OpenDirection, ...]:
-    """Return the directions that a run leaves open, the worst first."""
-    base = asked.base
-    told = np.diag(asked.information)
-    best = told.max(initial=0.0)
-    believed = np.diag(asked.believed)
-    # Units: what is believed of each parameter; where nothing is, what the run tells of it.
-    total = believed + np.where(believed > 0.0, 0.0, np.maximum(told, WEAK**2 * best))
-    unit = 1.0 / np.sqrt(total)
-    data = asked.information * np.outer(unit, unit)
-    prior = asked.believed * np.outer(unit, unit)
     from scipy.linalg import eigh
 
-    free = np.diag(np.where(believed > 0.0, 0.0, WEAK**2))
+    told, known = np.diag(information), np.diag(believed)
+    # Units: what is believed of each parameter; where nothing is, what the run tells of it.
+    weak = np.maximum(told, WEAK**2 * told.max(initial=0.0))
+    unit = 1.0 / np.sqrt(known + np.where(known > 0.0, 0.0, weak))
+    data, prior = (each * np.outer(unit, unit) for each in (information, believed))
+    free = np.diag(np.where(known > 0.0, 0.0, WEAK**2))
     # Information of the run per information before it: below one the run tells less.
     values, vectors = eigh(data, prior + free + 1e-12 * np.eye(len(data)))
     found = np.flatnonzero(values < 1.0)[:_MOST]
-    if not found.size:
-        return ()
-    gains = _gains(asked)
+    gains = _gains(rows, motion, density) if found.size else {}
     out = []
     for k in found:
-        direction = unit * vectors[:, k]
         shares = vectors[:, k] / np.linalg.norm(vectors[:, k])
-        order = [i for i in np.argsort(-np.abs(shares)) if abs(shares[i]) >= _SHARE][:3]
-        order = order or [int(np.argmax(np.abs(shares)))]
-        cause, joint = _cause(gains, direction)
+        largest = np.argsort(-np.abs(shares))[:3]
+        order = [i for n, i in enumerate(largest) if n == 0 or abs(shares[i]) >= _SHARE]
+        cause, joint = _cause(gains, unit * vectors[:, k])
         left = float(1.0 / np.sqrt(1.0 + max(values[k], 0.0)))
-        names = tuple(base.names[i] for i in order)
+        names = tuple(rows.base.names[i] for i in order)
+        reason = _reason(rows.robot.joint_names, motion, limits, cause, joint)
         out.append(
             OpenDirection(
                 parameters=names,
@@ -163,52 +130,42 @@ def open_directions(asked: Asked) -> tuple[OpenDirection, ...]:
                 told=left,
                 cause=cause,
                 joint=joint,
-                reason=(why := _reason(asked, cause, joint)),
-                words=_words(names, left, bool(np.all(believed[order] > 0.0)), why),
+                reason=reason,
+                words=_words(names, left, bool(np.all(known[order] > 0.0)), reason),
             )
         )
     return tuple(out)
 
 
-def _gains(asked: Asked) -> dict[Change, Array]:
+def _gains(rows: BaseRows, motion: States, density: Array) -> dict[Change, Array]:
     """Return the information (b, b) of the motion and of others, by what they change."""
-    q, v, a = asked.motion
-    step = max(1, len(q) // _STATES)
-    q, v, a = q[::step], v[::step], a[::step]
+
+    def information(q: Array, v: Array, a: Array) -> Array:
+        W = (rows.rows(q, v, a) / np.sqrt(density)[:, None]).reshape(-1, rows.count)
+        return np.asarray(W.T @ W / len(q))
+
+    step = max(1, len(motion[0]) // _STATES)
+    q, v, a = (each[::step] for each in motion)
     middle = q.mean(axis=0)
-    gains: dict[Change, Array] = {("as is", None): _information(asked, q, v, a)}
-    gains["time", None] = _FACTOR * gains["as is", None]
-    gains["speed", None] = _information(asked, q, _FACTOR * v, _FACTOR**2 * a)
-    for j, name in enumerate(asked.robot.joint_names):
+    gains: dict[Change, Array] = {}
+    gains["time", None] = _FACTOR * information(q, v, a)
+    gains["speed", None] = information(q, _FACTOR * v, _FACTOR**2 * a)
+    for j, name in enumerate(rows.robot.joint_names):
         factor = np.ones(q.shape[1])
         factor[j] = _FACTOR
-        gains["range", name] = _information(
-            asked, middle + factor * (q - middle), factor * v, factor * a
-        )
+        gains["range", name] = information(middle + factor * (q - middle), factor * v, factor * a)
     return gains
-
-
-def _information(asked: Asked, q: Array, v: Array, a: Array) -> Array:
-    """Return the information (b, b) of states, per sample."""
-    samples = Samples(position=q, velocity=v, acceleration=a, effort=np.zeros_like(v))
-    rows = JointRows.of(RowSource(asked.robot, asked.friction, asked.base, samples))
-    R = rows.joined(asked.density).R[:, :-1]
-    return np.asarray(R.T @ R / len(q))
 
 
 def _cause(gains: dict[Change, Array], direction: Array) -> Change:
     """Return what sharpens a direction most: more range of a joint, more speed, or more time."""
     told = {key: float(direction @ value @ direction) for key, value in gains.items()}
-    longer = told["time", None]
-    del told["as is", None], told["time", None]
-    faster = told["speed", None]
+    longer, faster = told.pop(("time", None)), told.pop(("speed", None))
     best = max(told, key=lambda key: told[key])
-    if best == ("speed", None):
-        wider = max((key for key in told if key != best), key=lambda key: told[key])
-        best = wider if faster < _CLEAR * told[wider] else best
-    if longer <= 0.0 or told[best] <= _CLEAR * longer:
-        return "time", None
-    return best
+    gain = told[best]
+    if faster >= _CLEAR * gain:
+        best, gain = ("speed", None), faster
+    return best if longer > 0.0 and gain > _CLEAR * longer else ("time", None)
 
 
 def _words(names: Sequence[str], left: float, believed: bool, reason: str) -> str:
@@ -222,24 +179,32 @@ def _words(names: Sequence[str], left: float, believed: bool, reason: str) -> st
     return f"{what}: {known}; {reason}"
 
 
-def _reason(asked: Asked, cause: str, joint: str | None) -> str:
+def _reason(
+    names: Sequence[str],
+    motion: States,
+    limits: JointLimits | None,
+    cause: str,
+    joint: str | None,
+) -> str:
     """Return what is missing, and which limit stands in the way."""
     if cause == "time":
         return "a longer run, or less noise, is what helps"
-    q, v, a = asked.motion
-    limits = asked.limits
-    if cause == "speed" or joint is None:
+    q, v, a = motion
+    if joint is None:
         if limits is None:
             return "faster motion is what helps"
-        kinds = (("speed", v, limits.velocity), ("acceleration", a, limits.acceleration))
-        reached = [
-            f"{kind} of {', '.join(which)}"
-            for kind, used, limit in kinds
-            if (which := _at_limit(asked, np.abs(used).max(axis=0), limit))
-        ]
+        reached = []
+        for kind, used, limit in (
+            ("speed", v, limits.velocity),
+            ("acceleration", a, limits.acceleration),
+        ):
+            at = np.abs(used).max(axis=0) >= _REACHED * limit
+            which = [name for name, is_there in zip(names, at, strict=True) if is_there]
+            if which:
+                reached.append(f"{kind} of {'all joints' if at.all() else ', '.join(which)}")
         full = f"the limits on {' and '.join(reached)} are" if reached else "no limit on either is"
         return f"faster motion is what helps, and {full} reached"
-    j = asked.robot.joint_names.index(joint)
+    j = names.index(joint)
     span = float(np.ptp(q[:, j]))
     if limits is None:
         return f"a wider motion of {joint} (now {span:.3g} rad) is what helps"
@@ -253,12 +218,3 @@ def _reason(asked: Asked, cause: str, joint: str | None) -> str:
         f"a wider motion of {joint} is what helps, which uses {span:.3g} of {allowed:.3g} rad: "
         "other limits, or other parameters, stand in the way"
     )
-
-
-def _at_limit(asked: Asked, used: Array, limit: Array) -> list[str]:
-    """Return the joints that reach a limit; all of them in two words."""
-    reached = used >= _REACHED * limit
-    names = asked.robot.joint_names
-    if reached.all():
-        return ["all joints"]
-    return [name for name, is_there in zip(names, reached, strict=True) if is_there]

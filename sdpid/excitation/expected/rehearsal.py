@@ -27,6 +27,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.excitation.criterion.belief import default_prior, nominal_theta
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.experiment.preparation.prepare import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
@@ -78,6 +79,12 @@ class Rehearsal:
     processing: Processing
     log: Recording
     notes: tuple[str, ...]
+
+    @property
+    def rows(self) -> BaseRows:
+        """The regressor."""
+        known = self.problem
+        return BaseRows(robot=known.robot, friction=known.friction, base=known.base)
 
 
 @one_thread
@@ -189,12 +196,7 @@ def _efforts(
     """Return the efforts (K, n) of nominal parameters."""
     links = 10 * robot.n_links
     rigid = robot.inverse_dynamics(theta[:links], q, v, a)
-    motion = SampledMotion(
-        position=q,
-        velocity=v[:, friction.first :],
-        acceleration=a[:, friction.first :],
-        robot=robot,
-    )
+    motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=robot)
     return np.asarray(rigid + friction.columns_in(motion) @ theta[links:])
 
 

@@ -153,16 +153,15 @@ class StandingTask:
         force = LASTING * (_WEIGHT_SHARE * held.weight * len(legs.frames)) ** 2
         base = np.repeat([force, force * robot.reach**2], 3)
         regressor = BaseRows.of(robot, request.friction)
-        friction, parameters = regressor.friction, regressor.base
         rows = StandingRows(
             stance=stance,
             regressor=regressor,
             spread=np.concatenate([base, expected.density]),
         )
         efforts = np.concatenate([np.zeros(6), effort])
-        known = prior_information(robot, friction, parameters, request.prior or True, efforts)
+        known = prior_information(regressor, request.prior or True, efforts)
         for plan in request.previous:
-            if plan.base.names != parameters.names:
+            if plan.base.names != regressor.base.names:
                 raise DataError(
                     f"previous: a plan of {len(plan.base.names)} base parameters, this one has "
                     f"{rows.count}, or others; plan for the same robot and friction terms."
@@ -185,12 +184,12 @@ class StandingTask:
             refining_steps=math.ceil(_REFINING * request.steps),
             levels=1,
         )
-        theta = np.concatenate([bodies.ravel(), np.zeros(len(friction.parameters))])
+        theta = np.concatenate([bodies.ravel(), np.zeros(len(regressor.friction.parameters))])
         return cls(
             search=search,
             held=held,
             rows=rows,
-            values=parameters.matrix @ theta,
+            values=regressor.base.matrix @ theta,
             notes=(*joints.assumed, *assumed, *expected.notes),
         )
 
