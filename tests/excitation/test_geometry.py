@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.excitation.geometry.collision import CollisionModel
+from sdpid.excitation.geometry.collision import CollisionModel, proven_apart
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import (
     Box,
@@ -28,7 +28,6 @@ from sdpid.excitation.geometry.obstacles import (
     wall,
 )
 from sdpid.excitation.geometry.pairs import Pair
-from sdpid.excitation.geometry.proof import proven_apart
 from sdpid.excitation.geometry.solids import Solid, robot_solids
 from sdpid.robot.description.catalog import find_robot
 from sdpid.robot.model.shapes import Shape

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -15,10 +15,8 @@ from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Mesh, Obstacle, named_apart
-from sdpid.excitation.geometry.pairs import Pair, choose_pairs
-from sdpid.excitation.geometry.proof import proven_apart
-from sdpid.excitation.geometry.reach import pair_reaches, turning_coordinates
-from sdpid.excitation.geometry.soft import SoftMinimum
+from sdpid.excitation.geometry.pairs import Pair, PairChooser
+from sdpid.excitation.geometry.reach import pair_reaches
 from sdpid.excitation.geometry.solids import Solid, body_name, obstacle_solid, robot_solids
 from sdpid.robot.model.model import RobotModel
 
@@ -138,17 +136,11 @@ class CollisionModel:
         usual = np.where((finite[0] < 0.0) & (finite[1] > 0.0), 0.0, finite.mean(axis=0))
         _check_base(robot, placed)
         around = [obstacle_solid(obstacle) for obstacle in placed]
-        choice = choose_pairs(
-            robot,
-            solids,
-            around,
-            lower=finite[0],
-            upper=finite[1],
+        choice = PairChooser(robot, solids, around, ignore, clearance).choose(
+            *finite,
             rest=_position(robot, rest, "rest"),
             near=usual if near is None else _position(robot, near, "near"),
             free_rest=free_rest,
-            clearance=clearance,
-            ignore=ignore,
             seed=seed,
         )
         every = (*solids, *around)
@@ -171,13 +163,9 @@ class CollisionModel:
     def _measure(self) -> Measure:
         return Measure(self.robot, self.solids, [(pair.first, pair.second) for pair in self.pairs])
 
-    @cached_property
-    def _soft(self) -> SoftMinimum:
-        return SoftMinimum(self._measure, self.reach)
-
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without Coal's objects, which cannot be pickled."""
-        made = ("_measure", "_soft", "searched")
+        made = ("_measure", "searched")
         return {key: value for key, value in vars(self).items() if key not in made}
 
     def distances(self, q: ArrayLike) -> Array:
@@ -260,7 +248,7 @@ class CollisionModel:
         """
         positions = real_array(q, "q", ndim=2)
         asked = self.clearances(clearance, beyond)
-        return self._soft.evaluate(positions, sharpness, asked, horizon)
+        return self._measure.soft_minimum(positions, sharpness, asked, self.reach, horizon)
 
     def only(self, which: Sequence[int] | Indices | Array) -> CollisionModel:
         """Return the same with only some pairs, by their indices or by P booleans."""
@@ -277,7 +265,8 @@ class CollisionModel:
     def _without_proven(self, lower: Array, upper: Array) -> CollisionModel:
         """Return the same without the pairs that are never near within the limits."""
         # Whole turns repeat what one has shown; of what slides without an end nothing is proven.
-        turning = turning_coordinates(self.robot)
+        whole = np.count_nonzero(self.robot.expansion, axis=0) == 1
+        turning = whole & ~self.robot.slides
         lower = np.where(turning & ~np.isfinite(lower), -np.pi, lower)
         upper = np.where(turning, np.minimum(upper, lower + 2.0 * np.pi), upper)
         kept, left_out = [], list(self.left_out)
@@ -286,9 +275,8 @@ class CollisionModel:
             joints = np.count_nonzero((self.reach[p] > 0.0) & (upper > lower))
             count = None
             if joints <= _PROOF_JOINTS and pair.nearest > asked:
-                distance = _OneDistance(self.only([p]))
-                limits = (self.reach[p], lower, upper)
-                count = proven_apart(distance, *limits, asked, most=_PROOF_MOST)
+                distance, reach = self.only([p])._least, self.reach[p]
+                count = proven_apart(distance, reach, lower, upper, asked, most=_PROOF_MOST)
             if count is None:
                 kept.append(p)
             else:
@@ -301,31 +289,20 @@ class CollisionModel:
         from sdpid.robot.model.geometry import link_placements
 
         placements = link_placements(self.robot, self.rest)
-        for obstacle in self.obstacles:
-            if isinstance(obstacle, Mesh) and any(
-                solid.body == obstacle.name and solid.shape is obstacle for solid in self.solids
-            ):
-                for solid in self.solids:
-                    points, _ = solid.core
-                    if not solid.joint or not len(points):
-                        continue
-                    placement = placements[solid.joint - 1]
-                    middle = placement[:3, :3] @ points.mean(axis=0) + placement[:3, 3]
-                    if obstacle.contains(middle[None])[0]:
-                        raise ModelError(
-                            f"obstacle '{obstacle.name}' surrounds '{solid.body}' at the rest "
-                            "position; move it, or give another rest position."
-                        )
+        moving = [solid for solid in self.solids if solid.joint]
+        for surface in (solid.shape for solid in self.solids if isinstance(solid.shape, Mesh)):
+            for solid in moving:
+                place = placements[solid.joint - 1]
+                middle = place[:3, :3] @ solid.core[0].mean(axis=0) + place[:3, 3]
+                if surface.contains(middle[None])[0]:
+                    raise ModelError(
+                        f"obstacle '{surface.name}' surrounds '{solid.body}' at the rest "
+                        "position; move it, or give another rest position."
+                    )
 
-
-@dataclass(frozen=True, eq=False)
-class _OneDistance:
-    """The distance of a model's only pair, less by its error."""
-
-    model: CollisionModel
-
-    def __call__(self, q: Array) -> Array:
-        return np.asarray(self.model.distances(q)[:, 0] - self.model.accuracy)
+    def _least(self, q: Array) -> Array:
+        """Return the least distances (K,), less by their error."""
+        return np.asarray(self.distances(q).min(axis=1) - self.accuracy)
 
 
 def _bounds(robot: RobotModel, lower: ArrayLike | None, upper: ArrayLike | None) -> Array:
@@ -366,3 +343,61 @@ def _check_base(robot: RobotModel, obstacles: Iterable[Obstacle]) -> None:
                 f"obstacle '{obstacle.name}' contains the base '{body_name(robot, 0)}': the origin "
                 "of its frame and the first joint lie inside; move the obstacle."
             )
+
+
+def proven_apart(
+    distance: Callable[[Array], Array],
+    reach: Array,
+    lower: Array,
+    upper: Array,
+    wanted: float,
+    *,
+    most: int,
+) -> int | None:
+    """Return how many distances prove that two bodies' distance is never below a wanted one.
+
+    The box of positions is cut in half, where the joint moves the bodies most, until the distance
+    in the middle of every part exceeds the wanted one by what the reach allows within the part.
+
+    Parameters
+    ----------
+    distance : callable
+        Distances (K,) at positions (K, n), m; less than they are by their error.
+    reach : ndarray, shape (n,)
+        Bounds on the derivatives of the distance, m/rad or m/m.
+    lower, upper : ndarray, shape (n,)
+        Limits of the positions.
+    wanted : float
+        m.
+    most : int
+        Give up after this many distances.
+
+    Returns
+    -------
+    int or None
+        None where it is not so, or not found to be so.
+    """
+    moved = (reach > 0.0) & (upper > lower)
+    if not np.isfinite([reach[moved], lower[moved], upper[moved]]).all():
+        return None
+    still = np.where(np.isfinite(lower), lower, 0.0)
+    lower, upper = (np.where(moved, bound, still) for bound in (lower, upper))
+    middle, half = 0.5 * (lower + upper)[None], 0.5 * (upper - lower)[None]
+    count = 0
+    while len(middle):
+        count += len(middle)
+        if count > most:
+            return None
+        slack = distance(middle) - wanted
+        if (slack < 0.0).any():
+            return None
+        open_ = slack < half @ np.where(moved, reach, 0.0)
+        middle, half = middle[open_], half[open_].copy()
+        if not len(middle):
+            break
+        rows, joint = np.arange(len(middle)), np.argmax(half * reach, axis=1)
+        half[rows, joint] *= 0.5
+        step = np.zeros_like(half)
+        step[rows, joint] = half[rows, joint]
+        middle, half = np.concatenate([middle - step, middle + step]), np.tile(half, (2, 1))
+    return count

@@ -33,6 +33,15 @@ def _triple(values: Any, what: str) -> tuple[float, float, float]:
     return float(array[0]), float(array[1]), float(array[2])
 
 
+def _unit(values: Any, what: str, wrong: str) -> Array:
+    """Return a vector (3,) at length one."""
+    direction = np.array(_triple(values, what))
+    length = float(np.linalg.norm(direction))
+    if length == 0.0:
+        raise DataError(wrong)
+    return np.asarray(direction / length)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
     """What all obstacles of a limited size have: a place in the base frame, and a name."""
@@ -93,12 +102,11 @@ class Plane:
     name: str = "plane"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", _triple(self.point, f"plane '{self.name}': point"))
-        normal = np.array(_triple(self.normal, f"plane '{self.name}': normal"))
-        length = float(np.linalg.norm(normal))
-        if length == 0.0:
-            raise DataError(f"plane '{self.name}': the normal is zero, give a direction.")
-        object.__setattr__(self, "normal", tuple((normal / length).tolist()))
+        what = f"plane '{self.name}':"
+        object.__setattr__(self, "point", _triple(self.point, f"{what} point"))
+        wrong = f"{what} the normal is zero, give a direction."
+        normal = _unit(self.normal, f"{what} normal", wrong)
+        object.__setattr__(self, "normal", tuple(normal.tolist()))
 
     def contains(self, points: Array) -> Mask:
         """Return which points (N, 3) of the base frame lie inside."""
@@ -242,11 +250,8 @@ def wall(distance: float, direction: str | Sequence[float] = "-x", *, name: str 
             raise DataError(f"wall: direction '{direction}'; give one of {', '.join(_DIRECTIONS)}.")
         name = name or f"wall {direction}"
         direction = _DIRECTIONS[direction]
-    outwards = np.array(_triple(direction, "wall: direction"))
-    length = float(np.linalg.norm(outwards))
-    if length == 0.0:
-        raise DataError("wall: the direction is zero, give one that is not.")
-    outwards /= length
+    wrong = "wall: the direction is zero, give one that is not."
+    outwards = _unit(direction, "wall: direction", wrong)
     return Plane(
         point=tuple((float(distance) * outwards).tolist()),
         normal=tuple((-outwards).tolist()),

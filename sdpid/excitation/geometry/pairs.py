@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import combinations, compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,9 +88,8 @@ class Pair:
         return min(wanted, max(0.5 * (self.farthest if self.obstacle else self.usual), 0.0))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
-    """Pairs that are checked, those left out with reasons, and the rest position (n,)."""
+class Choice(NamedTuple):
+    """Pairs that are checked, those left out with reasons, the rest position (n,), and notes."""
 
     pairs: tuple[Pair, ...]
     left_out: tuple[tuple[str, str, str], ...]
@@ -96,21 +97,8 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose_pairs(
-    robot: RobotModel,
-    solids: Sequence[Solid],
-    obstacles: Sequence[Solid],
-    *,
-    lower: Array,
-    upper: Array,
-    rest: Array | None,
-    near: Array,
-    free_rest: bool = True,
-    clearance: float = 0.0,
-    ignore: Iterable[tuple[str, str]] = (),
-    seed: int = 0,
-) -> Choice:
-    """Choose the pairs to be checked.
+class PairChooser:
+    """Chooses the pairs to be checked.
 
     Parameters
     ----------
@@ -118,31 +106,17 @@ def choose_pairs(
         The robot.
     solids, obstacles : sequence of Solid
         Solids of the robot and of obstacles.
-    lower, upper : ndarray, shape (n,)
-        Finite limits within which positions are drawn.
-    rest : ndarray, shape (n,), or None
-        Where the motion begins; None looks for a position that is free.
-    near : ndarray, shape (n,)
-        The rest position if it is free, else the one that is found differs from it in few joints.
-    free_rest : bool
-        Whether the rest position must be free; if not, `near` is taken as it is.
-    clearance : float
-        Least distance at rest, m.
     ignore : iterable of (str, str)
         Names of bodies whose pairs are left out.
-    seed : int
-        Of the drawn positions.
+    clearance : float
+        Least distance at rest, m.
 
     Raises
     ------
     ModelError
-        When a name to ignore does not exist, a given rest position is not free, or none is found.
+        When a name to ignore does not exist.
     """
-    chooser = _Chooser(robot, solids, obstacles, ignore, clearance)
-    return chooser.choose(lower, upper, rest, near, free_rest, seed)
 
-
-class _Chooser:
     def __init__(
         self,
         robot: RobotModel,
@@ -153,40 +127,33 @@ class _Chooser:
     ) -> None:
         self._robot, self._clearance = robot, clearance
         self._gap = max(_REST_GAP, _REST_ROOM * clearance)
-        self._parents = [int(parent) for parent in robot.pin_model.parents]
         self._joint = {solid.body: solid.joint for solid in solids}
         self._obstacles = dict.fromkeys(solid.body for solid in obstacles)
-        self.left_out: list[tuple[str, str, str]] = []
-        ignored = {frozenset(pair) for pair in ignore}
-        for name in sorted({name for pair in ignored for name in pair}):
-            if name not in self._joint and name not in self._obstacles:
+        self._left_out: list[tuple[str, str, str]] = []
+        self._candidates: list[tuple[str, str]] = []
+        ignored, bodies = {frozenset(pair) for pair in ignore}, (*self._joint, *self._obstacles)
+        for name in sorted(frozenset().union(*ignored)):
+            if name not in bodies:
                 raise ModelError(
                     f"ignore: '{name}' is no body of '{robot.name}' with a shape and no obstacle; "
-                    f"there are {', '.join((*self._joint, *self._obstacles))}."
+                    f"there are {', '.join(bodies)}."
                 )
-        self.candidates: list[tuple[str, str]] = []
-        for pair in self._all():
+        among = combinations(self._joint, 2)
+        for pair in (*among, *((link, each) for each in self._obstacles for link in self._joint)):
             reason = self._plain_reason(*pair)
             if frozenset(pair) in ignored:
                 reason = "left out as asked for"
             if reason:
-                self.left_out.append((*pair, reason))
+                self._left_out.append((*pair, reason))
             else:
-                self.candidates.append(pair)
+                self._candidates.append(pair)
         self._solids = [*solids, *obstacles]
-        self._measure = Measure(robot, self._solids, self.candidates)
+        self._measure = Measure(robot, self._solids, self._candidates)
 
-    def _all(self) -> Iterable[tuple[str, str]]:
-        bodies = list(self._joint)
-        for i, first in enumerate(bodies):
-            yield from ((first, second) for second in bodies[i + 1 :])
-        for obstacle in self._obstacles:
-            yield from ((first, obstacle) for first in bodies)
-
-    def _between(self, first: str, second: str) -> int:
-        """Return how many joints are between two bodies."""
-        ends = (self._joint[first], self._joint.get(second, 0))
-        return sum(len(part) for part in way(self._parents, *ends))
+    def _between(self, first: str, second: str) -> list[int]:
+        """Return the joints between two bodies."""
+        ends = self._joint[first], self._joint.get(second, 0)
+        return [joint for part in way(self._robot.pin_model, *ends) for joint in part]
 
     def _plain_reason(self, first: str, second: str) -> str:
         """Return why a pair need not be measured, or nothing."""
@@ -196,7 +163,7 @@ class _Chooser:
         shaped = set(self._joint.values())
         for joint, other in (ends, ends[::-1]):
             while joint:
-                joint = self._parents[joint]
+                joint = self._robot.pin_model.parents[joint]
                 if joint == other:
                     return "neighbors: joined by a joint"
                 if joint in shaped:
@@ -207,22 +174,43 @@ class _Chooser:
         self,
         lower: Array,
         upper: Array,
+        *,
         rest: Array | None,
         near: Array,
         free_rest: bool,
         seed: int,
     ) -> Choice:
-        count = int(np.clip(_DISTANCES // max(len(self.candidates), 1), _LEAST, _MOST))
+        """Choose by positions drawn within limits, and by a rest position.
+
+        Parameters
+        ----------
+        lower, upper : ndarray, shape (n,)
+            Finite limits within which positions are drawn.
+        rest : ndarray, shape (n,), or None
+            Where the motion begins; None looks for a position that is free.
+        near : ndarray, shape (n,)
+            The rest position if it is free, else the one that is found differs from it in few
+            joints.
+        free_rest : bool
+            Whether the rest position must be free; if not, `near` is taken as it is.
+        seed : int
+            Of the drawn positions.
+
+        Raises
+        ------
+        ModelError
+            When a given rest position is not free, or none is found.
+        """
+        count = int(np.clip(_DISTANCES // max(len(self._candidates), 1), _LEAST, _MOST))
         drawn = generator(seed).uniform(lower, upper, (count, self._robot.n))
         start = near if rest is None else rest
-        found = self._distances(np.vstack([start, drawn]))
-        at_start, at_drawn = found[0], found[1:]
-        judged = self._judged(at_drawn, lower, upper, seed)
+        found = self._measure.distances(np.vstack([start, drawn]))
+        judged = self._judged(found[1:], lower, upper, seed)
         pairs, kept = [], []
-        for p, (first, second) in enumerate(self.candidates):
-            reason = self._reason(p, at_start[p], judged[:, p], rest is not None)
+        for p, (first, second) in enumerate(self._candidates):
+            reason = self._reason(first, second, found[0, p], judged[:, p], rest is not None)
             if reason:
-                self.left_out.append((first, second, reason))
+                self._left_out.append((first, second, reason))
                 continue
             kept.append(p)
             nearest = float(found[:, p].min())
@@ -238,19 +226,14 @@ class _Chooser:
                 )
             )
         gaps = np.array([pair.clearance(self._gap) for pair in pairs])
-        columns = np.array(kept, dtype=int)
-        notes: tuple[str, ...] = ()
+        columns, notes = np.array(kept, dtype=int), []
+        at_start = found[0, columns]
         if rest is not None:
-            self._check_rest(pairs, at_start[columns])
-        elif free_rest and len(pairs) and np.any(at_start[columns] < gaps):
-            rest = self._free(near, drawn, columns, gaps, pairs)
-            notes = (self._moved(near, rest, pairs, at_start[columns], gaps),)
-        return Choice(
-            pairs=tuple(pairs),
-            left_out=tuple(self.left_out),
-            rest=near if rest is None else rest,
-            notes=notes,
-        )
+            self._check_rest(pairs, at_start)
+        elif free_rest and np.any(at_start < gaps):
+            start = self._free(near, drawn, columns, gaps, pairs)
+            notes.append(self._moved(near, start, pairs, at_start < gaps))
+        return Choice(tuple(pairs), tuple(self._left_out), start, tuple(notes))
 
     def _judged(self, distances: Array, lower: Array, upper: Array, seed: int) -> Array:
         """Return the distances that tell which pairs are always close, (count, candidates).
@@ -266,17 +249,13 @@ class _Chooser:
             return distances
         drawn = generator(seed).uniform(low, high, (len(distances), self._robot.n))
         which = np.flatnonzero(often)
-        measure = Measure(self._robot, self._solids, [self.candidates[p] for p in which])
+        measure = Measure(self._robot, self._solids, [self._candidates[p] for p in which])
         judged = distances.copy()
         judged[:, which] = measure.distances(drawn)
         return judged
 
-    def _distances(self, positions: Array) -> Array:
-        return self._measure.distances(positions)
-
-    def _reason(self, p: int, at_rest: float, drawn: Array, given: bool) -> str:
+    def _reason(self, first: str, second: str, at_rest: float, drawn: Array, given: bool) -> str:
         """Return why a pair is left out, judged by its distances, or nothing."""
-        first, second = self.candidates[p]
         count, touching = len(drawn), int(np.count_nonzero(drawn < _TOUCH))
         obstacle = second in self._obstacles
         if np.ptp(drawn) < (_CONSTANT if obstacle else _FIXED):
@@ -284,7 +263,7 @@ class _Chooser:
             if at_rest > 0.0:
                 how = f"are {1e3 * at_rest:.0f} mm apart"
             return f"they {how} at every one of {count} drawn positions: no motion changes it"
-        joints = 0 if obstacle else self._between(first, second)
+        joints = 0 if obstacle else len(self._between(first, second))
         close = 0 < joints <= _CLOSE_BY
         if joints and touching >= (_OFTEN if close else _ALWAYS) * count:
             return (
@@ -325,14 +304,17 @@ class _Chooser:
         Joints between bodies that are too close take drawn values; of the positions that come
         closest to being free the search goes on.
         """
-        movers = np.array([self._movers(pair.first, pair.second) for pair in pairs])
+        joints = self._robot.pin_model.joints
+        # The coordinates that move each pair's bodies against each other.
+        ways = ([joints[i].idx_v for i in self._between(x.first, x.second)] for x in pairs)
+        movers = np.array([self._robot.expansion[rows].any(axis=0) for rows in ways])
         span = np.maximum(np.ptp(drawn, axis=0), np.finfo(float).tiny)
         found, lack = near, np.inf
         while True:
-            short = gaps - self._distances(found[None])[0, columns]
+            short = gaps - self._measure.distances(found[None])[0, columns]
             moved = movers[short > 0.0].any(axis=0)
             trials = np.where(moved, drawn, found)
-            shorts = np.maximum(gaps - self._distances(trials)[:, columns], 0.0).sum(axis=1)
+            shorts = np.maximum(gaps - self._measure.distances(trials)[:, columns], 0.0).sum(axis=1)
             if shorts.min() == 0.0:
                 break
             if shorts.min() >= lack:
@@ -351,30 +333,15 @@ class _Chooser:
         changed = [j for j in np.argsort(-np.abs((found - near) / span)) if found[j] != near[j]]
         for joint in 2 * changed:
             trial = np.where(np.arange(len(near)) == joint, near, found)
-            if (self._distances(trial[None])[0, columns] >= gaps).all():
+            if (self._measure.distances(trial[None])[0, columns] >= gaps).all():
                 found = trial
         return np.asarray(found)
 
-    def _movers(self, first: str, second: str) -> Mask:
-        """Return which coordinates (n,) move two bodies against each other."""
-        ends = (self._joint[first], self._joint.get(second, 0))
-        model = self._robot.pin_model
-        joints = [joint for part in way(self._parents, *ends) for joint in part]
-        rows = [model.joints[joint].idx_v for joint in joints]
-        return np.asarray(self._robot.expansion[rows].any(axis=0))
-
-    def _moved(
-        self, near: Array, rest: Array, pairs: Sequence[Pair], distances: Array, gaps: Array
-    ) -> str:
-        close = [
-            f"{pair.first} and {pair.second}"
-            for pair, distance, gap in zip(pairs, distances, gaps, strict=True)
-            if distance < gap
-        ]
+    def _moved(self, near: Array, rest: Array, pairs: Sequence[Pair], short: Mask) -> str:
+        """Return a sentence about the pairs that are too near at `near`, and the rest position."""
+        close = (f"{pair.first} and {pair.second}" for pair in compress(pairs, short))
         moved = ", ".join(
-            f"{name} to {value:.2f}"
-            for name, value, other in zip(self._robot.joint_names, rest, near, strict=True)
-            if value != other
+            f"{self._robot.joint_names[j]} to {rest[j]:.2f}" for j in np.flatnonzero(rest != near)
         )
         return (
             f"At the usual rest position these touch or are less than {1e3 * self._gap:.0f} mm "

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.robot.model.jacobians import local_jacobian
 from sdpid.robot.model.model import RobotModel
@@ -41,47 +41,35 @@ def joint_axes(robot_model: Any) -> tuple[Array, Array]:
     return turning, sliding
 
 
-def way(parents: list[int], first: int, second: int) -> tuple[list[int], list[int]]:
+def way(robot_model: Any, first: int, second: int) -> tuple[list[int], list[int]]:
     """Return the joints from one body up to the common ancestor, and from there to the other."""
-    chains = []
-    for joint in (first, second):
-        chain = []
-        while joint:
-            chain.append(joint)
-            joint = parents[joint]
-        chains.append(chain)
-    up, down = chains
+    up, down = (list(robot_model.supports[joint])[:0:-1] for joint in (first, second))
     common = set(up) & set(down)
     return [j for j in up if j not in common], [j for j in reversed(down) if j not in common]
 
 
-class Reaches:
-    """Bounds on the speed of distances per unit of each joint's speed.
+class _Reaches:
+    """Bounds on the speed of distances per unit of each joint's speed."""
 
-    Parameters
-    ----------
-    robot_model : pinocchio.Model
-        Revolute, continuous and prismatic joints.
-    lower, upper : ndarray, shape (nv,)
-        Limits of the joints; those of prismatic joints count.
-    """
-
-    def __init__(self, robot_model: Any, lower: Array, upper: Array) -> None:
-        self._parents = [int(parent) for parent in robot_model.parents]
-        self._placements = [np.array(M.homogeneous) for M in robot_model.jointPlacements]
-        self._turning, self._sliding = joint_axes(robot_model)
-        columns = [robot_model.joints[i].idx_v for i in range(robot_model.njoints)]
-        self._nv, self._columns = robot_model.nv, columns
-        self._range = [(0.0, 0.0)] + [(float(lower[c]), float(upper[c])) for c in columns[1:]]
+    def __init__(self, robot: RobotModel, bounds: Array) -> None:
+        self._model, expansion = robot.pin_model, robot.expansion
+        self._placements = [np.array(M.homogeneous) for M in self._model.jointPlacements]
+        self._turning, self._sliding = joint_axes(self._model)
+        # Limits of Pinocchio's joints from those of the coordinates; those of sliding ones count.
+        self._range = np.tile(robot.offset, (2, 1))
+        for column in range(robot.n):
+            rows = np.flatnonzero(expansion[:, column])
+            ends = np.multiply.outer(bounds[:, column], expansion[rows, column])
+            self._range[:, rows] += np.sort(ends, axis=0)
 
     def between(self, first: int, cores: list[Core], second: int, others: list[Core]) -> Array:
         """Return the bounds (nv,) for two bodies, given by joints and cores (`Solid.core`)."""
-        up, down = way(self._parents, first, second)
-        out = np.zeros(self._nv)
+        up, down = way(self._model, first, second)
+        out = np.zeros(self._model.nv)
         there = self._along(up, down, cores)
         back = self._along(down[::-1], up[::-1], others)
         for joint in (*up, *down):
-            out[self._columns[joint]] = min(there[joint], back[joint])
+            out[self._model.joints[joint].idx_v] = min(there[joint], back[joint])
         return out
 
     def _along(self, up: list[int], down: list[int], cores: list[Core]) -> dict[int, float]:
@@ -116,7 +104,7 @@ class Reaches:
         if axis.any():
             on_axis = (center @ axis) * axis
             return on_axis, radius + float(np.linalg.norm(center - on_axis))
-        lower, upper = self._range[joint]
+        lower, upper = self._range[:, self._model.joints[joint].idx_v]
         if not np.isfinite([lower, upper]).all():
             return center, np.inf
         return (
@@ -129,7 +117,7 @@ def pair_reaches(
     robot: RobotModel, solids: Sequence[Solid], pairs: Sequence[tuple[str, str]], bounds: Array
 ) -> Array:
     """Return the bounds (P, n) for pairs of bodies, given limits (2, n) of the coordinates."""
-    reaches = Reaches(robot.pin_model, *_joint_bounds(robot, bounds))
+    reaches = _Reaches(robot, bounds)
     cores: dict[str, list[Core]] = {}
     for solid in solids:
         cores.setdefault(solid.body, []).append(solid.core)
@@ -138,26 +126,6 @@ def pair_reaches(
     for p, (first, second) in enumerate(pairs):
         out[p] = reaches.between(joint[first], cores[first], joint[second], cores[second])
     return np.asarray(out @ np.abs(robot.expansion))
-
-
-def turning_coordinates(robot: RobotModel) -> Mask:
-    """Return which coordinates (n,) turn one joint by their own angle."""
-    axes, _ = joint_axes(robot.pin_model)
-    turning = np.zeros(robot.expansion.shape[0], dtype=bool)
-    for joint in range(1, robot.pin_model.njoints):
-        turning[robot.pin_model.joints[joint].idx_v] = axes[joint].any()
-    own = (np.abs(robot.expansion) == 1.0) & turning[:, None]
-    return np.asarray(own.any(axis=0) & (np.count_nonzero(robot.expansion, axis=0) == 1))
-
-
-def _joint_bounds(robot: RobotModel, bounds: Array) -> Array:
-    """Return the limits (2, nv) of Pinocchio's joints from those of the coordinates."""
-    expansion, out = robot.expansion, np.tile(robot.offset, (2, 1))
-    for column in range(robot.n):
-        rows = np.flatnonzero(expansion[:, column])
-        ends = np.multiply.outer(bounds[:, column], expansion[rows, column])
-        out[:, rows] += np.sort(ends, axis=0)
-    return out
 
 
 def _ball(points: Array, radius: float) -> Ball:

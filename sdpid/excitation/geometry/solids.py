@@ -137,49 +137,43 @@ def robot_solids(
     if radius is None:
         radius = assumed_radius(robot)
     links = described_links(robot)
-    solids: list[Solid] = []
+    shapes: dict[int, list[Shape]] = {}
     hulls, visuals, missing, bare = [], [], [], []
     for joint in range(robot.n_links + 1):
         body = body_name(robot, joint)
         own = [each for each in links if each.joint == joint]
         found, kind, lacks = described_shapes(own, ("collision", "visual"), robot.name, folders)
         # Meshes as the corners of their convex hulls.
-        shapes = [_hull(x.vertices, x.placement) if x.kind == "mesh" else x for x in found]
+        shapes[joint] = [_hull(x.vertices, x.placement) if x.kind == "mesh" else x for x in found]
         if kind == "visual":
             visuals.append(body)
-        if any(shape.kind == "mesh" for shape in shapes):
+        if any(shape.kind == "mesh" for shape in shapes[joint]):
             hulls.append(body)
         if lacks:
             missing.append(lacks)
-            shapes += assumed_shapes(robot, joint, radius)
-        elif not shapes:
+            shapes[joint] = assumed_shapes(robot, joint, radius)
+        elif not found:
             bare.append(body)
-        solids += [Solid(body=body, joint=joint, shape=shape) for shape in shapes]
     capsules = f"capsules of {1e3 * radius:.0f} mm radius from joint to joint"
-    if not solids:
-        for joint in range(robot.n_links + 1):
-            solids += [
-                Solid(body=body_name(robot, joint), joint=joint, shape=shape)
-                for shape in assumed_shapes(robot, joint, radius)
-            ]
+    if not any(shapes.values()):
+        shapes = {joint: assumed_shapes(robot, joint, radius) for joint in shapes}
         described = any(each.element is not None for each in links)
         lacks = "has no shapes" if described else "is no URDF, so its shapes are not read"
-        return tuple(solids), (
-            f"The description of '{robot.name}' {lacks}: links are taken as {capsules}.",
-        )
-    assumed = []
-    if hulls:
-        assumed.append(f"Meshes are taken as their convex hulls: {', '.join(hulls)}.")
-    if visuals:
-        assumed.append(f"Visual shapes stand for missing collision shapes: {', '.join(visuals)}.")
-    if missing:
-        assumed.append(
-            f"{capsules[0].upper()}{capsules[1:]} stand for links whose shapes cannot be read "
-            f"(package_dirs names the folders of meshes): {'; '.join(missing)}"
-        )
-    if bare:
-        assumed.append(f"Without any shape in the description, not checked: {', '.join(bare)}.")
-    return tuple(solids), tuple(assumed)
+        told = {f"The description of '{robot.name}' {lacks}: links are taken as {capsules}.": bare}
+    else:
+        told = {
+            f"Meshes are taken as their convex hulls: {', '.join(hulls)}.": hulls,
+            f"Visual shapes stand for missing collision shapes: {', '.join(visuals)}.": visuals,
+            f"{capsules.capitalize()} stand for links whose shapes cannot be read (package_dirs "
+            f"names the folders of meshes): {'; '.join(missing)}": missing,
+            f"Without any shape in the description, not checked: {', '.join(bare)}.": bare,
+        }
+    solids = (
+        Solid(body=body_name(robot, joint), joint=joint, shape=shape)
+        for joint, own_shapes in shapes.items()
+        for shape in own_shapes
+    )
+    return tuple(solids), tuple(text for text, names in told.items() if names)
 
 
 def body_name(robot: RobotModel, joint: int) -> str:
