@@ -548,21 +548,6 @@ def test_merging_is_folding_the_others_rows() -> None:
     check(one.R, rows)
 
 
-@wide
-def test_where_the_new_matrix_is_not_near_rows_are_factorized(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rows = make(np.random.default_rng(4), 1e6, 1e-3, 0.0, True)
-    plainly = []
-    original = Triangle._fold_plainly
-    monkeypatch.setattr(
-        Triangle, "_fold_plainly", lambda self, rows: (plainly.append(1), original(self, rows))[1]
-    )
-    monkeypatch.setattr(module, "_NEAR", 0.0)
-    check(folded(rows, (100,)).R, rows)
-    assert plainly
-
-
 def test_memory_does_not_grow_with_the_rows() -> None:
     rows = np.random.default_rng(6).standard_normal((5_000, 20))
     triangle = Triangle(20)
@@ -574,15 +559,3 @@ def test_memory_does_not_grow_with_the_rows() -> None:
         tracemalloc.stop()
         # The products of two pieces, the old one not yet let go, and some small matrices.
         assert peak < 3 * module.PIECE < rows.nbytes * 2
-
-
-def test_few_rows_are_factorized_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows like those before them are only multiplied."""
-    seen = []
-    original = module._triangle
-    monkeypatch.setattr(module, "_triangle", lambda x: (seen.append(len(x)), original(x))[1])
-    rng = np.random.default_rng(5)
-    triangle = Triangle(8)
-    for _ in range(50):
-        triangle.add(rng.standard_normal((400, 8)))
-    assert sum(seen) < 1000
