@@ -1,9 +1,7 @@
 """What an audit of a description finds, and what it leaves in peace."""
 
 import json
-import weakref
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +13,7 @@ from sdpid import audit_urdf
 from sdpid.assurance.descriptions.checks import carried, carried_theta
 from sdpid.errors import ModelError
 from sdpid.estimation.constraints.hull import Hull
-from sdpid.robot.description import mjcf
 from sdpid.robot.description.bodies import read_urdf_bodies
-from sdpid.robot.description.mjcf import parsed
 from sdpid.robot.inertia import complement, margin, point_masses
 from tests.helpers.commands import ran, refused, run
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
@@ -204,32 +200,6 @@ def test_mjcf() -> None:
     audit = audit_urdf(text)
     assert [(f.kind, f.link) for f in audit.errors] == [("triangle", "a"), ("moves_nothing", "d")]
     assert [body.moving for body in audit.bodies] == [True, True, True, True]
-
-
-class Owned:
-    """A body of a file, which may be looked at while the file is kept."""
-
-    def __init__(self, spec: "File", body: Any) -> None:
-        self._spec, self._body = weakref.ref(spec), body
-
-    def __getattr__(self, name: str) -> Any:
-        assert self._spec() is not None
-        return getattr(self._body, name)
-
-
-class File:
-    """A file of MuJoCo before its bodies kept it."""
-
-    def __init__(self, *arguments: Any) -> None:
-        self._spec = parsed(*arguments)
-        self.bodies = [Owned(self, body) for body in self._spec.bodies]
-
-
-def test_mjcf_is_kept_while_its_bodies_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco")
-    monkeypatch.setattr(mjcf, "parsed", File)
-    text = '<mujoco><worldbody><body name="a"><geom size="0.1"/></body></worldbody></mujoco>'
-    assert [body.name for body in mjcf.read_mjcf_bodies(text, None, "text")] == ["a"]
 
 
 def test_json_and_table_are_plain() -> None:

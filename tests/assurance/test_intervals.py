@@ -639,31 +639,3 @@ def test_profile_intervals_do_not_depend_on_the_jobs() -> None:
     np.testing.assert_array_equal(one.lower, two.lower)
     np.testing.assert_array_equal(one.upper, two.upper)
     assert one.solves == two.solves >= 2 * len(one)
-
-
-@pytest.mark.xdist_group("dask")
-@pytest.mark.usefixtures("dask_client")
-def test_dask_serves_bootstrap_intervals_and_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
-    from joblib import parallel_config
-    from joblib._dask import DaskDistributedBackend
-
-    here = resample(pressed(), resamples=60), profile()
-    options: dict[str, Any] = {"starts": 2, "max_iterations": 3, "show_progress": False}
-    alone = sdpid.compare(pressed().problem, n_jobs=1, **options)
-    submit, sent = DaskDistributedBackend.submit, []
-
-    def counted(self: Any, *arguments: Any, **options: Any) -> Any:
-        sent.append(self)
-        return submit(self, *arguments, **options)
-
-    monkeypatch.setattr(DaskDistributedBackend, "submit", counted)
-    with parallel_config(backend="dask"):
-        there = resample(pressed(), resamples=60), profile()
-        both = sdpid.compare(pressed().problem, **options)
-    np.testing.assert_array_equal(here[0].base, there[0].base)
-    np.testing.assert_array_equal(here[1].lower, there[1].lower)
-    np.testing.assert_array_equal(here[1].upper, there[1].upper)
-    assert [row.cost for row in both.rows] == [row.cost for row in alone.rows]
-    assert len([row for row in both.rows if row.solver == "slsqp"]) == 2
-    # Draws by 25, ends by 8, and local solves: all went to the workers.
-    assert len(sent) >= 3 + len(here[1]) // 4 + 2
