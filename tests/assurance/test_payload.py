@@ -42,28 +42,22 @@ def load(points: int = 8) -> Array:
     return point_masses(rng.uniform(0.1, 0.3, points), centers)
 
 
-def with_payload(theta: Array, payload: Array, link: int = 5) -> Array:
+def with_payload(robot: RobotModel, theta: Array, payload: Array) -> Array:
+    """Return parameters of an arm whose last link carries a payload."""
     out = theta.copy()
-    out[10 * link : 10 * link + 10] += payload
+    out[10 * robot.n_links - 10 : 10 * robot.n_links] += payload
     return out
 
 
 def pair(
-    robot: RobotModel,
-    payload: Array,
-    *,
-    seed: int = 0,
-    noise: float = NOISE,
-    count: int = 300,
-    link: int = 5,
+    robot: RobotModel, payload: Array, *, seed: int = 0, count: int = 300
 ) -> tuple[Samples, Samples, Array]:
     """Return samples with and without a payload, and the arm's own parameters."""
     rng = np.random.default_rng(seed)
     theta = random_theta(robot, rng)
-    full = with_payload(theta, payload, link)
-    loaded, bare = (
-        make_samples(robot, each, rng, count=count, noise=noise, block=5) for each in (full, theta)
-    )
+    given = {"count": count, "noise": NOISE, "block": 5}
+    full = with_payload(robot, theta, payload)
+    loaded, bare = (make_samples(robot, each, rng, **given) for each in (full, theta))
     return loaded, bare, theta
 
 
@@ -107,12 +101,9 @@ def test_a_known_payload_by_another_dynamics_algorithm(arm: RobotModel) -> None:
 
 def test_friction_that_changed_between_the_recordings_does_no_harm(arm: RobotModel) -> None:
     loaded, bare, theta = pair(arm, load())
-    tail = slice(-2 * arm.n, None)
-    ways = np.resize([1.3, 0.7, 1.2], 2 * arm.n)
-    changed = theta.copy()
-    changed[tail] *= ways
-    rng = np.random.default_rng(6)
-    full = with_payload(changed, load())
+    changed, rng = theta.copy(), np.random.default_rng(6)
+    changed[-2 * arm.n :] *= np.resize([1.3, 0.7, 1.2], 2 * arm.n)
+    full = with_payload(arm, changed, load())
     loaded = make_samples(arm, full, rng, count=300, noise=NOISE, block=5)
     found = identify_payload(arm, loaded, bare, friction=TERMS)
     assert holds(found, load()).all()
@@ -163,7 +154,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(arm: RobotModel) -> None:
     rng = np.random.default_rng(1)
     theta = random_theta(arm, rng)
     rates, both = 2.0 * np.pi * np.array([[0.1], [0.2], [0.3], [0.5]]), []
-    for values in (with_payload(theta, load()), theta):
+    for values in (with_payload(arm, theta, load()), theta):
         size, phases = rng.uniform(-0.7, 0.7, (4, arm.n)), rng.uniform(0.0, 6.0, (4, arm.n))
         q, v, a = sines(0.05 * np.arange(300), rates, phases, size)
         effort = arm.inverse_dynamics(values, q, v, a)
@@ -195,13 +186,9 @@ def test_an_estimate_is_as_good_as_its_recording(arm: RobotModel) -> None:
 def test_several_recordings_count_together_and_silent_joints_not_at_all() -> None:
     small = SMALL["without_effort"]
     loaded, bare = small.log(3, load=LOAD), small.log()
+    fields = ("time", "position", "effort")
     halves = [
-        Recording(
-            time=bare.time[part],
-            position=bare.position[part],
-            effort=bare.effort[part],
-            joint_names=bare.joint_names,
-        )
+        replace(bare, **{name: getattr(bare, name)[part] for name in fields})
         for part in (slice(0, 500), slice(500, None))
     ]
     found = identify_payload(small.model, [loaded], halves)
@@ -300,7 +287,7 @@ def test_the_frame_of_the_flange(arm: RobotModel) -> None:
 
 def test_directions_that_nothing_shows_are_bounded_by_matter() -> None:
     robot = planar_arm()
-    loaded, bare, _ = pair(robot, load(), seed=3, count=200, link=1)
+    loaded, bare, _ = pair(robot, load(), seed=3, count=200)
     found = identify_payload(robot, loaded, bare)
     # Mass, two first moments, and the moment about the joints' direction.
     assert found.invisible == 6
@@ -313,10 +300,8 @@ def test_directions_that_nothing_shows_are_bounded_by_matter() -> None:
 
 def gen3(folder: Path, run: int, effort: str = "tau") -> Recording:
     z = np.load(folder / "kinova_gen3_dynamapp" / f"opti_traj_testing{run}.npz")
-    names = tuple(str(name) for name in z["joint_names"])
-    return Recording(
-        time=z["t"], position=z["q"], velocity=z["dq"], effort=z[effort], joint_names=names
-    )
+    state = {"time": z["t"], "position": z["q"], "velocity": z["dq"], "effort": z[effort]}
+    return Recording(**state, joint_names=z["joint_names"].tolist())
 
 
 def test_the_load_of_the_gen3(data_folder: Path) -> None:
