@@ -236,6 +236,16 @@ def test_units_joint_by_joint_rates_and_joints_without_effort(tmp_path: Path):
     np.testing.assert_array_equal(found, TAU * [1.0, 0.0, 1.0])
 
 
+def test_a_joint_whose_effort_has_no_column(tmp_path: Path):
+    columns = {f"position_{name}": values for name, values in zip("abc", Q.T, strict=True)}
+    columns |= {"time": T, "effort_c": TAU[:, 2], "effort_a": TAU[:, 0]}
+    file = write_npz(tmp_path / "log.npz", **columns)
+    found = read_recording(file, without_effort=["b"]).effort
+    np.testing.assert_array_equal(found, TAU * [1.0, 0.0, 1.0])
+    with pytest.raises(DataError, match=r"'effort of b' has no value in any row.*without_effort="):
+        read_recording(file)
+
+
 def test_the_coupled_wrist_of_a_real_robot(data_folder: Path):
     file = data_folder / "staubli_tx40/tx40_rows_0_24750.npz"
     ratios = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])

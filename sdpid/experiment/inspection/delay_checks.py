@@ -105,7 +105,10 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
                 f"motion, limit {1e3 * limit:.2g} ms: of delays in simulated logs 62 to 80 % are "
                 "told"
             )
-            remedy = "take both from one clock, or shift the efforts until the error is least"
+            remedy = (
+                "take both from one clock, or raise the delay in processing={'effort_delay_s': "
+                f"{delay:.3f}}} while the error falls"
+            )
             numbers = {"delay": delay, "error": error, "limit": limit}
             yield found("effort_late", what=what, remedy=remedy, **numbers)
             return

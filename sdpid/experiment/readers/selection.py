@@ -16,6 +16,7 @@ from sdpid.experiment.readers.mapping import SETTINGS, Arguments
 from sdpid.experiment.readers.missing import sound
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES
 from sdpid.experiment.recording.recording import CHANNELS
+from sdpid.experiment.recording.stored import transformed
 
 # ``q_d`` is the desired position in some logs and the derivative in others. What a controller
 # follows differs from the positions by less than this part of their standard deviation; the rate
@@ -144,6 +145,9 @@ def _align(found: Selection, quantities: Sequence[str]) -> None:
         label = found.labels.get(quantity, first)
         if first is None or label is None or label == first:
             continue
+        if quantity == "effort" and set(label) < set(first):
+            _add_absent(found, label, first)
+            continue
         if set(label) != set(first):
             of = "feet" if quantity in FLOATING else "joints"
             raise DataError(
@@ -154,6 +158,21 @@ def _align(found: Selection, quantities: Sequence[str]) -> None:
         # Of contacts there are several columns each.
         each = np.arange(table.shape[1]).reshape(len(first), -1)
         found.tables[quantity] = table[:, each[order].ravel()]
+
+
+def _add_absent(found: Selection, own: Sequence[str], joints: Sequence[str]) -> None:
+    """Add columns without any value for joints whose effort has none in the file."""
+    places = [joints.index(name) for name in own]
+
+    def spread(rows: NDArray[Any]) -> NDArray[Any]:
+        wide = np.full((len(rows), len(joints)), np.nan)
+        wide[:, places] = rows
+        return wide
+
+    found.tables["effort"] = transformed(found.tables["effort"], spread)
+    used = dict(zip(own, found.used["effort"], strict=False))
+    found.used["effort"] = [used.get(name, f"effort of {name}") for name in joints]
+    found.labels["effort"] = joints
 
 
 def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None) -> None:

@@ -280,7 +280,7 @@ def _file(of: VerdictSubject) -> str | None:
     where = "fitted" if of.result.validation_samples is None else "validation"
     return (
         f"do not use identified.urdf alone for efforts: in motion on the {where} "
-        f"recordings it misses {errors}; use {_whole(of)}, which leave nothing out"
+        f"recordings it misses efforts by {errors}; use {_whole(of)}, which leave nothing out"
     )
 
 

@@ -546,7 +546,7 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(full: Iden
     errors = urdf_errors(full.estimate, full.validation_samples)
     assert errors is not None
     for words in (
-        f"in motion on the validation recordings it misses {errors}",
+        f"in motion on the validation recordings it misses efforts by {errors}",
         "the links of identified.urdf with identified_friction.py (.hpp) for its friction",
     ):
         assert words in found.file
