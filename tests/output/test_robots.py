@@ -182,7 +182,7 @@ def written(problem: Problem, links: np.ndarray, path: Path, **options: Any) -> 
 
 
 def efforts_of(model: Any, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return MuJoCo's own efforts at states of the robot, joint by joint."""
+    """Return the efforts of drives at states of the robot, as MuJoCo has them, joint by joint."""
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in list(robot.pin_model.names)[1:]]
     dof = [j.dofadr[0] for j in joints]
@@ -193,19 +193,9 @@ def efforts_of(model: Any, robot: RobotModel, states: tuple[np.ndarray, ...]) ->
         data.qvel[dof] = robot.expansion @ v
         data.qacc[dof] = robot.expansion @ a
         mujoco.mj_inverse(model, data)
-        out.append(robot.expansion.T @ data.qfrc_inverse[dof])
+        mujoco.mj_fwdActuation(model, data)
+        out.append(robot.expansion.T @ (data.qfrc_inverse - data.qfrc_actuator)[dof])
     return np.array(out)
-
-
-def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
-    # MuJoCo looks for mesh files, which a description without its package does not have.
-    text = re.sub(r"<(visual|collision)\b.*?</\1>", "", path.read_text(), flags=re.DOTALL)
-    text = re.sub(r"<gazebo.*?</gazebo>", "", text, flags=re.DOTALL)
-    model = mujoco.MjModel.from_xml_string(text)
-    model.opt.gravity = robot.gravity
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    model.dof_damping[:] = 0.0
-    return efforts_of(model, robot, states)
 
 
 def plainly(text: str) -> list[str]:
@@ -360,8 +350,14 @@ NUMBER = 0.75  # of every friction parameter
 def efforts(
     path: Path, robot: RobotModel, states: tuple[Array, ...], *, dry: bool = False
 ) -> Array:
-    """Return MuJoCo's own efforts, armature and damping included, or with dry friction."""
-    model = mujoco.MjModel.from_xml_path(str(path))
+    """Return MuJoCo's own efforts, of an MJCF with armature and damping, or dry friction too."""
+    text = path.read_text()
+    if path.suffix == ".urdf":
+        # MuJoCo looks for mesh files, which a description without its package does not have.
+        text = re.sub(r"<(visual|collision|gazebo)\b.*?</\1>", "", text, flags=re.DOTALL)
+    model = mujoco.MjModel.from_xml_string(text)
+    if path.suffix == ".urdf":
+        model.opt.gravity, model.dof_damping[:] = robot.gravity, 0.0
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     if not dry:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -408,7 +404,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
     assert inertia.margin(prior, "pseudo_inertia").min() > -1e-15
     states = generic_states(problem.robot, 20, 79)
     expected = problem.robot.inverse_dynamics(links, *states)
-    found = mujoco_efforts(tmp_path / "out.urdf", problem.robot, states)
+    found = efforts(tmp_path / "out.urdf", problem.robot, states)
     assert np.abs(found - expected).max() <= CLOSE * np.abs(expected).max()
 
 
@@ -617,17 +613,6 @@ def test_a_file_that_the_robot_was_loaded_from_is_patched(tmp_path: Path) -> Non
     assert sdpid.write_mjcf(estimate, target=target).lumped == ()
 
 
-def _played(path: Path, motion: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return the efforts of drives of a motion by MuJoCo's inverse dynamics, dry friction too."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data, found = mujoco.MjData(model), []
-    for data.qpos[:], data.qvel[:], data.qacc[:] in zip(*motion, strict=True):
-        mujoco.mj_inverse(model, data)
-        mujoco.mj_fwdActuation(model, data)
-        found.append(data.qfrc_inverse - data.qfrc_actuator)
-    return np.array(found)
-
-
 def _tilted_log(seed: int, times: np.ndarray) -> tuple[tuple[np.ndarray, ...], sdpid.Recording]:
     """Return the motion, and the log, of the arm of `world` that stands tilted by 1.6 degrees."""
     down = np.array([0.6 * np.sin(0.028), 0.8 * np.sin(0.028), np.cos(0.028)])
@@ -664,21 +649,22 @@ def test_mujoco_plays_the_log_of_a_tilted_arm_as_the_estimate_does(tmp_path: Pat
         played = sdpid.process(replace(other, effort=efforts), recipe.processing)
         return float(np.linalg.norm((samples.effort - played.effort)[used]))
 
+    def played(path: Path) -> np.ndarray:
+        return efforts_of(mujoco.MjModel.from_xml_path(str(path)), robot, motion)
+
     own = missed(result.model().inverse_dynamics(*motion))
     sdpid.write_mjcf(result.estimate, target=tmp_path / "arm.xml", offsets=True)
-    assert missed(_played(tmp_path / "arm.xml", motion)) <= 1.05 * own
+    assert missed(played(tmp_path / "arm.xml")) <= 1.05 * own
     # By default offsets, and nothing else, are left out.
     report = sdpid.write_mjcf(result.estimate, target=tmp_path / "default.xml")
     assert "offsets have a place where they are asked for" in report.describe()
-    default = _played(tmp_path / "default.xml", motion)
+    default = played(tmp_path / "default.xml")
     assert missed(default + offsets) <= 1.05 * own < missed(default)
     # Readers of the URDF find the base tilted, and the same links and joints on it.
     report = sdpid.write_urdf(result.estimate, target=tmp_path / "arm.urdf")
     assert "tilted by 1.59°" in report.describe()
     assert "Tilt" not in [lost.term for lost in report.left_out]
-    for name in ("arm.urdf", "arm.xml"):
-        if name == "arm.xml":
-            sdpid.write_mjcf(result.estimate, target=tmp_path / name)
+    for name in ("arm.urdf", "default.xml"):
         assert differences(result.estimate, tmp_path / name) == []
     again = sdpid.load_robot(tmp_path / "arm.urdf")
     found = validate_robot(again, samples).told.relative
