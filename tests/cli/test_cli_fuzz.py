@@ -74,16 +74,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-ARM_XML = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>
-<body name="upper" pos="0 0 0.3" quat="0.70710678 0.70710678 0 0">
-<joint name="a" type="hinge" axis="0 0 1" range="-3 3" damping="0.4" frictionloss="0.3"/>
-<inertial pos="0.1 0 0.02" mass="3" diaginertia="0.02 0.03 0.03"/>
-<body name="fore" pos="0.4 0 0"><joint name="b" type="hinge" axis="0 0 1" armature="0.01"/>
-<inertial pos="0.15 0.01 0" mass="1.5" fullinertia="0.005 0.012 0.012 0 0 0"/></body></body>
-</worldbody></mujoco>
-"""
-
-
 @contextmanager
 def patience(seconds: int) -> Iterator[None]:
     """Raise when the block computes for longer; where a library does not listen, end the process.
@@ -247,7 +237,7 @@ def test_logs_that_sensors_spoil_end_well(joints: int, suffix: str, tmp_path: Pa
 def test_motions_and_mjcf_of_wrong_numbers_end_well(kind: str, sound: Path, tmp_path: Path) -> None:
     if kind == "arm.xml":
         pytest.importorskip("mujoco")
-        content = ARM_XML.encode()
+        content = (sound / "out" / "identified.xml").read_bytes()
     else:
         motion, drawn = tmp_path / kind, ("--seed", "0", "--period", "8", "--periods", "1")
         out = ("--out", tmp_path / "run.csv", "--write-trajectory", motion)

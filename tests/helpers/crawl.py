@@ -9,8 +9,8 @@ import pinocchio as pin
 
 import sdpid
 from sdpid._common.arrays import Array, Mask
+from tests.helpers.legged import FEET, contact_jacobians
 
-FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 RADIUS = np.array([0.0, 0.0, -0.0184])
 LEVER = np.array([0.06, -0.02, 0.03])
 TURN = pin.rpy.rpyToMatrix(0.3, -0.2, 1.1)
@@ -101,7 +101,6 @@ def crawl(duration: float = 4.0, rate_hz: float = 500.0) -> Crawl:
     model = robot.pin_model.copy()
     model.armature[:] = 0.0
     data = model.createData()
-    frames = [model.getFrameId(name) for name in FEET]
     time = np.arange(round(duration * rate_hz)) / rate_hz
     phase = np.mod(time[:, None] / 0.8 - 0.25 * np.arange(4), 1.0)
     down = phase > 0.2
@@ -112,13 +111,7 @@ def crawl(duration: float = 4.0, rate_hz: float = 500.0) -> Crawl:
         after = pin.difference(model, here[1], here[2]) / _DELTA
         speed, rate = (before + after) / 2.0, (after - before) / _DELTA
         wanted = pin.rnea(model, data, here[1], speed, rate)
-        pin.computeJointJacobians(model, data, here[1])
-        pin.updateFramePlacements(model, data)
-        rows = []
-        for frame in frames:
-            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            rows.append(J[:3] - pin.skew(RADIUS) @ J[3:])
-        J = np.array(rows) * closed[:, None, None]
+        J = contact_jacobians(model, data, here[1], RADIUS) * closed[:, None, None]
         pushed = np.linalg.pinv(J[:, :, :6].reshape(12, 6).T) @ wanted[:6]
         q.append(here[1]), v.append(speed), a.append(rate)
         effort.append(wanted - J.reshape(12, -1).T @ pushed)

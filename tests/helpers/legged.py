@@ -60,6 +60,15 @@ def quadruped() -> RobotModel:
     return load_robot("solo12", root="free_flyer")
 
 
+def contact_jacobians(model: Any, data: Any, q: Array, offset: Any) -> Array:
+    """Return the Jacobians (4, 3, nv) of the points by which the feet touch the ground."""
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    frames = [model.getFrameId(name) for name in FEET]
+    whole = [pin.getFrameJacobian(model, data, each, pin.LOCAL_WORLD_ALIGNED) for each in frames]
+    return np.array([J[:3] - pin.skew(np.array(offset)) @ J[3:] for J in whole])
+
+
 def gait(K: int = 240, seed: int = 0, *, share: float = 0.6) -> Gait:
     """Return random states; every foot is down in a share of the samples."""
     rng = np.random.default_rng(seed)
@@ -75,14 +84,7 @@ def gait(K: int = 240, seed: int = 0, *, share: float = 0.6) -> Gait:
         q[k] = pin.integrate(model, pin.neutral(model), 0.4 * rng.normal(size=18))
         q[k, :3] = 0.0
         forces[k] = down[k, :, None] * weight * (np.array([0, 0, 0.4]) + 0.1 * rng.normal(size=3))
-        push = np.zeros(18)
-        pin.computeJointJacobians(model, data, q[k])
-        pin.updateFramePlacements(model, data)
-        for name, force in zip(FEET, forces[k], strict=True):
-            J = pin.getFrameJacobian(
-                model, data, model.getFrameId(name), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
-            push += J[:3].T @ force + J[3:].T @ np.cross(RADIUS, force)
+        push = np.einsum("fij,fi->j", contact_jacobians(model, data, q[k], RADIUS), forces[k])
         # Nothing drives the base but the feet: its acceleration follows.
         M = pin.crba(model, data, q[k])
         M = np.triu(M) + np.triu(M, 1).T
