@@ -21,7 +21,9 @@ from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import without_efforts
 from sdpid.experiment.processing.contact_samples import ContactSamples
+from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.output.report.verdict import _forces
+from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
 from tests.helpers import linkages, world
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
@@ -60,7 +62,7 @@ def test_the_information_is_that_of_a_dense_projection() -> None:
     rng = np.random.default_rng(1)
     root = rng.normal(size=(18, 18))
     sigma, mask = root @ root.T + np.eye(18), rng.random((12, 18)) < 0.9
-    samples = changed(made.samples, kind=("point", "line", "plane", "point"))
+    samples = changed(made.samples, kind=("point", "line", "plane", "line"))
     samples = replace(samples, mask=mask)
     robot, contacts = made.robot, samples.contacts
     rows = problem(samples, weighting="gls").rows
@@ -326,6 +328,29 @@ def test_the_simulators_contact_forces_leave_nothing(turning: bool) -> None:
 
 
 # ---- A loop that closes is a contact of two links: tests/workflow/test_loops.py identifies such.
+
+
+def test_truth_leaves_nothing_where_the_loop_is_told() -> None:
+    robot, step = sdpid.load_robot(linkages.urdf("four_bar")), 1e-3
+    t = np.linspace(0.0, 3.0, 301)
+
+    def closed(t: Array) -> Array:
+        crank = 1.0 + t + 0.3 * np.sin(3.0 * t)
+        return close_loops(robot, np.outer(crank, [1.0, 0.0, 0.0]), robot.passive)
+
+    before, q, after = (closed(t + k * step) for k in (-1, 0, 1))
+    v, a = (after - before) / (2.0 * step), (after - 2.0 * q + before) / step**2
+    # What the loop bears does no work: all of it is the motor's.
+    power = np.sum(robot.inverse_dynamics(robot.prior.ravel(), q, v, a) * v, axis=1)
+    effort = np.outer(power / v[:, 0], [1.0, 0.0, 0.0])
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    found = problem(with_loops(robot, samples), robot)
+    # The pin bears two forces in the plane; across it no joint can move.
+    assert found.n_rows == len(effort)
+    base, size = found.base_of(robot.prior.ravel()), float(np.sum(effort**2))
+    assert found.cost(base) < 1e-9 * size
+    assert problem(samples, robot).cost(base) > 0.1 * size
+    np.testing.assert_allclose(found.predict(base), effort, atol=1e-4 * np.abs(effort).max())
 
 
 def test_refuses_a_loop_that_is_open() -> None:
