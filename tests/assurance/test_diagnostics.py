@@ -627,15 +627,13 @@ def test_the_box_is_the_description_s_limits() -> None:
     # Where it is least is beyond half a turn.
     half = sdpid.smallest_mass_eigenvalue(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
     assert worst.value < half.value
-
-
-@pytest.mark.parametrize("ends", ['lower="-1e9" upper="1e9"', ""])
-def test_without_limits_a_joint_turns_once_or_slides_a_meter(ends: str) -> None:
-    slide = f'<limit {ends} velocity="1" effort="1"/>'
-    estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
-    worst = sdpid.smallest_mass_eigenvalue(estimate)
+    # Without limits a joint turns once or slides a meter.
     turn = [0.5, 0.5 + 2.0 * np.pi]
-    np.testing.assert_allclose(worst.bounds, [turn, turn, [-1.0, 1.0]])
+    for ends in ('lower="-1e9" upper="1e9"', ""):
+        slide = f'<limit {ends} velocity="1" effort="1"/>'
+        estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
+        worst = sdpid.smallest_mass_eigenvalue(estimate)
+        np.testing.assert_allclose(worst.bounds, [turn, turn, [-1.0, 1.0]])
 
 
 @pytest.mark.parametrize("mass", [-10.0, 0.0, 1e-320])

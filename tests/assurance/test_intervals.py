@@ -16,7 +16,6 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.intervals import bootstrap, delta_method
 from sdpid.assurance.intervals.bootstrap import Refit, resample
 from sdpid.assurance.intervals.delta_method import friction_curve, joint_curve, link_properties
-from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.intervals.parameters import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
@@ -611,11 +610,6 @@ def test_what_nothing_tells_has_no_end() -> None:
 # ---- The same results whoever computes them: one thread, several, or a cluster.
 
 
-def profile(n_jobs: int | None = None) -> Intervals:
-    names = pressed().problem.base.names
-    return sdpid.confidence_intervals(pressed(), parameters=names, n_jobs=n_jobs)
-
-
 def test_draws_depend_on_the_seed_and_not_on_the_jobs() -> None:
     one = resample(pressed(), resamples=60, n_jobs=1)
     two = resample(pressed(), resamples=60, n_jobs=2)
@@ -635,7 +629,10 @@ def test_draws_depend_on_the_seed_and_not_on_the_jobs() -> None:
 
 
 def test_profile_intervals_do_not_depend_on_the_jobs() -> None:
-    one, two = profile(1), profile(2)
+    names = pressed().problem.base.names
+    one, two = (
+        sdpid.confidence_intervals(pressed(), parameters=names, n_jobs=jobs) for jobs in (1, 2)
+    )
     np.testing.assert_array_equal(one.lower, two.lower)
     np.testing.assert_array_equal(one.upper, two.upper)
     assert one.solves == two.solves >= 2 * len(one)

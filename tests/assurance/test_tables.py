@@ -222,14 +222,6 @@ def test_the_paper_is_refuted_without_a_bound_on_masses(column: str, kind: Consi
     )
 
 
-def test_a_margin_is_bounded_where_numbers_are_exact() -> None:
-    """Equations have multipliers too: those of a table without halfwidths."""
-    theta = all_alike("arm", TETRAHEDRON)
-    for half in (0.0, 1e-6):
-        found = audit("arm", theta, half, BOTH[0])
-        assert found.margin <= found.margin_bound <= found.margin + 1e-5
-
-
 def test_the_constrained_column_has_links_but_not_with_the_stated_margin() -> None:
     table = read_base_table(TABLE_IV, value="cwls")
     options = {"consistency": "spatial_inertia"}

@@ -20,7 +20,6 @@ from sdpid.estimation.prior.cost_terms import LogDetTerm
 from sdpid.estimation.prior.prior import prior_terms, repaired
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import from_pseudo_inertia, margin, point_masses, pseudo_inertia
-from sdpid.workflow.verify import verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, PAIR, REFLECTION, arm_problem
 from tests.helpers.data import make_samples, random_links, row_source
 from tests.helpers.refusals import refuses
@@ -133,17 +132,15 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
 
 
 @pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
-def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
+def test_data_that_do_not_excite_are_enough_with_a_prior(consistency):
     robot, rest = described_arm(bodies_of(3, 3)), np.zeros((60, 3))
-    samples = Samples(
-        position=rest + np.array([0.1, 0.2, 0.3]), velocity=rest, acceleration=rest, effort=rest
-    )
+    position = np.tile([0.1, 0.2, 0.3], (60, 1))
+    states = {"position": position, "velocity": rest, "acceleration": rest}
+    samples = Samples(**states, effort=rest)
     refuses(IdentifiabilityError, "do not excite", build_problem, robot, samples)
     problem = build_problem(robot, samples, prior=Prior(), consistency=consistency)
     certificate = certify(solve_sdp(problem))
     assert certificate.passed, certificate.summary()
-    certificate.to_json(tmp_path / "c.json")
-    assert verify(tmp_path / "c.json").passed
 
 
 def test_thin_bodies_are_widened_and_named():
