@@ -295,8 +295,7 @@ def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> 
 def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(CertificateError):
-        verify(path)
+    refuses(CertificateError, ".", verify, path)
     refuses(CertificateError, "cannot read", verify, tmp_path / "none.json")
 
 

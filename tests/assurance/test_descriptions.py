@@ -17,6 +17,7 @@ from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.inertia import complement, margin, point_masses
 from tests.helpers.commands import ran, refused, run
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
+from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE
 from tests.helpers.strategies import bodies, reals, rotations
 
@@ -218,8 +219,7 @@ def test_json_and_table_are_plain() -> None:
     ["<robot", "<sdf/>", "<robot/>", chain(GOOD, GOOD).replace("link2", "link1"), "no such file"],
 )
 def test_what_cannot_be_read(text: str) -> None:
-    with pytest.raises(ModelError):
-        audit_urdf(text)
+    refuses(ModelError, ".", audit_urdf, text)
 
 
 def test_command(tmp_path: Path) -> None:

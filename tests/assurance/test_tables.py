@@ -264,8 +264,7 @@ def test_numbers_are_read_as_printed() -> None:
     assert decimal_text(Fraction(10) ** 400) == "1e+400"
     for text, half in (("7.10", "0.005"), ("-1", "0.5"), ("1.2e-3", "0.00005"), ("20", "0.5")):
         assert half_unit(text) == Fraction(half)
-    with pytest.raises(DataError):
-        half_unit("1..2")
+    refuses(DataError, ".", half_unit, "1..2")
 
 
 @given(value=st.fractions(max_denominator=10**6), digits=st.integers(1, 12))
@@ -686,8 +685,7 @@ def test_undecided_writes_nothing_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = audited({"zz6": "0.05"}, "0.005")
-    with pytest.raises(ExportError):
-        found.certificate.to_json(tmp_path / "missing" / "proof.json")
+    refuses(ExportError, ".", found.certificate.to_json, tmp_path / "missing" / "proof.json")
     write_proof(tmp_path / "proof.json", replace(found, verdict="undecided", certificate=None))
     assert "not written: undecided, so there is no proof" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -256,8 +256,7 @@ def test_files_of_before_are_read() -> None:
 )
 def test_values_that_make_no_sense_are_refused(key: str, value: Any, forged: Data) -> None:
     (forged if key in forged else forged["problem"])[key] = value
-    with pytest.raises(MalformedError):
-        checked(forged)
+    refuses(MalformedError, ".", checked, forged)
 
 
 @pytest.mark.parametrize(("origin", "said"), [(None, "no object"), ({}, "missing .*'links'")])
@@ -271,13 +270,11 @@ def test_keys_at_any_level_are_known_and_there(forged: Data) -> None:
     assert len(found) > 8
     for each in found:
         each["approved"] = True
-        with pytest.raises(MalformedError):
-            checked(forged)
+        refuses(MalformedError, ".", checked, forged)
         del each["approved"]
         key = next(iter(each))
         kept = each.pop(key)
-        with pytest.raises((MalformedError, KeyError)):
-            checked(forged)
+        refuses((MalformedError, KeyError), ".", checked, forged)
         each[key] = kept
     assert checked(forged).passed
 
@@ -336,8 +333,7 @@ def test_a_link_has_one_prior() -> None:
     forged = sdpid.certify(sdpid.solve_sdp(arm_problem(prior=ENTROPIC, margin=0.0))).to_dict()
     assert checked(forged).passed
     assert MUTATIONS.repeat_link(Random(1), forged, {})
-    with pytest.raises(MalformedError):
-        checked(forged)
+    refuses(MalformedError, ".", checked, forged)
 
 
 # The campaign of forgeries finds errors that are planted in the verifier, and none otherwise.
@@ -543,8 +539,7 @@ NO_FILES = ("../x", "../run.csv", "/etc/passwd", "a\\b", "", ".", "manifest.json
 )
 def test_a_manifest_that_is_none(own: Path, change: Callable[[Any], Any]) -> None:
     edit_json(own / "manifest.json", change)
-    with pytest.raises(MalformedError):
-        verified(own)
+    refuses(MalformedError, ".", verified, own)
 
 
 def test_a_folder_without_a_manifest(tmp_path: Path) -> None:
