@@ -46,6 +46,12 @@ ROBOTS = ("shapes", "tree", "mimic", "panda")
 
 
 @cache
+def chain(spacing: float = 0.5) -> sdpid.RobotModel:
+    """Return four balls in a row."""
+    return shaped_arm(*[BALL] * 4, spacing=spacing)
+
+
+@cache
 def model_of(name: str) -> CollisionModel:
     """Return the collision model of one of the robots, made once."""
     match name:
@@ -68,7 +74,7 @@ def column(model: CollisionModel, first: str, second: str) -> int:
 
 
 def test_balls_and_a_table_in_closed_form() -> None:
-    model = CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL, spacing=0.3), [table(-0.35)])
+    model = CollisionModel.of(chain(0.3), [table(-0.35)])
     q = positions(model.robot, 0, 20)
     measure = Measure(model.robot, model.solids, [("l0", "l3"), ("l3", "table")])
     # The third ball sits at the third joint, whose angle does not matter.
@@ -171,14 +177,11 @@ def test_the_reach_is_attained_within_a_factor(name: str) -> None:
 
 def test_joints_that_are_not_between_two_bodies_have_no_reach() -> None:
     model = model_of("panda")
-    p = column(model, "panda_link2", "panda_link5")
-    assert np.flatnonzero(model.reach[p]).tolist() == [2, 3, 4]
-    assert np.flatnonzero(model.reach[column(model, "panda_link4", "table")]).tolist() == [
-        0,
-        1,
-        2,
-        3,
-    ]
+    for (first, second), joints in {
+        ("panda_link2", "panda_link5"): [2, 3, 4],
+        ("panda_link4", "table"): list(range(4)),
+    }.items():
+        assert np.flatnonzero(model.reach[column(model, first, second)]).tolist() == joints
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -239,12 +242,12 @@ def test_pairs_that_are_proven_apart_stay_apart(name: str) -> None:
 
 
 def test_a_clearance_beyond_what_was_proven_is_refused() -> None:
-    with pytest.raises(DataError, match=r"at most 0\.05 m; make the model with clearance=0\.2"):
-        model_of("panda").clearances(0.2)
+    words = r"at most 0\.05 m; make the model with clearance=0\.2"
+    refuses(DataError, words, model_of("panda").clearances, 0.2)
 
 
 def test_links_that_turn_on_the_spot_above_a_table_are_left_out() -> None:
-    model = CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL), [table(-0.1)])
+    model = CollisionModel.of(chain(), [table(-0.1)])
     reasons = {pair[:2]: pair[2] for pair in model.left_out}
     assert reasons["l0", "table"] == "the base stands still"
     assert "no motion changes it" in reasons["l1", "table"]
@@ -252,25 +255,15 @@ def test_links_that_turn_on_the_spot_above_a_table_are_left_out() -> None:
 
 
 def test_the_rest_position_is_moved_out_of_a_table_in_few_joints() -> None:
-    model = CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL), [table(-0.05)])
+    model = CollisionModel.of(chain(), [table(-0.05)])
     assert model.rest[1] < 0.0
     assert model.rest[0] == model.rest[2] == 0.0
     assert (model.distances(model.rest[None]) >= model.clearances(0.02)).all()
     assert any("j2" in sentence and "table" in sentence for sentence in model.assumed)
 
 
-def test_a_given_rest_position_that_is_not_free_is_refused_with_depth() -> None:
-    arm = shaped_arm(BALL, BALL, BALL, BALL)
-    with pytest.raises(ModelError, match=r"l3 and table overlap by 50\.0"):
-        CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3))
-    refuses(ModelError, "l0 and l3 overlap by", CollisionModel.of, arm, rest=[0.0, 2.9, 0.0])
-    CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3))
-    with pytest.raises(ModelError, match=r"l3 and table are 50\.0 apart \(80\.0\)"):
-        CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3), clearance=0.08)
-
-
 def test_a_motion_that_is_there_already_need_not_begin_free() -> None:
-    arm = shaped_arm(BALL, BALL, BALL, BALL)
+    arm = chain()
     model = CollisionModel.of(arm, [table(-0.05)], near=np.zeros(3), free_rest=False)
     assert not model.rest.any()
     assert model.distances(model.rest[None])[0, column(model, "l3", "table")] < 0.0
@@ -287,17 +280,6 @@ def test_a_single_joint_is_enough() -> None:
     assert (distances[:, 0] < 1.2).all()
 
 
-def test_narrow_limits_do_not_make_a_collision_look_like_coarse_shapes() -> None:
-    arm = shaped_arm(BALL, BALL, BALL, BALL, spacing=0.17)
-    # With the second joint turned by two the third ball overlaps the first.
-    bent = np.array([0.0, 2.0, 0.0])
-    with pytest.raises(ModelError, match="no position was found"):
-        CollisionModel.of(arm, lower=bent - 0.01, upper=bent + 0.01)
-    post = Box(size=(0.1, 0.1, 2.0), translation=(0.4, 0.0, 0.0), name="post")
-    with pytest.raises(ModelError, match="and post"):
-        CollisionModel.of(arm, [post], lower=[-1e-6] * 3, upper=[1e-6] * 3)
-
-
 def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
     model = CollisionModel.of(sdpid.load_robot("baxter_description/baxter"))
     assert (model.distances(model.rest[None]) >= model.clearances(0.02)[None]).all()
@@ -306,10 +288,8 @@ def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
 
 
 def test_pairs_are_left_out_on_demand() -> None:
-    arm = shaped_arm(BALL, BALL, BALL, BALL)
-    model = CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3), ignore=[("l3", "table")])
+    model = CollisionModel.of(chain(), [table(-0.05)], rest=np.zeros(3), ignore=[("l3", "table")])
     assert ("l3", "table", "left out as asked for") in model.left_out
-    refuses(ModelError, "'l9' is no body", CollisionModel.of, arm, ignore=[("l3", "l9")])
 
 
 def test_links_without_shapes_are_assumed_and_told() -> None:
@@ -335,28 +315,43 @@ def test_links_built_close_to_each_other_are_asked_for_less() -> None:
     assert model.clearances(0.05)[column(model, "panda_link4", "table")] == 0.05
 
 
+BENT = np.array([0.0, 2.0, 0.0])
+NARROW = {"lower": [-0.1] * 3, "upper": [0.1] * 3}
+SHELF = Box(size=(0.1, 3.0, 3.0), translation=(0.5, 0, 0))
+POST = Box(size=(0.1, 0.1, 2.0), translation=(0.4, 0.0, 0.0), name="post")
+
+
 @pytest.mark.parametrize(
-    ("obstacle", "match"),
+    ("obstacles", "given", "words"),
     [
-        (Box(size=(2, 2, 2)), "contains the base 'l0'"),
-        (table(0.2), "contains the base 'l0'"),
-        (Box(size=(0.1, 3.0, 3.0), translation=(0.5, 0, 0)), "no position was found"),
+        ([], {"rest": np.zeros(5)}, "rest: 5 numbers, 'chain' has 3"),
+        ([], {"lower": [0.0]}, "limits of positions"),
+        (["table"], {}, "is no Plane, Box or Mesh"),
+        ([], {"ignore": [("l3", "l9")]}, "'l9' is no body"),
+        ([Mesh(path="none.stl")], {}, r"obstacle 'none': mesh none\.stl cannot be read"),
+        ([Box(size=(2, 2, 2))], NARROW, "contains the base 'l0'"),
+        ([table(0.2)], NARROW, "contains the base 'l0'"),
+        ([SHELF], NARROW, "no position was found"),
+        ([table(-0.05)], {"rest": np.zeros(3)}, r"l3 and table overlap by 50\.0"),
+        ([], {"rest": [0.0, 2.9, 0.0]}, "l0 and l3 overlap by"),
+        ([table(-0.15)], {"rest": np.zeros(3), "clearance": 0.08}, r"table are 50\.0 apart \(80"),
+        # With the second joint turned by two the third ball overlaps the first: it would be wrong
+        # to take that for coarse shapes.
+        ([], {"spacing": 0.17, "lower": BENT - 0.01, "upper": BENT + 0.01}, "no position was"),
+        ([POST], {"spacing": 0.17, "lower": [-1e-6] * 3, "upper": [1e-6] * 3}, "and post"),
     ],
 )
-def test_obstacles_that_leave_no_room_are_refused(obstacle: Obstacle, match: str) -> None:
-    arm = shaped_arm(BALL, BALL, BALL, BALL)
-    with pytest.raises(ModelError, match=match):
-        CollisionModel.of(arm, [obstacle], lower=[-0.1] * 3, upper=[0.1] * 3)
+def test_what_cannot_be_checked_is_refused(
+    obstacles: list[Any], given: dict[str, Any], words: str
+) -> None:
+    given = dict(given)
+    arm = chain(given.pop("spacing", 0.5))
+    refuses((DataError, ModelError), words, CollisionModel.of, arm, obstacles, **given)
 
 
-def test_bad_arguments_are_named() -> None:
-    arm = shaped_arm(BALL, BALL, BALL)
-    refuses(DataError, "rest: 5 numbers, 'chain' has 2", CollisionModel.of, arm, rest=np.zeros(5))
-    refuses(DataError, "limits of positions", CollisionModel.of, arm, lower=[0.0])
-    with pytest.raises(DataError, match="is no Plane, Box or Mesh"):
-        CollisionModel.of(arm, ["table"])  # type: ignore[list-item]
-    with pytest.raises(ModelError, match="fixed base"):
-        CollisionModel.of(sdpid.load_robot("a1_description/a1", root="free_flyer"))
+def test_a_base_that_floats_is_refused() -> None:
+    floating = sdpid.load_robot("a1_description/a1", root="free_flyer")
+    refuses(ModelError, "fixed base", CollisionModel.of, floating)
 
 
 def test_a_subset_and_a_pickled_copy_measure_the_same() -> None:
@@ -411,8 +406,7 @@ def test_boxes_and_meshes_of_boxes_agree(tmp_path: Path, convex: bool) -> None:
     assert (mesh.contains(points) == inside).all()
 
     models = [
-        CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL), [obstacle], rest=[-1.0, 0.0, 0.0])
-        for obstacle in (box, mesh)
+        CollisionModel.of(chain(), [obstacle], rest=[-1.0, 0.0, 0.0]) for obstacle in (box, mesh)
     ]
     q = np.random.default_rng(1).uniform(-2, 2, (100, 3))
     (first, one), (second, other) = (distances_and_gradients(model, q) for model in models)
@@ -494,11 +488,6 @@ def test_equal_names_are_told_apart() -> None:
 )
 def test_bad_obstacles_are_named(content: dict[str, Any], match: str) -> None:
     refuses(DataError, match, obstacles_from_toml, content)
-
-
-def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"obstacle 'none': mesh .*none\.stl cannot be read"):
-        CollisionModel.of(shaped_arm(BALL, BALL, BALL), [Mesh(path=tmp_path / "none.stl")])
 
 
 # Proofs that a distance is never small, on functions whose least value is known.
