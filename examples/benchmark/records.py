@@ -18,7 +18,6 @@ from held_out import STILL, Case, cases  # noqa: E402
 from protocol import Rows, Task  # noqa: E402
 
 import sdpid  # noqa: E402
-from sdpid.experiment.preparation.prepare import samples_of  # noqa: E402
 
 # One case a robot; the TX40 twice, without the terms of its drives and with them.
 TRAINED = {
@@ -75,14 +74,15 @@ class Record:
     parts: dict[str, slice]
     speeds: np.ndarray
 
+    def __str__(self) -> str:
+        return self.arm
 
-def records(data: Path | None, arms: list[str]) -> list[Record]:
+
+def records(data: Path, arms: list[str]) -> list[Record]:
     """Return the records that are there; `cases` says which are not."""
     wanted = [case for case, arm in TRAINED.items() if arm in arms]
     names = list(dict.fromkeys(SET[arm] for arm in arms))
     found = {case.name: case for case in cases(data, names)}
-    if data is None:
-        return []
     return [_record(TRAINED[name], found[name], data) for name in wanted if name in found]
 
 
@@ -96,12 +96,7 @@ def _held_out(case: Case) -> Rows:
     for label, other in case.others.items():
         if "alone" in label:
             continue  # one joint of six moves
-        samples = samples_of(case.robot, other, case.common)
-        if case.after is not None:
-            assert samples.time is not None
-            begin = int(np.searchsorted(samples.time, case.after, side="right"))
-            samples = samples.between(begin, samples.n_samples)
-        rows.append(_rows(samples))
+        rows.append(_rows(case.held_out(case.common, other)))
     joined = [np.concatenate([getattr(r, k) for r in rows]) for k in vars(rows[0])]
     return _thinned(Rows(*joined), MOST_PREDICTED)
 
@@ -117,7 +112,7 @@ def _record(arm: str, case: Case, data: Path) -> Record:
         log["velocity"] = case.log.velocity
     name = SET[arm]
     urdf = _without_meshes(data / name / ("ur10e.urdf" if name not in SETS else SETS[name].urdf))
-    common = _thinned(_rows(samples_of(case.robot, case.log, case.common)), MOST_TRAINED)
+    common = _thinned(_rows(case.trained(case.common)), MOST_TRAINED)
     wrist = WRIST if "wrist" in arm else ()
     return _assembled(arm, case.robot, urdf, log, case.scored_hz, common, _held_out(case), wrist)
 

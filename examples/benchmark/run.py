@@ -1,7 +1,7 @@
 """Compare sdpid with other tools on the same records: errors, consistency, time, failures.
 
     python examples/benchmark/run.py --out results --data /path/to/data --peers /path/to/peers
-        [--arm NAME] [--tool NAME] [--quick]
+        [--arms NAME ...] [--tools NAME ...] [--quick]
 
 Each method of each tool gets a task in a process of its own: the training part of a record as it
 was recorded, the same part filtered alike for all, and rows at which to predict efforts, without
@@ -17,15 +17,14 @@ out; without any, a small simulated one stands for them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +35,7 @@ sys.path.insert(0, str(HERE))
 
 from judge import Verdict, judge  # noqa: E402
 from records import TRAINED, Record, records, without_data  # noqa: E402
-
-from sdpid._common.tables import Table  # noqa: E402
+from study import Rows, Study, known  # noqa: E402
 
 TIMEOUT_S = 3600.0
 COMMON, OWN = "common", "own"
@@ -163,23 +161,16 @@ def answered(
     return said, predicted, bodies
 
 
+METHOD = ("tool", "method", "rows")
 HEADER = (
-    "arm",
-    "tool",
-    "method",
-    "rows",
-    *Verdict.__dataclass_fields__,
-    "over_bound_percent",
-    "cpu_s",
-    "wall_s",
-    "status",
-    "failure",
+    *("arm", *METHOD, *Verdict.__dataclass_fields__),
+    *("over_bound_percent", "cpu_s", "wall_s", "status", "failure"),
 )
 
 
 def rows(
-    record: Record, pythons: dict[str, str], folder: Path, peers: Path | None, quick: bool
-) -> Iterator[tuple[object, ...]]:
+    pythons: dict[str, str], folder: Path, peers: Path | None, quick: bool, record: Record
+) -> Rows:
     """Yield a row for every method."""
     bounds: dict[str, float] = {}
     for entry in ENTRIES:
@@ -202,21 +193,14 @@ def rows(
             over = 100.0 * (verdict.cost / bounds[entry.bound] - 1.0)
         judged = (None,) * len(Verdict.__dataclass_fields__)
         yield (
-            record.arm,
-            NAMES[entry.tool],
-            entry.method.removeprefix("own rows, "),
-            entry.rows,
+            *(NAMES[entry.tool], entry.method.removeprefix("own rows, "), entry.rows),
             *(judged if verdict is None else asdict(verdict).values()),
-            over,
-            said.get("cpu_s"),
-            said.get("wall_s"),
-            said.get("status", ""),
-            failure,
+            *(over, said.get("cpu_s"), said.get("wall_s"), said.get("status", ""), failure),
         )
 
 
-def versions(folder: Path) -> Table:
-    """Return the libraries that answers name, one row a tool."""
+def versions(folder: Path) -> Rows:
+    """Yield the libraries that answers name, one row a tool."""
     found: dict[str, dict[str, str]] = {}
     for answer in sorted(folder.glob("*.npz")):
         if answer.name.endswith(".task.npz"):
@@ -225,107 +209,67 @@ def versions(folder: Path) -> Table:
             said = json.loads(str(stored["said"]))
         tool = next(t for t in NAMES if f"_{t}_" in answer.name)
         found.setdefault(tool, said["versions"])
-    lines = [
-        (NAMES[tool], ", ".join(f"{k} {v}" for k, v in libraries.items()))
-        for tool, libraries in found.items()
-    ]
-    return Table(("tool", "versions"), tuple(lines))
+    for tool, libraries in found.items():
+        yield NAMES[tool], ", ".join(f"{k} {v}" for k, v in libraries.items())
 
 
-def table(done: list[tuple[object, ...]], column: str) -> Table:
-    """Return one column of all results, one row a method and one column an arm."""
-    at = HEADER.index(column)
-    arms = list(dict.fromkeys(str(row[0]) for row in done))
-    keys = list(dict.fromkeys(row[1:4] for row in done))
-    cells = {(row[0], *row[1:4]): row[at] for row in done}
-    lines = [(*key, *(cells.get((arm, *key)) for arm in arms)) for key in keys]
-    return Table(("tool", "method", "rows", *arms), tuple(lines))
+Column = Callable[[dict[str, Any]], object]
 
 
-SHOWN = ("held_out", "moving", "over_bound_percent", "cpu_s")
+def of_arm(column: str, arm: str) -> Column:
+    """Return what takes one column of the row of an arm."""
+    return lambda own: next(iter(own[column][own["arm"] == arm]), None)
 
 
-def summary(done: list[tuple[object, ...]]) -> Table:
-    """Return what holds on how many records, one row a method."""
-    header = (
-        "tool",
-        "method",
-        "rows",
-        "records",
-        "failures",
-        "bodies",
-        "positive",
-        "links",
-        "mass_matrix_positive",
-        "driving_joints",
-        "worst_over_bound_percent",
-        "median_cpu_s",
-    )
-    lines = []
-    for key in dict.fromkeys(row[1:4] for row in done):
-        found = [dict(zip(HEADER, row, strict=True)) for row in done if row[1:4] == key]
-        good = [row for row in found if row["held_out"] is not None]
-
-        def values(name: str, good: list[dict[str, Any]] = good) -> list[float]:
-            return [row[name] for row in good if row[name] is not None]
-
-        sums = [
-            sum(values(k)) if values("links") else None for k in ("bodies", "positive", "links")
-        ]
-        over, cpu = values("over_bound_percent"), values("cpu_s")
-        lines.append(
-            (
-                *key,
-                len(found),
-                len(found) - len(good),
-                *sums,
-                sum(value > 0.0 for value in values("least_eigenvalue")),
-                sum(values("driving")),
-                max(over) if over else None,
-                float(np.median(cpu)) if cpu else None,
-            )
-        )
-    return Table(header, tuple(lines))
+def good(column: str, told: Column) -> Column:
+    """Return what says something of a column where there is an estimate."""
+    return lambda own: told(known(own[column][~np.isnan(own["held_out"].astype(float))]))
 
 
-def failures(done: list[tuple[object, ...]]) -> Table:
-    """Return what did not end with an estimate, with its message."""
-    at = HEADER.index("failure")
-    return Table(("arm", *HEADER[1:4], "message"), tuple((*r[:4], r[at]) for r in done if r[at]))
+def whole(column: str) -> Column:
+    """Return what counts links, where a tool returns any."""
+    return lambda own: int(known(own[column]).sum()) if len(known(own["links"])) else None
 
 
-def main() -> int:
+# What holds on how many records.
+SUMMARY: dict[str, Any] = {
+    "records": "count arm",
+    "failures": lambda own: int(np.isnan(own["held_out"].astype(float)).sum()),
+    **{each: whole(each) for each in ("bodies", "positive", "links")},
+    "mass_matrix_positive": good("least_eigenvalue", lambda each: int((each > 0.0).sum())),
+    "driving_joints": good("driving", lambda each: int(each.sum())),
+    "worst_over_bound_percent": "max over_bound_percent",
+    "median_cpu_s": good("cpu_s", lambda each: np.median(each) if len(each) else None),
+}
+
+
+def main() -> None:
     """Run every method on every record and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--peers", type=Path, help="folder of the peers' environments")
-    parser.add_argument("--arm", action="append", choices=tuple(TRAINED.values()))
-    parser.add_argument("--tool", action="append", choices=tuple(NAMES))
-    parser.add_argument("--quick", action="store_true", help="one record, sdpid alone")
-    options = parser.parse_args()
-    folder = options.out / "answers"
-    folder.mkdir(parents=True, exist_ok=True)
-    tools = ["sdpid"] if options.quick else options.tool or list(NAMES)
-    peers = None if options.peers is None else options.peers.resolve()
-    pythons = {tool: found for tool in tools if (found := interpreter(tool, peers))}
-    arms = options.arm or (["Panda"] if options.quick else list(TRAINED.values()))
-    found = records(options.data, arms) or [without_data()]
-    done: list[tuple[object, ...]] = []
-    start = time.perf_counter()
-    for record in found:
-        for cells in rows(record, pythons, folder, peers, options.quick):
-            done.append(cells)
-            print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
-        Table(HEADER, tuple(done)).write(options.out / "methods.csv")
-    for column in SHOWN:
-        table(done, column).write(options.out / f"{column}.csv")
-    summary(done).write(options.out / "summary.csv")
-    failures(done).write(options.out / "failures.csv")
-    versions(folder).write(options.out / "versions.csv")
-    print(f"\n{table(done, 'held_out').text(3)}\n{time.perf_counter() - start:.0f} s")
-    return 0
+    study = Study(
+        __doc__,
+        quick={"tools": ["sdpid"], "arms": ["Panda"]},
+        data=True,
+        peers=(None, "folder of the peers' environments"),
+        tools=[*NAMES],
+        arms=[*TRAINED.values()],
+    )
+    folder = study.out / "answers"
+    folder.mkdir(exist_ok=True)
+    peers = None if study.peers is None else Path(study.peers).resolve()
+    pythons = {tool: found for tool in study.tools if (found := interpreter(tool, peers))}
+    found = records(study.data, study.arms) or [without_data()]
+    rows_of = partial(rows, pythons, folder, peers, study.quick)
+    done = study.rows("methods.csv", HEADER, rows_of, found)
+    for column in ("held_out", "moving", "over_bound_percent", "cpu_s"):
+        arms = {record.arm: of_arm(column, record.arm) for record in found}
+        study.summary(f"{column}.csv", done, METHOD, arms)
+    study.summary("summary.csv", done, METHOD, SUMMARY)
+    failed = (
+        [*(row[name] for name in HEADER[:4]), row["failure"]] for row in done if row["failure"]
+    )
+    study.write("failures.csv", (*HEADER[:4], "message"), failed)
+    study.write("versions.csv", ("tool", "versions"), versions(folder))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,6 +11,7 @@ import pandas as pd
 import sdpid
 from case_study.estimates import Estimates
 from case_study.experiments import AXES, FOLDER, ROBOT, true_theta
+from sdpid.robot.inertia import physical_parameters, second_moment_from_inertia
 
 
 def table_iv(found: Estimates) -> pd.DataFrame:
@@ -89,14 +90,9 @@ def solvers(comparisons: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     )
 
 
-def _center_margins(theta: np.ndarray) -> tuple[list[float], list[float]]:
+def _center_margins(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the least eigenvalues of each link's I_g and of its second moments about there."""
-    inertias, moments = [], []
-    for m, x, y, z, xx, xy, yy, xz, yz, zz in theta[: 10 * AXES].reshape(AXES, 10):
-        h = np.array([x, y, z])
-        about_joint = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        about_center = about_joint - (h @ h * np.eye(3) - np.outer(h, h)) / m
-        second = 0.5 * np.trace(about_center) * np.eye(3) - about_center
-        inertias.append(float(np.linalg.eigvalsh(about_center)[0]))
-        moments.append(float(np.linalg.eigvalsh(second)[0]))
+    _, _, inertia = physical_parameters(theta[: 10 * AXES].reshape(AXES, 10))
+    matrices = inertia, np.array([second_moment_from_inertia(each) for each in inertia])
+    inertias, moments = (np.linalg.eigvalsh(each)[:, 0] for each in matrices)
     return inertias, moments

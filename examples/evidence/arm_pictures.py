@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from arms import METHODS, MODELS, Arm
+from arms import METHODS, MODELS, Arm, Fall, skeleton
 from matplotlib.figure import Figure
-from release import Fall, skeleton
 
 from sdpid import plots
 

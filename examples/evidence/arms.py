@@ -1,4 +1,7 @@
-"""Estimates of the real arms: least squares, ridge regression, and what `identify` returns."""
+"""Estimates of the real arms (least squares, ridge regression, what `identify` returns), let go of.
+
+A released arm is helped by no motor: gravity and friction act.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from data_sets import Records
 import sdpid
 from sdpid.assurance.diagnostics.bands import held_out_blocks, predicted_by
 from sdpid.assurance.diagnostics.held_out import DESCRIPTION, FRICTION_FITTED, LEAST_SQUARES, OURS
-from sdpid.assurance.diagnostics.validation import Validation, validate
+from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.estimation.prior.prior import prior_terms
 
 # The second differs from ours by the inequality alone.
@@ -54,8 +57,6 @@ class Arm:
         link and the strength that predicts best.
     ridge_fits : tuple of Validation
         Their errors on what was held out.
-    strength : float
-        Strength of the second, nats.
     """
 
     name: str
@@ -63,7 +64,6 @@ class Arm:
     result: Any
     ridges: tuple[Any, Any]
     ridge_fits: tuple[Any, Any]
-    strength: float
 
     @property
     def estimates(self) -> dict[str, Any]:
@@ -113,8 +113,7 @@ class Arm:
     @property
     def proven(self) -> float | None:
         """Number that is proven to be below every eigenvalue of our mass matrix."""
-        bound: float | None = self.smallest[METHODS[-1]].lower_bound
-        return bound
+        return self.smallest[METHODS[-1]].lower_bound
 
     @cached_property
     def driving(self) -> dict[str, int]:
@@ -150,8 +149,8 @@ def read_arm(records: Records) -> Arm:
     return Arm(str(records), log, result, *_ridges(result))
 
 
-def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:
-    """Return both ridge regressions, their errors on held-out rows, and the second's strength.
+def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Return both ridge regressions, and their errors on held-out rows.
 
     They have the friction terms, weights and blocks of ours, and the belief about friction. Where
     the blocks are also what is predicted, they chose the strength, which favors it a little.
@@ -161,13 +160,12 @@ def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:
     for strength in STRENGTHS:
         prior = sdpid.Prior(kind="scaled_euclidean", strength=float(strength))
         priors[strength] = prior_terms(prior, problem.rows)
-    blocks = held_out_blocks(problem)
 
     def solve(which: Any, prior: Any) -> Any:
         return sdpid.solve_wls(replace(which, prior=prior))
 
     predicted = predicted_by(
-        blocks,
+        held_out_blocks(problem),
         problem,
         {
             str(name): lambda block, prior=prior: solve(block.problem, prior).base
@@ -181,5 +179,96 @@ def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:
     best = min(STRENGTHS, key=lambda each: fits[each].moving.relative)
     ridges = solve(problem, priors[None]), solve(problem, priors[best])
     if fresh is None:
-        return ridges, (fits[None], fits[best]), best
-    return ridges, (validate(ridges[0], fresh), validate(ridges[1], fresh)), best
+        return ridges, (fits[None], fits[best])
+    return ridges, (sdpid.validate(ridges[0], fresh), sdpid.validate(ridges[1], fresh))
+
+
+# A joint this fast, rad/s, is no robot's: 160 turns a second. Without stops the wrist of a falling
+# arm does whip round at tens of rad/s, as the last link of a multiple pendulum does.
+DIVERGED = 1000.0
+
+# Relative and absolute tolerance of the integration; a tenth of both changes no time at which one
+# of the five arms diverges by more than 0.1 %.
+TOLERANCES = 1e-4, 1e-6
+
+# Seconds between the postures that are kept.
+GRID = 2e-3
+
+# Of times, s.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Fall:
+    """Motion of a released arm.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Seconds, up to where the arm diverges.
+    position : ndarray, shape (K, n)
+        Joint positions, rad.
+    speed : ndarray, shape (K,)
+        The fastest joint's speed, rad/s.
+    diverged : float or None
+        When a joint is faster than `DIVERGED`, or no acceleration is left; None where none is.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+    diverged: float | None
+
+
+def release(model: Any, q: np.ndarray, duration: float) -> Fall:
+    """Simulate an arm that is let go of at rest in posture q (n,), rad, for some seconds.
+
+    The effort is the identified offset, the zero error of the torque sensors, so that the motors
+    do no work. Nothing else than the estimate's own equations acts: no stops, no contact.
+    """
+    from scipy.integrate import Radau
+
+    n = len(q)
+    effort = model.friction(np.zeros(n))
+
+    def rates(_: float, state: np.ndarray) -> np.ndarray:
+        rows = np.atleast_2d(state.T)
+        position, velocity = rows[:, :n], rows[:, n:]
+        tau = np.broadcast_to(effort, velocity.shape)
+        rate = np.hstack([velocity, model.forward_dynamics(position, velocity, tau)])
+        return np.asarray(rate.T.reshape(state.shape))
+
+    relative, absolute = TOLERANCES
+    start = np.concatenate([q, np.zeros(n)])
+    # Implicit, for friction at rest is stiff.
+    solver = Radau(rates, 0.0, start, duration, rtol=relative, atol=absolute, vectorized=True)
+    states, diverged = [start], None
+    while solver.status == "running" and diverged is None:
+        try:
+            solver.step()
+        except (sdpid.errors.ModelError, ValueError):
+            # No acceleration follows from the effort, or none that is finite.
+            diverged = float(solver.t)
+            break
+        state = solver.dense_output()
+        while len(states) * GRID <= solver.t + ROUNDING:
+            states.append(state(len(states) * GRID))
+        if solver.status == "failed" or not np.abs(solver.y[n:]).max() < DIVERGED:
+            diverged = float(solver.t)
+    found = np.array(states)
+    speed = np.abs(found[:, n:]).max(axis=1)
+    return Fall(GRID * np.arange(len(found)), found[:, :n], speed, diverged)
+
+
+def skeleton(robot: sdpid.RobotModel, positions: np.ndarray) -> np.ndarray:
+    """Return where the joints and the tool are, (K, points, 3), m, at positions (K, n)."""
+    import pinocchio as pin
+
+    model = robot.pin_model
+    data = model.createData()
+    shapes = []
+    for q in positions:
+        pin.framesForwardKinematics(model, data, q)
+        joints = [data.oMi[i].translation for i in range(model.njoints)]
+        shapes.append(np.array([*joints, data.oMf[model.nframes - 1].translation]))
+    return np.array(shapes)

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
-from study import Study
+from lxml import etree
+from study import Rows, Study
 
 import sdpid
 from sdpid.assurance.descriptions.checks import carried, carried_theta
@@ -36,10 +37,7 @@ QUICK = (
     "so_arm_description/so101",
 )
 # Of the page, and beside it: the largest difference from Pinocchio, what is counted, and kinds.
-SHOWN = (
-    *("robot", "links", "impossible", "errors", "warnings", "mujoco", "repaired"),
-    "mujoco_after",
-)
+SHOWN = ("robot", "links", "impossible", "errors", "warnings", "mujoco", "repaired", "mujoco_after")
 HEADER = (*SHOWN, "pinocchio_difference", "verdict", "kinds")
 # What loaders refuse although it is no error.
 EDGE = ("no_thickness", "point", "moving_without_mass")
@@ -47,8 +45,6 @@ EDGE = ("no_thickness", "point", "moving_without_mass")
 
 def stripped(text: str) -> str:
     """Return a URDF with nothing but links, their inertials, and joints."""
-    from lxml import etree
-
     root = parse_xml(text, "URDF")
     for element in list(root):
         if element.tag not in ("link", "joint"):
@@ -62,8 +58,6 @@ def stripped(text: str) -> str:
 
 def mujoco_verdict(text: str) -> str:
     """Return what MuJoCo's loader says of the inertias: ``"loads"`` or its complaint."""
-    import mujoco
-
     try:
         mujoco.MjModel.from_xml_string(stripped(text))
     except ValueError as error:
@@ -90,14 +84,14 @@ def pinocchio_difference(text: str) -> float:
     return worst
 
 
-def rows(name: str) -> Iterator[tuple[object, ...]]:
+def rows(name: str) -> Rows:
     """Yield the row of a robot."""
     path = example_robots()[name]
     try:
         audit = sdpid.audit_urdf(path)
     except sdpid.errors.ModelError as error:
         print(f"{name}: {error}", file=sys.stderr)
-        yield name, *(None,) * 4, None, 0, None, None, None, []
+        yield *(None,) * 5, 0, None, None, None, []
         return
     text = path.read_bytes().decode("utf-8")
     report: RepairReport = repair_urdf(path)
@@ -108,7 +102,6 @@ def rows(name: str) -> Iterator[tuple[object, ...]]:
     ours = "with errors" if not audit.passed else "on the edge" if edge else "clean"
     loaded = "loaded" if verdict == "loads" else "refused"
     yield (
-        name,
         len(audit.bodies),
         sum(body.consistent is False for body in audit.bodies),
         len(audit.errors),
@@ -125,7 +118,7 @@ def rows(name: str) -> Iterator[tuple[object, ...]]:
 def main() -> None:
     """Audit all, and write the tables."""
     study = Study(__doc__, quick={"robots": [*QUICK]}, robots=[*example_robots()])
-    found = study.rows("audit_robots.csv", HEADER, study.robots, rows)
+    found = study.rows("audit_robots.csv", HEADER, rows, study.robots)
     shown = [row for row in found if row["errors"] or row["mujoco"] not in ("loads", None)]
     study.write("findings.csv", SHOWN, ([row[name] for name in SHOWN] for row in shown))
     read = [row for row in found if row["verdict"]]

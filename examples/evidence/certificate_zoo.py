@@ -18,11 +18,12 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study import Study
+from study import Rows, Study
 
 import sdpid
 from sdpid import constraints as of
@@ -45,7 +46,10 @@ def problem(
     weighting: Any = "gls",
     **limits: float,
 ) -> Any:
-    """Return a problem of a robot whose described links are moved at random."""
+    """Return a problem of a robot whose described links are moved at random.
+
+    Conditions may be functions of the names of links.
+    """
     model = sdpid.load_robot(robot)
     rng = np.random.default_rng(seed)
     q, v, a = (scale * rng.uniform(-1.0, 1.0, (SAMPLES, model.n)) for scale in RANGES)
@@ -54,6 +58,7 @@ def problem(
     effort += noise * rng.standard_normal(effort.shape)
     samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
     demands = {"margin": 1e-4, "mass_max": 50.0, "theta_max": 200.0, **limits}
+    others = tuple(each(model.link_names) if callable(each) else each for each in others)
     return sdpid.build_problem(
         model,
         samples,
@@ -69,53 +74,9 @@ def certified(found: Any) -> dict[str, Any]:
     return sdpid.certify(sdpid.solve_sdp(found)).to_dict()
 
 
-def rows() -> dict[str, Any]:
-    """Return a certificate with a total mass, a box and an ellipsoid of mass: rows."""
-    names = sdpid.load_robot("ur5_robot").link_names
-    return certified(
-        problem(
-            "ur5_robot",
-            of.TotalMass(17.0, tolerance=0.2),
-            of.CenterOfMassInBox(names[1], (-0.3, -0.3, 0.0), (0.3, 0.05, np.inf)),
-            of.MassInEllipsoid(names[2], (0.0, 0.0, 0.2), (0.1, 0.1, 0.3)),
-            seed=1,
-        )
-    )
-
-
-def cones() -> dict[str, Any]:
-    """Return a certificate with two second-order cones."""
-    names = sdpid.load_robot("ur5_robot").link_names
-    return certified(
-        problem(
-            "ur5_robot",
-            of.TotalMass(15.0, tolerance=1.0),
-            of.CenterOfMassInEllipsoid(names[1], (0.0, 0.0, 0.2), (0.05, 0.05, 0.1)),
-            of.CenterOfMassInEllipsoid(names[3], (0.0, 0.0, 0.0), (0.02, 0.05, 0.03)),
-            seed=2,
-            consistency="spatial_inertia",
-        )
-    )
-
-
-def hull() -> dict[str, Any]:
-    """Return a certificate with the faces of a collision shape."""
-    name = sdpid.load_robot("panda").link_names[2]
-    return certified(problem("panda", of.CenterOfMassInHull(name, tolerance=5e-3), seed=3))
-
-
-def equations() -> dict[str, Any]:
-    """Return a certificate with known parameters, a known link and a known place of mass."""
-    names = sdpid.load_robot("ur5_robot").link_names
-    return certified(
-        problem(
-            "ur5_robot",
-            of.Fixed({"m_2": 8.0, "Fv1": 0.5}),
-            of.FixedLink(names[-1]),
-            of.MirrorSymmetry(names[2], (0.0, 1.0, 0.0)),
-            seed=4,
-        )
-    )
+def kind(*asked: Any, **how: Any) -> Callable[[], dict[str, Any]]:
+    """Return what makes the certificate of a problem."""
+    return lambda: certified(problem(*asked, **how))
 
 
 def local() -> dict[str, Any]:
@@ -135,39 +96,59 @@ def outside() -> dict[str, Any]:
 
 
 ZOO: dict[str, Callable[[], dict[str, Any]]] = {
-    "pendulum": lambda: certified(problem("double_pendulum", seed=7)),
-    "denso": lambda: certified(problem("denso_vp6242", seed=8)),
-    "spatial": lambda: certified(problem("ur5_robot", seed=9, consistency="spatial_inertia")),
-    "none": lambda: certified(problem("double_pendulum", seed=10, consistency="none")),
-    "pullback": lambda: certified(problem("ur5_robot", seed=11, prior=sdpid.Prior())),
-    "log-det": lambda: certified(problem("ur5_robot", seed=12, prior=sdpid.Prior(kind="entropic"))),
-    "small log-det": lambda: certified(
-        problem("double_pendulum", seed=13, margin=0.0, prior=sdpid.Prior(kind="entropic"))
+    "pendulum": kind("double_pendulum", seed=7),
+    "denso": kind("denso_vp6242", seed=8),
+    "spatial": kind("ur5_robot", seed=9, consistency="spatial_inertia"),
+    "none": kind("double_pendulum", seed=10, consistency="none"),
+    "pullback": kind("ur5_robot", seed=11, prior=sdpid.Prior()),
+    "log-det": kind("ur5_robot", seed=12, prior=sdpid.Prior(kind="entropic")),
+    "small log-det": kind(
+        "double_pendulum", seed=13, margin=0.0, prior=sdpid.Prior(kind="entropic")
     ),
-    "rows": rows,
-    "cones": cones,
-    "hull": hull,
-    "equations": equations,
+    # A total mass, a box and an ellipsoid of mass.
+    "rows": kind(
+        "ur5_robot",
+        of.TotalMass(17.0, tolerance=0.2),
+        lambda links: of.CenterOfMassInBox(links[1], (-0.3, -0.3, 0.0), (0.3, 0.05, np.inf)),
+        lambda links: of.MassInEllipsoid(links[2], (0.0, 0.0, 0.2), (0.1, 0.1, 0.3)),
+        seed=1,
+    ),
+    "cones": kind(
+        "ur5_robot",
+        of.TotalMass(15.0, tolerance=1.0),
+        lambda links: of.CenterOfMassInEllipsoid(links[1], (0.0, 0.0, 0.2), (0.05, 0.05, 0.1)),
+        lambda links: of.CenterOfMassInEllipsoid(links[3], (0.0, 0.0, 0.0), (0.02, 0.05, 0.03)),
+        seed=2,
+        consistency="spatial_inertia",
+    ),
+    # The faces of a collision shape.
+    "hull": kind("panda", lambda links: of.CenterOfMassInHull(links[2], tolerance=5e-3), seed=3),
+    # Known parameters, a known link and a known place of mass.
+    "equations": kind(
+        "ur5_robot",
+        of.Fixed({"m_2": 8.0, "Fv1": 0.5}),
+        lambda links: of.FixedLink(links[-1]),
+        lambda links: of.MirrorSymmetry(links[2], (0.0, 1.0, 0.0)),
+        seed=4,
+    ),
     "local": local,
     "outside": outside,
-    "panda": lambda: certified(problem("panda", seed=14)),
-    "tree": lambda: certified(problem("solo", seed=15)),
-    "noise-free": lambda: certified(problem("double_pendulum", seed=16, noise=0.0)),
-    "big floor": lambda: certified(problem("double_pendulum", seed=17, noise=1e3)),
-    "eq18": lambda: certified(problem("double_pendulum", seed=18, weighting="eq18")),
+    "panda": kind("panda", seed=14),
+    "tree": kind("solo", seed=15),
+    "noise-free": kind("double_pendulum", seed=16, noise=0.0),
+    "big floor": kind("double_pendulum", seed=17, noise=1e3),
+    "eq18": kind("double_pendulum", seed=18, weighting="eq18"),
 }
 
 
 # More parameters than samples show: a prior.
-LARGE_ROBOTS: dict[str, Callable[[], dict[str, Any]]] = {
-    "iCub": lambda: certified(problem("icub", seed=19, prior=sdpid.Prior())),
-    "Talos, 6x6": lambda: certified(
-        problem(
-            "talos_full_v2",
-            seed=20,
-            consistency="spatial_inertia",
-            prior=sdpid.Prior(kind="entropic"),
-        )
+LARGE_ROBOTS = {
+    "iCub": kind("icub", seed=19, prior=sdpid.Prior()),
+    "Talos, 6x6": kind(
+        "talos_full_v2",
+        seed=20,
+        consistency="spatial_inertia",
+        prior=sdpid.Prior(kind="entropic"),
     ),
 }
 
@@ -189,23 +170,22 @@ def verified(path: Path) -> tuple[str, float]:
     return (done.stdout.splitlines() or [done.stderr])[-1], seconds
 
 
-def file_row(name: str, out: Path) -> tuple[object, ...]:
-    """Write a certificate, verify it, and return its row."""
+def written(out: Path, name: str) -> Rows:
+    """Write a certificate, verify it, and yield its row."""
     data = {**ZOO, **LARGE_ROBOTS}[name]()
     path = out / f"{name.replace(' ', '_')}.json"
     path.write_text(json.dumps(data), encoding="utf-8")
     sizes = len(data["problem"]["lower"]), len(data["problem"]["rhs"])
     verdict, seconds = verified(path)
-    return name, *sizes, path.stat().st_size / 1e6, seconds, verdict
+    yield *sizes, path.stat().st_size / 1e6, seconds, verdict
 
 
 def main() -> None:
     """Write every certificate, and verify it."""
     small = [name for name in ZOO if name not in LARGE]
-    every = [*ZOO, *LARGE_ROBOTS]
-    study = Study(__doc__, quick={"kinds": small}, kinds=every)
+    study = Study(__doc__, quick={"kinds": small}, kinds=[*ZOO, *LARGE_ROBOTS])
     header = ("certificate", "p", "b", "MB", "seconds", "verdict")
-    study.rows("certificate_zoo.csv", header, study.kinds, lambda name: [file_row(name, study.out)])
+    study.rows("certificate_zoo.csv", header, partial(written, study.out), study.kinds)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ times, and the bound of `enclose` over short cells, beside the largest value on 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
-from study import Study, grouped
+from study import Rows, Study
 
 from sdpid.experiment.trajectory.curve import Curve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
@@ -64,26 +63,23 @@ WAYS: dict[str, tuple[Callable[..., Curve], Callable[..., np.ndarray], float]] =
 }
 
 
-def excess(name: str, seed: int) -> Iterator[tuple[object, ...]]:
+def excess(name: str, seed: int) -> Rows:
     """Yield by how much the bounds of a curve exceed what it reaches, %."""
     make, bound, size = WAYS[name]
     curve = make(np.random.default_rng(seed))
     reached = [np.abs(curve.evaluate(TIME, derivative=k)).max(axis=0) for k in ORDERS]
     shares = np.array([bound(curve, k, size) for k in ORDERS]) / np.array(reached) - 1.0
-    yield name, *(100.0 * shares.mean(axis=1))
+    yield 100.0 * shares.mean(axis=1)
 
 
 def main() -> None:
     """Measure and write the table."""
     study = Study(__doc__, quick={"curves": 2}, curves=20)
-    header = ("excess over the true extreme, %", *DERIVATIVES)
-    cases = itertools.product(WAYS, range(study.curves))
-    found = study.rows("curves.csv", header, cases, lambda case: excess(*case))
-    rows = (
-        (name, *(own[each].mean() for each in DERIVATIVES))
-        for (name,), own in grouped(found, header[0])
-    )
-    study.write("curve_bounds.csv", header, rows)
+    title = "excess over the true extreme, %"
+    header = (title, "curve", *DERIVATIVES)
+    found = study.rows("curves.csv", header, excess, WAYS, range(study.curves))
+    columns = {name: f"mean {name}" for name in DERIVATIVES}
+    study.summary("curve_bounds.csv", found, (title,), columns)
 
 
 if __name__ == "__main__":

@@ -17,24 +17,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from study import Study, pivot
+from study import Rows, Study, pivot
 
 import sdpid
-from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior.prior import PriorKind
-from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.robot.inertia import Consistency
+from sdpid.friction import AsymmetricCoulomb, Coulomb, Coupling
 from sdpid.workflow.formulate import formulate
 
-Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
+Terms = tuple[Any, ...]
 
 TRAINED = 0.6  # of a record whose rest is predicted
+
+SIGN: dict[str, Terms] = {"sign": ("coulomb",)}
+TANH: dict[str, Terms] = {"tanh 0.02": (Coulomb(width=0.02),)}
+WITH_ROTOR: dict[str, Terms] = {"tanh 0.02, rotor": (Coulomb(width=0.02), "rotor_inertia")}
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class DataSet:
 
     Attributes
     ----------
+    title : str
+        What the robot is called.
     urdf : str
         Its description, in the set's folder.
     records : tuple of str
@@ -55,68 +58,58 @@ class DataSet:
         Fields that hold an effort.
     """
 
+    title: str
     urdf: str
     records: tuple[str, ...]
     models: dict[str, Terms]
-    usual: str
+    usual: str = "tanh 0.02"
     efforts: tuple[str, ...] = ("tau",)
 
 
 def wrist(width: float) -> Terms:
     """Return the terms of motors that drive joints 5 and 6 together."""
-    return "rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=width)
+    return "rotor_inertia", Coupling("joint_5", "joint_6", width=width)
 
 
 SETS = {
     "ur10_unisa": DataSet(
+        "UR10",
         "ur10.urdf",
         ("ur10_exciting",),
         {
-            "sign": ("coulomb",),
-            "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),),
-            "tanh 0.02, rotor": (sdpid.friction.Coulomb(width=0.02), "rotor_inertia"),
-            "asymmetric 0.02": (sdpid.friction.AsymmetricCoulomb(width=0.02),),
+            **SIGN,
+            **TANH,
+            **WITH_ROTOR,
+            "asymmetric 0.02": (AsymmetricCoulomb(width=0.02),),
             "sigmoid": ("sigmoid",),
         },
-        "tanh 0.02",
     ),
-    "panda_unisa": DataSet(
-        "panda.urdf",
-        ("panda_exciting",),
-        {"sign": ("coulomb",), "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),)},
-        "tanh 0.02",
-    ),
+    "panda_unisa": DataSet("Panda", "panda.urdf", ("panda_exciting",), SIGN | TANH),
     "kuka_lwr4plus": DataSet(
-        "kuka_lwr4.urdf",
-        ("measurements_1", "measurements_2"),
-        {"sign": ("coulomb",), "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),)},
-        "tanh 0.02",
+        "LWR 4+", "kuka_lwr4.urdf", ("measurements_1", "measurements_2"), SIGN | TANH
     ),
     "staubli_tx40": DataSet(
+        "TX40",
         "tx40.urdf",
         ("tx40_rows_0_24750",),
         {
             "sign, rotor, coupling": ("coulomb", *wrist(0.0)),
-            "dead zone 0.01, rotor, coupling": (
-                sdpid.friction.Coulomb(dead_zone=0.01),
-                *wrist(0.0),
-            ),
-            "tanh 0.05, rotor, coupling": (sdpid.friction.Coulomb(width=0.05), *wrist(0.05)),
-            "tanh 0.05": (sdpid.friction.Coulomb(width=0.05),),
+            "dead zone 0.01, rotor, coupling": (Coulomb(dead_zone=0.01), *wrist(0.0)),
+            "tanh 0.05, rotor, coupling": (Coulomb(width=0.05), *wrist(0.05)),
+            "tanh 0.05": (Coulomb(width=0.05),),
         },
         "tanh 0.05, rotor, coupling",
     ),
     "kinova_gen3_dynamapp": DataSet(
+        "Gen3",
         "gen3.urdf",
         ("opti_traj_testing1", "opti_traj_testing2"),
-        {
-            "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),),
-            "tanh 0.02, rotor": (sdpid.friction.Coulomb(width=0.02), "rotor_inertia"),
-        },
-        "tanh 0.02",
-        ("tau", "tau_current"),
+        TANH | WITH_ROTOR,
+        efforts=("tau", "tau_current"),
     ),
 }
+TITLES = {name: each.title for name, each in SETS.items()} | {"ur10e_innopolis": "UR10e"}
+QUICK = ("panda_unisa",)
 
 
 def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
@@ -164,110 +157,61 @@ class Records:
         return [sdpid.read_recording(path, columns=columns) for path in self.paths.values()]
 
 
-def records_of(data: Path, names: Iterable[str]) -> Iterator[Records]:
-    """Yield the records of arms that are there, and say which are not."""
-    yield from (Records(*each) for each in folders(data, names))
-
-
-BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
-
-# What `sdpid.identify` takes for its prior: None is the default, False is none.
-PLAIN: dict[str, sdpid.Prior | bool | None] = {"none": False, "default": None}
-KINDS: tuple[PriorKind, ...] = ("pullback", "entropic", "scaled_euclidean", "euclidean")
-STRENGTHS: tuple[float | Literal["evidence"], ...] = (0.1, 0.3, 1.0, 3.0, 10.0, "evidence")
-COMPARED: dict[str, sdpid.Prior | bool | None] = {
-    "none": False,
-    **{
-        f"{kind.replace('_', ' ')} {strength}": sdpid.Prior(kind=kind, strength=strength)
-        for kind in KINDS
-        for strength in STRENGTHS
-    },
-    "pullback 1.0, links only": sdpid.Prior(friction=False),
-}
-
-TITLES = {
-    "ur10_unisa": "UR10",
-    "panda_unisa": "Panda",
-    "kuka_lwr4plus": "LWR 4+",
-    "staubli_tx40": "TX40",
-    "kinova_gen3_dynamapp": "Gen3",
-    "ur10e_innopolis": "UR10e",
-}
-
-QUICK = ("panda_unisa",)
-
-HEADER = (
-    *("record", "terms", "consistency", "prior", "status", "gap", "margin", "heaviest_link"),
-    *("iterations", "trained", "held_out", "message"),
-)
+def records_of(data: Path, names: Iterable[str]) -> list[Records]:
+    """Return the records of arms that are there, and say which are not."""
+    return [Records(*each) for each in folders(data, names)]
 
 
 def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
     """Return the samples of a recording from first up to last."""
-    own = slice(first, last)
-    velocity = None if log.velocity is None else log.velocity[own]
-    return replace(
-        log,
-        time=log.time[own],
-        position=log.position[own],
-        effort=log.effort[own],
-        velocity=velocity,
-    )
+    names = ("time", "position", "effort", "velocity")
+    arrays = {name: getattr(log, name) for name in names}
+    return replace(log, **{k: None if v is None else v[first:last] for k, v in arrays.items()})
 
 
-def cases(arm: Records) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording | None]]:
-    """Yield what is trained on, in words and as a recording, and what is predicted."""
+def cut(log: sdpid.Recording, share: float) -> tuple[sdpid.Recording, sdpid.Recording]:
+    """Return the first share of a recording, and the rest."""
+    at = round(share * log.n_samples)
+    return part(log, 0, at), part(log, at, log.n_samples)
+
+
+@cache
+def cases(arm: Records) -> dict[str, tuple[sdpid.Recording, sdpid.Recording | None]]:
+    """Return what is trained on, and what is predicted, by what the former is called."""
+    found: dict[str, tuple[sdpid.Recording, sdpid.Recording | None]] = {}
     for effort in arm.data.efforts:
-        logs = arm.logs(effort)
+        first, *others = arm.logs(effort)
         kind = "" if effort == "tau" else f" {effort.partition('_')[2]}"
-        if len(logs) == 2:
-            yield f"run 1{kind}", logs[0], logs[1]
-            yield f"run 2{kind}", logs[1], logs[0]
-            continue
-        cut = round(TRAINED * logs[0].n_samples)
-        yield f"all{kind}", logs[0], None
-        yield (
-            f"{TRAINED:.0%}{kind}",
-            part(logs[0], 0, cut),
-            part(logs[0], cut, logs[0].n_samples),
-        )
+        if others:
+            found |= {f"run 1{kind}": (first, others[0]), f"run 2{kind}": (others[0], first)}
+        else:
+            found |= {f"all{kind}": (first, None), f"{TRAINED:.0%}{kind}": cut(first, TRAINED)}
+    return found
 
 
-def solved(problem: Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
-    """Return the cells of a row from the status on."""
-    message = ""
-    try:
-        estimate: Estimate | None = sdpid.solve_sdp(problem)
-    except sdpid.errors.SolverError as error:
-        # What was found all the same is shown.
-        estimate, message = error.found, str(error)
-        status = type(error).__name__
-    if estimate is None:
-        return status, *(None,) * 6, message
-    certificate = sdpid.certify(estimate)
-    if not message:
-        status = "certified" if certificate.passed else "not certified"
-    assert estimate.theta is not None
-    return (
-        status,
-        certificate.gap,
-        estimate.worst_margin,
-        float(estimate.theta[: 10 * problem.robot.n_links : 10].max()),
-        estimate.iterations,
-        100.0 * sdpid.validate(estimate).relative,
-        None if fresh is None else 100.0 * sdpid.validate(estimate, fresh).relative,
-        message,
-    )
+# What `sdpid.identify` takes for its prior: None is the default, False is none.
+PLAIN: dict[str, Any] = {"none": False, "default": None}
+COMPARED: dict[str, Any] = {
+    "none": False,
+    **{
+        f"{kind.replace('_', ' ')} {strength}": sdpid.Prior(kind=kind, strength=strength)
+        for kind in ("pullback", "entropic", "scaled_euclidean", "euclidean")
+        for strength in (0.1, 0.3, 1.0, 3.0, 10.0, "evidence")
+    },
+    "pullback 1.0, links only": sdpid.Prior(friction=False),
+}
+HEADER = (
+    *("record", "terms", "consistency", "prior", "status", "gap", "heaviest_link", "iterations"),
+    "held_out",
+)
 
 
-def rows(
-    arm: Records, terms: str, trained: tuple[Any, ...], study: Study
-) -> Iterator[tuple[object, ...]]:
+def rows(study: Study, arm: Records, words: str, terms: str) -> Rows:
     """Yield the rows of a record with a friction model."""
-    words, log, other = trained
+    log, other = cases(arm)[words]
     # As the training data are: nothing is chosen by what is predicted.
     fresh = None if other is None else samples_of(arm.robot, other, default_processing(log))
-    for consistency in BOTH[: 1 if study.priors else None]:
+    for consistency in ("pseudo_inertia", "spatial_inertia")[: 1 if study.priors else None]:
         for belief, prior in (COMPARED if study.priors else PLAIN).items():
             try:
                 problem = formulate(
@@ -277,13 +221,21 @@ def rows(
                     consistency=consistency,
                     prior=prior,
                 )
-                cells = solved(problem, fresh)
+                estimate, status = sdpid.solve_sdp(problem), ""
             except sdpid.errors.SdpidError as error:
-                cells = (type(error).__name__, *(None,) * 6, str(error))
-            yield f"{arm}, {words}", terms, consistency, belief, *cells
+                # What was found all the same is shown.
+                estimate, status = getattr(error, "found", None), type(error).__name__
+            cells: list[object] = [None] * 4
+            if estimate is not None:
+                certificate = sdpid.certify(estimate)
+                status = status or ("certified" if certificate.passed else "not certified")
+                links = estimate.theta[: 10 * problem.robot.n_links]
+                held = None if fresh is None else 100.0 * sdpid.validate(estimate, fresh).relative
+                cells = [certificate.gap, links[::10].max(), estimate.iterations, held]
+            yield f"{arm}, {words}", terms, consistency, belief, status, *cells
 
 
-def of_both(rows: list[dict[str, Any]]) -> Iterator[list[object]]:
+def of_both(rows: list[dict[str, Any]]) -> Rows:
     """Yield one line a record and model: the worst, and the residuals, of both inequalities."""
     for key in dict.fromkeys((row["record"], row["terms"]) for row in rows):
         line: list[object] = [*key]
@@ -319,21 +271,14 @@ def main() -> None:
         models=(max(len(data.models) for data in SETS.values()), "friction models of a set"),
         priors=(False, "compare kinds and strengths of priors"),
     )
-    found = {arm.name: arm for arm in records_of(study.data, study.sets)}
-    trained = {name: {case[0]: case for case in cases(arm)} for name, arm in found.items()}
     wanted = [
-        (name, words, terms)
-        for name, arm in found.items()
-        for words in trained[name]
+        (arm, words, terms)
+        for arm in records_of(study.data, study.sets)
+        for words in cases(arm)
         if not (study.priors and words == "all")
         for terms in ([arm.data.usual] if study.priors else [*arm.data.models][: study.models])
     ]
-    cells = study.rows(
-        "cells.csv",
-        HEADER,
-        wanted,
-        lambda c: rows(found[c[0]], c[2], trained[c[0]][c[1]], study),
-    )
+    cells = study.rows("cells.csv", HEADER, partial(rows, study), wanted)
     if study.priors:
         study.write("data_sets.csv", *pivot(cells, "prior", "record", percent))
         return

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
+from numpy.polynomial import polynomial
+from scipy.interpolate import BSpline
 
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.description.catalog import example_robots
 
 RATE_HZ = 10e3
 
@@ -118,8 +122,6 @@ def _quintic(time: Array, length: float, start: list[Array], end: Sequence[Array
 
 def _monomials(time: Array, order: int) -> Array:
     """Return a derivative of 1, t, …, t⁵ at times, (K, 6)."""
-    from numpy.polynomial import polynomial
-
     return np.column_stack(
         [polynomial.polyval(time, polynomial.polyder(np.eye(6)[k], order)) for k in range(6)]
     )
@@ -128,8 +130,6 @@ def _monomials(time: Array, order: int) -> Array:
 def _evaluated(series: Any, time: Array, order: int) -> Array:
     """Return a derivative of a curve from its coefficients."""
     if hasattr(series, "control_points"):
-        from scipy.interpolate import BSpline
-
         spline = BSpline(series.knots, series.control_points, series.degree)
         return np.asarray(spline(time, nu=order))
     if not hasattr(series, "amplitudes"):
@@ -159,14 +159,12 @@ def joints_reached(
             if np.isfinite(limit):
                 k = int(np.argmin(slack))
                 yield _reached("position", name, limit, q[k], slack[k], states.time[k])
-        values = (states.velocity, states.acceleration, states.jerk)
-        for kind, bound, of in zip(
-            ("velocity", "acceleration", "jerk"),
-            (velocity, acceleration, jerk),
-            values,
-            strict=True,
+        for kind, bound, values in (
+            ("velocity", velocity, states.velocity),
+            ("acceleration", acceleration, states.acceleration),
+            ("jerk", jerk, states.jerk),
         ):
-            yield from _largest(kind, name, bound[j], of[:, j], states.time)
+            yield from _largest(kind, name, bound[j], values[:, j], states.time)
 
 
 def efforts_reached(
@@ -190,8 +188,6 @@ def _reached(kind: str, subject: str, *numbers: float) -> Reached:
 
 def efforts(robot: sdpid.RobotModel, states: States, theta: Any = None) -> Array:
     """Return the rigid body's efforts by Pinocchio, one state after the other, (K, n)."""
-    import pinocchio as pin
-
     model = robot.with_inertias(robot.prior.ravel() if theta is None else theta)
     data = model.createData()
     v, a = (x @ robot.expansion.T for x in (states.velocity, states.acceleration))
@@ -212,10 +208,6 @@ class Geometry:
     """
 
     def __init__(self, robot: sdpid.RobotModel, package_dirs: Iterable[Any] = ()) -> None:
-        import pinocchio as pin
-
-        from sdpid.robot.description.catalog import example_robots
-
         if robot.urdf is None:
             raise sdpid.errors.ModelError(f"'{robot.name}' was not loaded from a URDF.")
         share = {
@@ -236,8 +228,6 @@ class Geometry:
 
     def add(self, name: str, shape: Any, placement: Any) -> None:
         """Add an obstacle that stands still: a Coal shape and a `pin.SE3`."""
-        import pinocchio as pin
-
         self.shapes.addGeometryObject(pin.GeometryObject(name, 0, 0, placement, shape))
         self.obstacles.append(name)
 
@@ -262,8 +252,6 @@ class Geometry:
 
     def distances(self, position: Array, pairs: Sequence[tuple[int, int]]) -> Array:
         """Return the distances (K, P) of pairs of shapes, m; negative where they penetrate."""
-        import pinocchio as pin
-
         self.shapes.removeAllCollisionPairs()
         for pair in pairs:
             self.shapes.addCollisionPair(pin.CollisionPair(*pair))
@@ -298,10 +286,15 @@ def distances_reached(
         k = int(np.argmin(values))
         found = float(values[k]), float(states.time[index[k]])
         least[key] = min(found, least.get(key, found))
-    rows = []
-    for pair, clearance in wanted.items():
-        if (key := frozenset(pair)) in least:
-            distance, time = least[key]
-            name = " – ".join(pair)
-            rows.append(_reached("distance", name, clearance, distance, distance - clearance, time))
-    return rows
+    return [
+        least_reached(pair, clearance, *np.array([least[key]]).T)
+        for pair, clearance in wanted.items()
+        if (key := frozenset(pair)) in least
+    ]
+
+
+def least_reached(pair: tuple[str, str], clearance: float, values: Array, time: Array) -> Reached:
+    """Return the least of distances (K,) of a pair at some times, against what it must keep."""
+    k = int(np.argmin(values))
+    name = " – ".join(pair)
+    return _reached("distance", name, clearance, values[k], values[k] - clearance, time[k])

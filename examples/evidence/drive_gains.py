@@ -10,15 +10,14 @@ data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study import Study, grouped
+from simulated_logs import colored
+from study import Rows, Study, grouped, known
 
 import sdpid
 
@@ -94,26 +93,33 @@ class Runs:
 
     folder: Path
     out: Path
-    effects: Any
+    effects: Any = "auto"
 
     @cached_property
     def robot(self) -> sdpid.RobotModel:
         """The arm."""
         return sdpid.load_robot(self.folder / "ur10e.urdf")
 
+    def read(self, name: str) -> sdpid.Recording:
+        """Return a recording of currents, rubbish left away."""
+        path = self.folder / f"{name}.csv"
+        if name in RUBBISH:
+            lines = path.read_text().splitlines()[RUBBISH[name]]
+            path = self.out / f"{name}.csv"
+            path.write_text("\n".join(lines) + "\n")
+        names = self.robot.joint_names
+        return sdpid.read_recording(path, columns=COLUMNS, joint_names=names, currents=True)
+
     @cached_property
     def pairs(self) -> dict[str, list[sdpid.Recording]]:
         """A run without and one with the load, by day."""
-        return {
-            pair: [read(self.robot, self.folder, name, self.out) for name in names]
-            for pair, names in PAIRS.items()
-        }
+        return {pair: [self.read(name) for name in names] for pair, names in PAIRS.items()}
 
     @cached_property
     def found(self) -> dict[str, Any]:
         """Gains of each pair, of one with more runs without a load, and of both."""
         first, second = self.pairs.values()
-        others = [read(self.robot, self.folder, name, self.out) for name in OTHERS]
+        others = [self.read(name) for name in OTHERS]
         logs: dict[str, Any] = {
             **self.pairs,
             "19 February, five runs": ([first[0], *others], first[1]),
@@ -124,16 +130,16 @@ class Runs:
             for name, own in logs.items()
         }
 
-    def gains(self) -> Iterator[tuple[object, ...]]:
+    def gains(self) -> Rows:
         """Yield the gains of each joint."""
         for name, each in self.found.items():
-            gains, ends = each.gains, each.gains.intervals().T
-            errors, left = gains.standard_errors / gains.gains, 100.0 * each.share
-            columns = (gains.gains, 100.0 * errors, *ends, each.unconstrained, left)
+            gains = each.gains
+            errors, ends = 100.0 * gains.standard_errors / gains.gains, gains.intervals().T
+            columns = gains.gains, errors, *ends, each.unconstrained, 100.0 * each.share
             for joint, *own in zip(self.robot.joint_names, *columns, strict=True):
                 yield name, joint, *own, f"{each.agreed} of {each.starts}"
 
-    def apart(self) -> Iterator[tuple[object, ...]]:
+    def apart(self) -> Rows:
         """Yield how far the gains of two pairs are apart."""
         one, two = (self.found[pair].gains for pair in PAIRS)
         shift = np.log(one.gains / two.gains)
@@ -142,7 +148,7 @@ class Runs:
         overlap = np.where((low < most) & (least < high), "yes", "no")
         yield from zip(self.robot.joint_names, 100.0 * shift, shift / errors, overlap, strict=True)
 
-    def choices(self, name: str) -> Iterator[tuple[object, ...]]:
+    def choices(self, name: str) -> Rows:
         """Yield how far the gains of two pairs are apart when something is done otherwise."""
         left = None
         if name in OTHERWISE:
@@ -157,26 +163,15 @@ class Runs:
             one, two = (currents_as_regressors(self.robot, *pair) for pair in self.pairs.values())
         shift = 100.0 * np.abs(np.log(np.maximum(one, 1e-9) / np.maximum(two, 1e-9)))
         gains = [" ".join(f"{gain:.2f}" for gain in each) for each in (one, two)]
-        yield name, *gains, shift[0], shift[1:].max(), left
+        yield *gains, shift[0], shift[1:].max(), left
 
-    def crosswise(self) -> Iterator[tuple[object, ...]]:
+    def crosswise(self) -> Rows:
         """Yield what gains of others weigh the load of a pair with."""
         for pair in PAIRS:
             sources = {other: self.found[other].gains.gains for other in PAIRS if other != pair}
             for source, gains in {**sources, **PUBLISHED}.items():
                 mass, error = weighed(self.found[pair].gains, np.asarray(gains))
                 yield pair, source, mass, error, 100.0 * (mass / MASS - 1.0)
-
-
-def read(robot: sdpid.RobotModel, folder: Path, name: str, out: Path) -> sdpid.Recording:
-    """Return a recording of currents, rubbish left away."""
-    path = folder / f"{name}.csv"
-    if name in RUBBISH:
-        lines = path.read_text().splitlines()[RUBBISH[name]]
-        path = out / f"{name}.csv"
-        path.write_text("\n".join(lines) + "\n")
-    names = robot.joint_names
-    return sdpid.read_recording(path, columns=COLUMNS, joint_names=names, currents=True)
 
 
 def currents_as_regressors(
@@ -221,85 +216,58 @@ def weighed(own: sdpid.DriveGains, gains: np.ndarray) -> tuple[float, float]:
     return mass, mass * float(inverse.sum()) ** -0.5
 
 
-@dataclass(frozen=True)
-class Arm:
-    """A simulated arm with its load.
+def simulated(
+    robot: sdpid.RobotModel, rng: np.random.Generator, seconds: float
+) -> tuple[np.ndarray, list[sdpid.Recording]]:
+    """Return the gains of a drawn arm, N·m/A, and its recordings without and with a load.
 
-    Attributes
-    ----------
-    gains : ndarray, shape (n,)
-        N·m/A.
-    links : ndarray, shape (links, 10)
-        The arm's bodies.
-    load : ndarray, shape (10,)
-        The load about the last joint.
+    Its links are not quite those described, and its friction changes between the recordings.
     """
-
-    gains: np.ndarray
-    links: np.ndarray
-    load: np.ndarray
-
-    @classmethod
-    def drawn(cls, robot: sdpid.RobotModel, rng: np.random.Generator) -> Arm:
-        """Return an arm whose links are not quite those described."""
-        gains = GAINS * np.exp(rng.normal(0.0, 0.1, robot.n))
-        links = robot.prior * np.exp(rng.normal(0.0, 0.15, (robot.n_links, 1)))
-        com = np.array([0.0, 0.0, 0.12]) + rng.uniform(-0.1, 0.1, 3)
-        own = MASS * np.diag(rng.uniform(0.002, 0.004, 3))
-        load = sdpid.Load(mass=MASS, com=com, inertia=own)
-        return cls(gains, links, load.theta)
-
-    def log(
-        self,
-        robot: sdpid.RobotModel,
-        rng: np.random.Generator,
-        seconds: float,
-        *,
-        loaded: bool,
-        warm: float,
-    ) -> sdpid.Recording:
-        """Return a recording of currents; friction is `warm` times as large."""
-        t = np.arange(round(seconds * RATE)) / RATE
-        w, c = rng.uniform(0.2, 2.5, (5, robot.n)), rng.uniform(0.0, 6.3, (5, robot.n))
-        size = 0.35 * rng.uniform(0.7, 1.3, (5, robot.n)) / np.sqrt(w)
-        angle = w * t[:, None, None] + c
-        q = (size * np.sin(angle)).sum(axis=1)
-        v = (size * w * np.cos(angle)).sum(axis=1)
-        a = -(size * w**2 * np.sin(angle)).sum(axis=1)
-        bodies = self.links.copy()
-        if loaded:
-            bodies[-1] += self.load
-        torque = robot.inverse_dynamics(bodies.ravel(), q, v, a)
-        sign = np.tanh(v / 0.005)
-        current = (torque + OF_LOAD * np.abs(torque) * sign) / self.gains
-        current += ROTORS * a + warm * (COULOMB * sign + VISCOUS * v) + 0.02 * rng.normal(size=6)
-        current += ERRORS * alike(rng, q.shape) + NOISE * rng.standard_normal(q.shape)
-        return sdpid.Recording(
-            time=t,
-            position=q + ENCODER * rng.standard_normal(q.shape),
-            effort=current,
-            joint_names=robot.joint_names,
-            currents=True,
-        )
-
-
-def alike(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    """Return errors of variance one that are alike for about `ALIKE` seconds."""
-    keep = np.exp(-1.0 / (RATE * ALIKE))
-    noise = rng.standard_normal(shape)
-    out = np.empty(shape)
-    out[0] = noise[0]
-    for k in range(1, len(out)):
-        out[k] = keep * out[k - 1] + np.sqrt(1.0 - keep**2) * noise[k]
-    return out
-
-
-def compared(robot: sdpid.RobotModel, seconds: float, seed: int) -> Iterator[tuple[object, ...]]:
-    """Yield of each joint of a simulated arm whether its interval holds the gain."""
-    rng = np.random.default_rng(seed)
-    arm = Arm.drawn(robot, rng)
+    gains = GAINS * np.exp(rng.normal(0.0, 0.1, robot.n))
+    links = robot.prior * np.exp(rng.normal(0.0, 0.15, (robot.n_links, 1)))
+    com = np.array([0.0, 0.0, 0.12]) + rng.uniform(-0.1, 0.1, 3)
+    own = MASS * np.diag(rng.uniform(0.002, 0.004, 3))
+    loaded = links.copy()
+    loaded[-1] += sdpid.Load(mass=MASS, com=com, inertia=own).theta
     warm = rng.uniform(0.85, 1.15, 2)
-    logs = [arm.log(robot, rng, seconds, loaded=bool(k), warm=warm[k]) for k in range(2)]
+    each = zip((links, loaded), warm, strict=True)
+    return gains, [recorded(robot, gains, bodies, rng, seconds, size) for bodies, size in each]
+
+
+def recorded(
+    robot: sdpid.RobotModel,
+    gains: np.ndarray,
+    bodies: np.ndarray,
+    rng: np.random.Generator,
+    seconds: float,
+    warm: float,
+) -> sdpid.Recording:
+    """Return a recording of currents of bodies (links, 10); friction is `warm` times as large."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    w, c = rng.uniform(0.2, 2.5, (5, robot.n)), rng.uniform(0.0, 6.3, (5, robot.n))
+    size = 0.35 * rng.uniform(0.7, 1.3, (5, robot.n)) / np.sqrt(w)
+    angle = w * t[:, None, None] + c
+    q = (size * np.sin(angle)).sum(axis=1)
+    v = (size * w * np.cos(angle)).sum(axis=1)
+    a = -(size * w**2 * np.sin(angle)).sum(axis=1)
+    torque = robot.inverse_dynamics(bodies.ravel(), q, v, a)
+    sign = np.tanh(v / 0.005)
+    current = (torque + OF_LOAD * np.abs(torque) * sign) / gains
+    current += ROTORS * a + warm * (COULOMB * sign + VISCOUS * v) + 0.02 * rng.normal(size=6)
+    unexplained = ERRORS * colored(q.shape, np.exp(-1.0 / (RATE * ALIKE)), rng)
+    current += unexplained + NOISE * rng.standard_normal(q.shape)
+    return sdpid.Recording(
+        time=t,
+        position=q + ENCODER * rng.standard_normal(q.shape),
+        effort=current,
+        joint_names=robot.joint_names,
+        currents=True,
+    )
+
+
+def compared(robot: sdpid.RobotModel, seconds: float, seed: int) -> Rows:
+    """Yield of each joint of a simulated arm whether its interval holds the gain."""
+    gains, logs = simulated(robot, np.random.default_rng(seed), seconds)
     case, options = f"two runs of {seconds:g} s", {"load": MASS, "effects": EFFECTS, "starts": 0}
     try:
         found = sdpid.identify_drive_gains(robot, *logs, **options).gains
@@ -308,25 +276,24 @@ def compared(robot: sdpid.RobotModel, seconds: float, seed: int) -> Iterator[tup
         yield case, "refused", None, None, None
         return
     low, high = found.intervals().T
-    held = (low < arm.gains) & (arm.gains < high)
-    shift, errors = np.log(found.gains / arm.gains), found.standard_errors / found.gains
-    for joint, *own in zip(robot.joint_names, held, shift, errors, strict=True):
+    columns = (
+        (low < gains) & (gains < high),
+        100.0 * np.log(found.gains / gains),
+        100.0 * found.standard_errors / found.gains,
+    )
+    for joint, *own in zip(robot.joint_names, *columns, strict=True):
         yield case, joint, *own
 
 
-def coverage(rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> Iterator[tuple[object, ...]]:
+def coverage(rows: list[dict[str, Any]], joints: tuple[str, ...]) -> Rows:
     """Yield how often intervals hold the gains of simulated arms, by joint and of all."""
     for (case,), own in grouped(rows, "case"):
-        refused = own["joint"] == "refused"
+        arms, refused = ((own["joint"] == each).sum() for each in (joints[0], "refused"))
         for joint in (*joints, "all joints"):
-            which = ~refused if joint == "all joints" else own["joint"] == joint
-            held, shift, errors = (
-                own[name][which].astype(float) for name in ("held", "shift", "error")
-            )
-            sizes = np.median(errors), np.sqrt(np.mean(shift**2)), np.mean(shift)
-            arms = int((own["joint"] == joints[0]).sum())
-            shares = (100.0 * each for each in (np.mean(held), *sizes))
-            yield case, joint, arms, *shares, int(refused.sum())
+            which = own["joint"] != "refused" if joint == "all joints" else own["joint"] == joint
+            held, shift, error = (known(own[each][which]) for each in ("held", "shift", "error"))
+            sizes = np.median(error), np.sqrt(np.mean(shift**2)), np.mean(shift)
+            yield case, joint, arms, 100.0 * np.mean(held), *sizes, refused
 
 
 def main() -> None:
@@ -343,13 +310,13 @@ def main() -> None:
     runs = Runs(study.data / "ur10e_innopolis", study.out, effects)
     if study.simulated:
         header = ("case", "joint", "held", "shift", "error")
-        cases = itertools.product((50.0, 25.0), range(study.arms))
-        found = study.rows("arms.csv", header, cases, lambda case: compared(runs.robot, *case))
+        axes = (50.0, 25.0), range(study.arms)
+        found = study.rows("arms.csv", header, partial(compared, runs.robot), *axes)
         study.write("coverage.csv", COVERAGE, coverage(found, runs.robot.joint_names))
         return
     study.write("gains.csv", GAINS_COLUMNS, runs.gains())
     study.write("pairs.csv", ("joint", "difference_percent", "in_errors", "overlap"), runs.apart())
-    study.rows("choices.csv", CHOICES, [*OTHERWISE, REGRESSED], runs.choices)
+    study.rows("choices.csv", CHOICES, runs.choices, [*OTHERWISE, REGRESSED])
     header = ("load_of", "gains_of", "mass_kg", "error_kg", "off_percent")
     study.write("crosswise.csv", header, runs.crosswise())
 

@@ -10,12 +10,13 @@ parameters are estimated with the default prior; nothing is tuned to a robot.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from study import Study, grouped
+from scipy.spatial.transform import Rotation
+from study import Rows, Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -86,8 +87,6 @@ def motion(robot: sdpid.RobotModel, rng: np.random.Generator) -> tuple[Array, Ar
 
 def floating(x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
     """Return quaternions, and body velocities and accelerations, of x y z roll pitch yaw."""
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_euler("ZYX", x[:, :2:-1])
     (c, b, _), (dc, db, da), (ddc, ddb, dda) = x[:, 3:].T, v[:, 3:].T, a[:, 3:].T
     sb, cb, sc, cc = np.sin(b), np.cos(b), np.sin(c), np.cos(c)
@@ -153,22 +152,22 @@ def proven(robot: sdpid.RobotModel, samples: sdpid.Samples) -> tuple[str, float 
     return "certified" if certificate.passed else "not certified", certificate.gap
 
 
-def rows(name: str, base: str, seed: int) -> Iterator[tuple[object, ...]]:
-    """Yield the row of a robot and base."""
+def rows(seed: int, name: str, base: str) -> Rows:
+    """Yield what comes of a robot on a base."""
     try:
         robot = sdpid.load_robot(name, root=None if base == BASES[0] else "free_flyer")
     except sdpid.errors.ModelError:
-        yield name, base, None, "cannot be loaded", None
+        yield None, "cannot be loaded", None
         return
     if base != BASES[-1] or robot.n > robot.n_base:  # a rigid body with nothing measured
-        yield name, base, robot.n, *proven(robot, measure(robot, base, seed))
+        yield robot.n, *proven(robot, measure(robot, base, seed))
 
 
 # How an error reads in the table.
 SHORT = {"IdentifiabilityError": "not identifiable", "SolverError": "no proof"}
 
 
-def shown(found: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
+def shown(found: Sequence[dict[str, Any]]) -> Rows:
     """Yield a line a robot: the proven gap, or what happened, by base."""
     for (name,), own in grouped(found, "robot"):
         joints = next((each for each in own["joints"] if each is not None), "")
@@ -177,7 +176,7 @@ def shown(found: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
             base: f"{max(gap, 0.0):.0e}" if status == "certified" else status
             for base, status, gap in kinds
         }
-        yield [name, joints, *(cells.get(base, "–") for base in BASES)]
+        yield name, joints, *(cells.get(base, "–") for base in BASES)
 
 
 def main() -> None:
@@ -188,9 +187,9 @@ def main() -> None:
         robots=([*example_robots()], "those of example-robot-data"),
         seed=0,
     )
-    cases = itertools.product(study.robots, BASES)
     header = ("robot", "base", "joints", "status", "gap")
-    found = study.rows("every_robot.csv", header, cases, lambda case: rows(*case, study.seed))
+    rows_of = partial(rows, study.seed)
+    found = study.rows("every_robot.csv", header, rows_of, study.robots, BASES)
     study.write("gaps.csv", ("robot", "joints", *BASES), shown(found))
 
 

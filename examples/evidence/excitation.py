@@ -1,14 +1,17 @@
-"""Design excitations for tasks that others have published, and compare: the table of the docs.
+"""Design excitations and compare them with those of others, and see whether limits are kept.
 
-Each plan of `sdpid.design_excitation` is scored like the published excitations, the paper's and
-the best of random Fourier series in the same time (`excitation_baselines.py`), and its limits are
-looked at by an independent check at 10 kHz and by Coal with the description's meshes on a fine
-grid (`dense_check.py`).
+* ``plans``: tasks that others have published. Each plan of `sdpid.design_excitation` is scored like
+  the published excitations, the paper's and the best of random Fourier series in the same time
+  (`excitation_baselines.py`).
+* ``robots``: many robots, with all defaults: 20 s of motion within the limits of the description.
 
-    python examples/evidence/excitation.py --data DATA --out results
+Limits are looked at by an independent check at 10 kHz and by Coal with the description's meshes on
+a fine grid (`dense_check.py`), or with the assumed shapes where it has none.
 
-The folder DATA (or SDPID_DATA) is described in docs/evidence/data.md; without it the Denso and the
-Panda are left. All rows take some ten minutes.
+    python examples/evidence/excitation.py --parts plans --data DATA --out results
+
+The folder DATA (or SDPID_DATA) is described in docs/evidence/data.md; without it some robots are
+left out. All rows take some twenty minutes.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 from data_sets import folders
 from dense_check import (
     FINE_HZ,
@@ -34,13 +39,15 @@ from dense_check import (
     efforts,
     efforts_reached,
     joints_reached,
+    least_reached,
     left_of,
     states_of,
 )
 from excitation_baselines import SCORE_HZ, Bounds, Columns, UrMotion, best_random, lwr_peer
-from study import Study
+from study import Rows, Study
 
 import sdpid
+from sdpid.excitation.geometry.obstacles import table
 
 FRICTION = ("coulomb", "viscous", "offset")
 
@@ -107,7 +114,7 @@ class Case:
         score = self.columns.count, *self.columns.score(scored)
         return self.name, self.limits, motion, seconds, *score, *least, *broken
 
-    def rows(self, dense_hz: float, *, quick: bool) -> Iterator[tuple[object, ...]]:
+    def rows(self, dense_hz: float, *, quick: bool) -> Rows:
         """Yield the rows of all motions, and of plans."""
         names = self.robot.joint_names
         for motion, (scored, dense) in self.published.items():
@@ -131,8 +138,6 @@ class Case:
 
     def plan(self, **how: Any) -> Any:
         """Return a plan."""
-        from sdpid.excitation.geometry.obstacles import table
-
         bounds = {key: values.tolist() for key, values in vars(self.bounds).items()}
         return sdpid.design_excitation(
             self.robot,
@@ -151,7 +156,7 @@ def reached_by(
     robot: sdpid.RobotModel,
     dense_hz: float = RATE_HZ,
     package_dirs: Sequence[Path] = (),
-    table: bool = False,
+    on_table: bool = False,
 ) -> list[Reached]:
     """Return what a plan reaches of its limits, found without `sdpid.excitation`."""
     states, limits = states_of(plan.trajectory, dense_hz), plan.joint_limits
@@ -168,8 +173,9 @@ def reached_by(
     if "<collision" not in (robot.urdf or ""):
         return found + assumed_distances(plan, states, asked)
     geometry = Geometry(robot, package_dirs)
-    if table:
-        add_table(geometry)
+    if on_table:
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * SLAB[2]]))
+        geometry.add("table", coal.Box(*SLAB), place)
     return found + distances_reached(geometry, states, asked)
 
 
@@ -179,29 +185,11 @@ def assumed_distances(
     """Return the least distances of the shapes that stand for those a description lacks."""
     every = max(1, round(1.0 / FINE_HZ / np.median(np.diff(states.time))))
     distances = plan.collision.distances(states.position[::every])
-    rows = []
-    for (pair, clearance), values in zip(asked.items(), distances.T, strict=True):
-        k = int(np.argmin(values))
-        rows.append(
-            Reached(
-                kind="distance",
-                subject=" – ".join(pair),
-                limit=clearance,
-                reached=float(values[k]),
-                slack=float(values[k]) - clearance,
-                time=float(states.time[::every][k]),
-            )
-        )
-    return rows
-
-
-def add_table(geometry: Geometry) -> None:
-    """Add a table under the arm."""
-    import coal
-    import pinocchio as pin
-
-    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * SLAB[2]]))
-    geometry.add("table", coal.Box(*SLAB), place)
+    time = states.time[::every]
+    return [
+        least_reached(pair, clearance, values, time)
+        for (pair, clearance), values in zip(asked.items(), distances.T, strict=True)
+    ]
 
 
 def ur10e_cases(data: Path) -> Iterator[Case]:
@@ -302,9 +290,50 @@ def denso_case() -> Case:
     )
 
 
-def main() -> None:
-    """Design, score and check every row."""
-    study = Study(__doc__, data=True)
+# What load_robot takes of a robot, and whether a table stands under the arm.
+ROBOTS = {
+    "UR10": ("ur10_robot", True),
+    "Panda with hand": ("panda_description/panda", True),
+    "Baxter": ("baxter_description/baxter", False),
+    "TIAGo": ("tiago_description/tiago_no_hand", False),
+    "TIAGo Pro": ("tiago_pro_description/tiago_pro", False),
+    "Denso": ("denso_vp6242", True),
+    "LWR 4+": ("kuka_lwr4plus/kuka_lwr4.urdf", True),
+    "TX40": ("staubli_tx40/tx40.urdf", True),
+    "Gen3": ("kinova_gen3_dynamapp/gen3.urdf", True),
+}
+# Least distance, m, and what each search may take, s.
+CLEARANCE, SECONDS = 0.02, 30.0
+OF_ROBOTS = ("robot", "joints", "seconds", "cond", "pairs", "shapes", *KINDS)
+
+
+def planned(study: Study, name: str) -> Rows:
+    """Design for one robot and yield the row of the table."""
+    source, on_table = ROBOTS[name]
+    robot = sdpid.load_robot(study.data / source if source.endswith(".urdf") else source)
+    start = time.perf_counter()
+    try:
+        plan = sdpid.design_excitation(
+            robot,
+            duration=study.duration,
+            limits=sdpid.Limits(clearance=CLEARANCE),
+            obstacles=(table(),) if on_table else (),
+            time_limit=None if study.quick else SECONDS,
+            starts=1,
+        )
+    except sdpid.errors.SdpidError as error:
+        print(f"{name}: no plan, {error}", flush=True)
+        yield name, robot.n, *(None,) * (len(OF_ROBOTS) - 2)
+        return
+    seconds = time.perf_counter() - start
+    reached = reached_by(plan, robot, 1e3 if study.quick else RATE_HZ, (), on_table)
+    pairs = sum(each.kind == "distance" for each in reached)
+    shapes = "description's" if robot.urdf and "<collision" in robot.urdf else "assumed"
+    yield name, robot.n, seconds, plan.condition_number, pairs, shapes, *left_of(reached)[0]
+
+
+def plans(study: Study) -> None:
+    """Design, score and check for the tasks of others."""
     cases = [denso_case()]
     if not study.quick:
         cases.append(panda_case())
@@ -313,7 +342,32 @@ def main() -> None:
             cases += of_sets[name](study.data)
     dense_hz = 1e3 if study.quick else RATE_HZ
     rows_of = partial(Case.rows, dense_hz=dense_hz, quick=study.quick)
-    study.rows("excitation.csv", HEADER, cases, rows_of)
+    study.rows("excitation.csv", HEADER, rows_of, cases)
+
+
+def robots(study: Study) -> None:
+    """Design and check a plan for every robot."""
+    of_data = {
+        name: source.split("/")[0] for name, (source, _) in ROBOTS.items() if ".urdf" in source
+    }
+    there = {name for name, _ in folders(study.data, of_data.values())}
+    names = [name for name in study.robots if of_data.get(name) in {None, *there}]
+    study.rows("excitation_robots.csv", OF_ROBOTS, partial(planned, study), names, digits=3)
+
+
+def main() -> None:
+    """Write the tables that are asked for."""
+    parts = {"plans": plans, "robots": robots}
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"robots": ["Denso"], "duration": 5.0},
+        parts=[*parts],
+        robots=[*ROBOTS],
+        duration=(20.0, "of the motion of robots, s"),
+    )
+    for part in study.parts:
+        parts[part](study)
 
 
 if __name__ == "__main__":

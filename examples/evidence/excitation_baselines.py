@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from dense_check import Reached, States, curve_states, joints_reached
+from numpy.polynomial import polynomial
+from scipy.io import loadmat
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -80,8 +83,6 @@ class Columns:
 
     def _inertial(self, position: Array, v: Array, a: Array) -> Array:
         """Return the regressor of the links, and of the rotors, (K, n, p)."""
-        import pinocchio as pin
-
         model, gears = self.robot.pin_model, self.robot.expansion
         data = model.createData()
         states = zip(self.robot.configuration(position), v @ gears.T, a @ gears.T, strict=True)
@@ -141,25 +142,22 @@ class UrMotion:
     @classmethod
     def read(cls, path: Path) -> UrMotion:
         """Read a ``.mat`` file with the limits that it was made for."""
-        from scipy.io import loadmat
-
         data = loadmat(path, squeeze_me=True)
-        given = {
-            key: np.asarray(data["traj_par"][key].item(), dtype=np.float64)
-            for key in ("T", "q_min", "q_max", "qd_max", "q2d_max")
+        names = {
+            "lower": "q_min",
+            "upper": "q_max",
+            "velocity": "qd_max",
+            "acceleration": "q2d_max",
         }
-        bounds = Bounds(
-            lower=given["q_min"],
-            upper=given["q_max"],
-            velocity=given["qd_max"],
-            acceleration=given["q2d_max"],
-        )
-        return cls(data["a"], data["b"], data["c_pol"].T, float(given["T"]), bounds)
+        given = {
+            name: np.asarray(data["traj_par"][key].item(), dtype=np.float64)
+            for name, key in names.items()
+        }
+        duration = float(data["traj_par"]["T"].item())
+        return cls(data["a"], data["b"], data["c_pol"].T, duration, Bounds(**given))
 
     def evaluate(self, time: Array, *, derivative: int = 0) -> Array:
         """Return a derivative of the positions, (K, 6)."""
-        from numpy.polynomial import polynomial
-
         rate = 2.0 * np.pi / self.duration * np.arange(1, self.a.shape[1] + 1)
         # The velocity is the real part of (a - i·b)·exp(i·rate·t).
         waves = np.exp(1j * np.outer(time, rate)) * (1j * rate) ** (derivative - 1)

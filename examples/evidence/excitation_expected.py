@@ -15,22 +15,22 @@ docs/evidence/data.md, named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import itertools
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from simulated_logs import described, perturbed, there
-from study import Study, grouped
+from study import Rows, Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.delta_method import friction_curve
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.problem import Problem
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.expected.rehearsal import rehearse
@@ -39,7 +39,7 @@ from sdpid.experiment.plant.simulate import plant_parts
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 
 ROBOTS = ("ur10", "panda", "lwr4")
 
@@ -75,75 +75,55 @@ ROW = ("robot", "reading", "seed", "name", "expected", "simulated", "error")
 Row = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Twin:
-    """A robot that differs from its description, and the noise of its efforts, N·m."""
-
-    theta: Array
-    noise: Array
-
-
 def plan_of(
     robot: sdpid.RobotModel, seed: int, duration: float, quick: bool, **given: Any
 ) -> Trajectory:
     """Return a plan from the robot's description, and from what else is given."""
-    limit = QUICK_SEARCH if quick else SEARCH
-    plan = sdpid.design_excitation(
-        robot, duration=duration, seed=seed, time_limit=limit, progress=False, **given
-    )
-    return plan.trajectory
+    how = {"time_limit": QUICK_SEARCH if quick else SEARCH, "progress": False, **given}
+    return sdpid.design_excitation(robot, duration=duration, seed=seed, **how).trajectory
 
 
-def noise_of(robot: sdpid.RobotModel, trajectory: Trajectory) -> Array:
-    """Return the standard deviation of every sample's effort, N·m."""
-    rigid = robot.inverse_dynamics(robot.prior, *trajectory.sample())
-    return NOISE * usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+def usual_of(robot: sdpid.RobotModel, bodies: Array, trajectory: Trajectory) -> Array:
+    """Return the usual efforts of bodies on a motion, N·m; noise is a share of them."""
+    rigid = robot.inverse_dynamics(bodies, *trajectory.sample())
+    return usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
 
 
-def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Twin:
-    """Draw a robot that the description is of."""
+def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Array:
+    """Draw the parameters of a robot that the description is of."""
     rng = np.random.default_rng(seed)
     bodies = np.array(robot.prior)
     bodies = perturbed(raise_second_moments(bodies, RADIUS**2 * bodies[:, 0]), PERTURBED, rng)
-    rigid = robot.inverse_dynamics(bodies, *trajectory.sample())
-    usual = usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
-    coulomb = rng.uniform(0.05, 0.2, robot.n) * usual
+    coulomb = rng.uniform(0.05, 0.2, robot.n) * usual_of(robot, bodies, trajectory)
     viscous = rng.uniform(0.5, 1.5, robot.n) * coulomb
-    theta = np.concatenate([bodies.ravel(), coulomb, viscous])
-    return Twin(theta, noise_of(robot, trajectory))
+    return np.concatenate([bodies.ravel(), coulomb, viscous])
 
 
 def log_of(
-    robot: sdpid.RobotModel,
-    trajectory: Trajectory,
-    twin: Twin,
-    seed: int,
-    reading: str,
+    robot: sdpid.RobotModel, trajectory: Trajectory, theta: Array, noise: Array, seed: int
 ) -> sdpid.Recording:
-    """Return what a run records."""
-    _, drives = plant_parts(robot, trajectory, twin.theta, None)
+    """Return what a run records, with noise of the efforts, N·m."""
+    _, drives = plant_parts(robot, trajectory, theta, None)
     drives = replace(
         drives,
-        current_noise=twin.noise / drives.effort_scale,
+        current_noise=noise / drives.effort_scale,
         velocity_gain=STIFFER * drives.velocity_gain,
         proportional_gain=np.full(robot.n, POSITION_POLE),
     )
-    log = sdpid.simulate(
-        robot,
-        trajectory,
-        theta=twin.theta,
-        drives=drives,
-        seed=seed,
-        progress=False,
-    )
-    return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
+    known = {"theta": theta, "drives": drives, "seed": seed, "progress": False}
+    return sdpid.simulate(robot, trajectory, **known)
 
 
-def truth(base: sdpid.robot.model.base_parameters.BaseParameters, twin: Twin, n: int) -> Array:
+def as_record(log: sdpid.Recording) -> sdpid.Recording:
+    """Return a log whose periods are not told."""
+    return replace(log, period=None, start=None, periods=None)
+
+
+def truth(base: BaseParameters, theta: Array, n: int) -> Array:
     """Return the base parameters of a twin; terms that it does not have are zero."""
-    tail = twin.theta[-2 * n :].reshape(2, n)
+    tail = theta[-2 * n :].reshape(2, n)
     known = {f"{kind}{j + 1}": tail[k, j] for k, kind in enumerate(("Fs", "Fv")) for j in range(n)}
-    links = twin.theta[: -2 * n]
+    links = theta[: -2 * n]
     names = base.theta_names[len(links) :]
     return np.asarray(base.matrix @ np.concatenate([links, [known.get(x, 0.0) for x in names]]))
 
@@ -153,21 +133,19 @@ def planned(name: str, reading: str, duration: float, quick: bool) -> tuple[Any,
     """Return a robot, its plan, the noise and what is expected."""
     robot = described(name)
     trajectory = plan_of(robot, 0, duration, quick).with_periods(PERIODS[reading])
-    noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
+    deviation = NOISE * usual_of(robot, robot.prior, trajectory)
+    noise = ExpectedNoise.white(deviation, trajectory.rate_hz)
     expected = expect(robot, trajectory, noise=noise, reading=reading)
-    if reading == "record":
-        print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
     return robot, trajectory, noise, expected
 
 
-def run(
-    name: str, reading: str, seed: int, duration: float, quick: bool
-) -> Iterator[tuple[object, ...]]:
+def run(name: str, reading: str, seed: int, duration: float, quick: bool) -> Rows:
     """Simulate a run, identify, and compare with what was expected."""
-    robot, trajectory, _, expected = planned(name, reading, duration, quick)
-    twin = twin_of(robot, trajectory, seed)
-    log = log_of(robot, trajectory, twin, seed, reading)
+    robot, trajectory, noise, expected = planned(name, reading, duration, quick)
+    theta = twin_of(robot, trajectory, seed)
+    log = log_of(robot, trajectory, theta, noise.deviation, seed)
     try:
+        log = log if reading == "periods" else as_record(log)
         result = sdpid.identify(robot, log, effects="none")
     except sdpid.errors.SdpidError as error:
         print(f"{name} {reading} {seed}: {error}", flush=True)
@@ -177,14 +155,14 @@ def run(
         return
     half = dict(zip(result.intervals.names, 0.5 * result.intervals.width, strict=True))
     base = result.problem.base
-    wrong = np.abs(result.estimate.base - truth(base, twin, robot.n))
+    wrong = np.abs(result.estimate.base - truth(base, theta, robot.n))
     errors = dict(zip(base.names, wrong, strict=True))
     widths = 0.5 * (expected.upper - expected.lower)
     for each, own in zip(expected.names, widths, strict=True):
         if each in half:
             yield name, reading, seed, each, own, half[each], errors[each]
     friction, half_widths = friction_curve(result.estimate, expected.speeds)
-    coulomb, viscous = twin.theta[-2 * robot.n :].reshape(2, robot.n)
+    coulomb, viscous = theta[-2 * robot.n :].reshape(2, robot.n)
     for k, speed in enumerate(expected.speeds.tolist()):
         wrong = np.abs(friction[k] - coulomb - viscous * speed)
         for j in range(robot.n):
@@ -201,7 +179,7 @@ def traded(row: Row) -> bool:
     return row["reading"] == "record" and row["name"].rstrip("0123456789") in TRADED
 
 
-def summary(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+def summary(rows: Sequence[Row]) -> Rows:
     """Yield the table of ratios."""
     curves = [{**row, "of": "friction curves"} for row in rows if "friction" in row["name"]]
     base = [row for row in rows if not traded(row) and "friction" not in row["name"]]
@@ -212,8 +190,7 @@ def summary(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
         inside = 100.0 * np.mean((medians >= LEAST) & (medians <= MOST))
         held = 100.0 * np.mean(own["error"] <= own["expected"])
         low, middle, high = np.quantile(ratio, [0.1, 0.5, 0.9])
-        counts, ends = (len(np.unique(own["seed"])), len(medians)), f"{low:.2f} to {high:.2f}"
-        yield *key, *counts, middle, ends, inside, held
+        yield *key, len(medians), middle, f"{low:.2f} to {high:.2f}", inside, held
 
 
 # A run after a first one: the widest interval of the first, and the widest of all after it.
@@ -223,17 +200,18 @@ NEXT = (
 )
 
 
-def next_run(name: str, first: str, seed: int, quick: bool) -> Iterator[tuple[object, ...]]:
+def next_run(name: str, first: str, seed: int, quick: bool) -> Rows:
     """Run a first motion, then the same again, or a plan made from the first run's estimate."""
     robot = described(name)
     if first == "plan":
         motion = plan_of(robot, 0, SHORT, quick)
     else:
         motion = default_motion(robot, seed, period=SHORT, periods=1)
-    twin = twin_of(robot, motion, seed)
+    theta = twin_of(robot, motion, seed)
+    noise = NOISE * usual_of(robot, robot.prior, motion)
 
     def recorded(trajectory: Trajectory, number: int) -> sdpid.Recording:
-        return log_of(robot, trajectory, twin, 100 * seed + number, "record")
+        return as_record(log_of(robot, trajectory, theta, noise, 100 * seed + number))
 
     once, again = recorded(motion, 0), recorded(motion, 1)
     known = sdpid.identify(robot, once, effects="none")
@@ -250,12 +228,10 @@ def next_run(name: str, first: str, seed: int, quick: bool) -> Iterator[tuple[ob
         widths.append({each: width * sizes[each] for each, width in pairs if each in sizes})
     widest = max(widths[0], key=lambda each: widths[0][each])
     of_widest = (each[widest] for each in widths)
-    yield name, first, seed, widest, *of_widest, *(max(each.values()) for each in widths[1:])
+    yield widest, *of_widest, *(max(each.values()) for each in widths[1:])
 
 
-def effort_sizes(
-    robot: sdpid.RobotModel, problem: sdpid.estimation.problem.Problem
-) -> dict[str, float]:
+def effort_sizes(robot: sdpid.RobotModel, problem: Problem) -> dict[str, float]:
     """Return the rms efforts that base parameters move per unit, on one motion for all runs.
 
     Widths of intervals are compared in these units, N·m: parameters of an arm have many. Left out
@@ -272,13 +248,11 @@ def effort_sizes(
     }
 
 
-def next_summary(rows: Sequence[Row]) -> Iterator[tuple[object, ...]]:
+def next_summary(rows: Sequence[Row]) -> Rows:
     """Yield the table of second runs."""
     for key, own in grouped(rows, "robot", "first"):
         again, planned = (np.median(own[each] / own["before"]) for each in ("repeated", "planned"))
-        ratio = np.median(own["all_planned"] / own["all_repeated"])
-        better = 100.0 * np.mean(own["planned"] < own["repeated"])
-        yield *key, len(own["seed"]), again, planned, ratio, better
+        yield *key, again, planned, np.median(own["all_planned"] / own["all_repeated"])
 
 
 def left_out(
@@ -342,13 +316,13 @@ def main() -> None:
     rows = study.rows(
         "runs.csv",
         ROW,
-        itertools.product(study.robots, PERIODS, range(study.seeds)),
-        lambda case: run(*case, *asked),
+        lambda *case: run(*case, *asked),
+        *(study.robots, PERIODS, range(study.seeds)),
         jobs=study.jobs,
     )
     header = (
-        *("robot", "read as", "of", "runs", "number", "simulated / expected, median"),
-        *("10 to 90 % of all", f"medians within {LEAST} to {MOST}, %"),
+        *("robot", "read as", "of", "number", "simulated / expected, median"),
+        *("10 to 90 % of all runs", f"medians within {LEAST} to {MOST}, %"),
         "errors within the expected interval, %",
     )
     study.write("excitation_expected.csv", header, summary(rows), digits=3)
@@ -361,14 +335,13 @@ def main() -> None:
     seconds = study.rows(
         "seconds.csv",
         NEXT,
-        itertools.product(study.robots, study.firsts, range(study.next)),
-        lambda case: next_run(*case, study.quick),
+        lambda *case: next_run(*case, study.quick),
+        *(study.robots, study.firsts, range(study.next)),
         jobs=study.jobs,
     )
     header = (
-        *("robot", "first run", "runs"),
-        *("its widest interval after repeating it, of before", "after a plan from its estimate"),
-        *("widest of all, plan / repeated", "plan is better, %"),
+        *("robot", "first run", "its widest interval after repeating it, of before"),
+        *("after a plan from its estimate", "widest of all, plan / repeated"),
     )
     study.write("next_run.csv", header, next_summary(seconds), digits=3)
 

@@ -31,7 +31,7 @@ import mpmath as mp
 from certificate_judge import Judge, costs, doubles
 from certificate_mutations import MUTATIONS, Data
 from certificate_zoo import made
-from study import Study, grouped
+from study import Rows, Study
 
 from sdpid.verifier import certificate as checker
 from sdpid.verifier.reading import REFUSED, digest
@@ -226,32 +226,29 @@ def some(
     return out
 
 
-def rows_of(numbers: range, zoo: dict[str, Data], out: Path) -> Iterator[tuple[object, ...]]:
+def rows_of(first: int, count: int, zoo: dict[str, Data], out: Path) -> Rows:
     """Yield the rows of forgeries, of several kinds one each, and write what is wrong of them."""
-    for each in some(numbers, 0, zoo):
+    for each in some(range(first, min(first + CHUNK, count)), 0, zoo):
         if each.data is not None:
             kind, words = ("false", each.false) if each.false else ("undecided", each.undecided)
             print(f"{kind} {each.number} ({', '.join(each.kinds)}): {'; '.join(words)}", flush=True)
             path = out / f"{kind}_{each.number}.json"
             path.write_text(json.dumps(each.data), encoding="utf-8")
         for kind in {*each.kinds, "all"}:
-            yield kind, each.answer, bool(each.undecided), bool(each.false)
+            answers = (each.answer == answer for answer in ANSWERS)
+            yield kind, *answers, bool(each.undecided), bool(each.false)
 
 
 def main() -> int:
     """Make forgeries, and judge what is said of them."""
     study = Study(__doc__, quick={"count": 200}, count=12_000, jobs=1)
-    chunks = [range(k, min(k + CHUNK, study.count)) for k in range(0, study.count, CHUNK)]
-    work = partial(rows_of, zoo=made(study.quick), out=study.out)
-    columns = ("mutation", "answer", "undecided", "false")
-    found = study.rows("each.csv", columns, chunks, work, jobs=study.jobs)
-    counts = []
-    for (kind,), own in sorted(grouped(found, "mutation"), key=lambda each: each[0]):
-        answers = [int((own["answer"] == answer).sum()) for answer in ANSWERS]
-        ends = int(own["undecided"].sum()), int(own["false"].sum())
-        counts.append((kind, len(own["answer"]), *answers, *ends))
-    header = ("mutation", "forgeries", *ANSWERS, "undecided", "false")
-    study.write("forgeries.csv", header, counts)
+    work = partial(rows_of, count=study.count, zoo=made(study.quick), out=study.out)
+    columns = ("mutation", *ANSWERS, "undecided", "false")
+    chunks = range(0, study.count, CHUNK)
+    found = study.rows("each.csv", columns, work, chunks, jobs=study.jobs)
+    found.sort(key=lambda row: str(row["mutation"]))
+    counts = {"forgeries": "count accepted"} | {each: f"sum {each}" for each in columns[1:]}
+    study.summary("forgeries.csv", found, columns[:1], counts)
     return int(any(row["false"] for row in found))
 
 

@@ -11,11 +11,10 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
-from data_sets import Records, records_of
-from study import Study
+from data_sets import Records, records_of, wrist
+from study import Rows, Study
 
 import sdpid
 from sdpid.estimation.problem import Problem
@@ -41,7 +40,7 @@ def judged(title: str, problem: Problem, given: GivenParameters) -> tuple[object
     return title, problem.consistency, bodies, cost, bound, cost / bound, *given_to
 
 
-def denso(periods: int, period: float) -> Iterator[tuple[object, ...]]:
+def denso(periods: int, period: float) -> Rows:
     """Yield the paper's columns, and the truth."""
     robot = sdpid.load_robot("denso_vp6242")
     theta = true_parameters("denso_vp6242")
@@ -57,28 +56,29 @@ def denso(periods: int, period: float) -> Iterator[tuple[object, ...]]:
         yield judged("Denso, the truth", problem, GivenParameters(source="truth", values=truth))
 
 
-def tx40(arm: Records) -> tuple[object, ...]:
-    """Return the links of the description, friction and drives refitted."""
-    coupling = sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)
+def tx40(arm: Records) -> Rows:
+    """Yield the links of the description, friction and drives refitted."""
     robot = arm.robot
     problem = formulate(
         robot,
         arm.logs()[0],
-        friction=(sdpid.friction.Coulomb(0.05), "viscous", "offset", "rotor_inertia", coupling),
+        friction=(sdpid.friction.Coulomb(0.05), "viscous", "offset", *wrist(0.05)),
         effects="none",
         prior=False,
     )
     links = dict(zip(robot.parameter_names, robot.prior.ravel().tolist(), strict=True))
-    return judged("TX40, links of its URDF", problem, GivenParameters(source="urdf", values=links))
+    yield judged("TX40, links of its URDF", problem, GivenParameters(source="urdf", values=links))
 
 
 def main() -> None:
     """Judge all and write the table."""
     study = Study(__doc__, data=True, quick={"period": 19.0}, period=(76.0, "of the log, s"))
-    found = [*records_of(study.data, ["staubli_tx40"])]
-    parts = {"denso": lambda: denso(8, study.period), "tx40": lambda: [tx40(found[0])]}
+    arms = records_of(study.data, ["staubli_tx40"])
     study.rows(
-        "given_parameters.csv", HEADER, [*parts][: 1 + len(found)], lambda part: parts[part]()
+        "given_parameters.csv",
+        HEADER,
+        lambda arm: denso(8, study.period) if arm == "Denso" else tx40(arm),
+        ["Denso", *arms],
     )
 
 

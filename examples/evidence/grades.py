@@ -13,21 +13,20 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TITLES, Records, part, records_of
+from data_sets import SETS, TITLES, Records, cut, records_of
 from held_out import QUICK, ur10e_logs
-from study import Study, grouped
+from study import Rows, Study, grouped
 
 import sdpid
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.output.report.grades import MARGIN, graded, grades, left_room, level_of
+from sdpid.output.report.grades import graded, grades, left_room, level_of
 
 # Recordings of the UR10e without a load, each of another motion.
 UR10E = (
@@ -62,41 +61,30 @@ Case = tuple[str, sdpid.RobotModel, sdpid.Recording, dict[str, sdpid.Recording]]
 def cases(arm: Records) -> Iterator[Case]:
     """Yield cases: a title, the robot, a recording, and others by name."""
     if arm.name not in SETS:
-        yield from _ur10e(arm.folder)
+        # Each recording predicts all others.
+        logs = dict(zip(UR10E, ur10e_logs(arm.folder, UR10E), strict=True))
+        robot = sdpid.load_robot(arm.folder / "ur10e.urdf")
+        for run, log in logs.items():
+            yield f"UR10e, {run[6:]}", robot, log, {k: v for k, v in logs.items() if k != run}
         return
     for effort in arm.data.efforts:
-        label = "" if effort == "tau" else " currents"
-        for title, own, other in _pairs(arm.logs(effort)):
+        first, *more = arm.logs(effort)
+        if more:
+            pairs = {"run 1 → 2": (first, *more), "run 2 → 1": (*more, first)}
+        else:
+            pairs = {}
+            for share in CUTS:
+                begin, rest = cut(first, share)
+                pairs[f"first {share:.0%} → rest"] = begin, rest
+                pairs[f"rest → first {share:.0%}"] = rest, begin
+        for title, (own, other) in pairs.items():
+            label = "" if effort == "tau" else " currents"
             yield f"{arm}{label}, {title}", arm.robot, own, {"": other}
 
 
-def _pairs(
-    logs: Sequence[sdpid.Recording],
-) -> Iterator[tuple[str, sdpid.Recording, sdpid.Recording]]:
-    """Yield pairs of recordings with a title: two runs, or parts of one."""
-    if len(logs) == 2:
-        yield "run 1 → 2", logs[0], logs[1]
-        yield "run 2 → 1", logs[1], logs[0]
-        return
-    (log,) = logs
-    for cut in CUTS:
-        at = round(cut * log.n_samples)
-        first, rest = part(log, 0, at), part(log, at, log.n_samples)
-        yield f"first {cut:.0%} → rest", first, rest
-        yield f"rest → first {cut:.0%}", rest, first
-
-
-def _ur10e(folder: Path) -> Iterator[Case]:
-    """Yield the UR10e's recordings, each of which predicts all others."""
-    logs = dict(zip(UR10E, ur10e_logs(folder, UR10E), strict=True))
-    robot = sdpid.load_robot(folder / "ur10e.urdf")
-    for run, log in logs.items():
-        yield f"UR10e, {run[6:]}", robot, log, {k: v for k, v in logs.items() if k != run}
-
-
-def measure(robot_name: str, case: Case) -> Iterator[tuple[object, ...]]:
+def measure(found: Mapping[str, tuple[str, Case]], title: str) -> Rows:
     """Yield what became of every joint's grade, and of the bands."""
-    title, robot, log, others = case
+    robot_name, (_, robot, log, others) = found[title]
     blind = sdpid.identify(robot, log, intervals=False)
     told = {each.joint: each for each in grades(blind.estimate, blind.training, blind.held_out)}
     room = left_room(blind.estimate)
@@ -126,44 +114,41 @@ def measure(robot_name: str, case: Case) -> Iterator[tuple[object, ...]]:
             )
 
 
-def kept(joints: Iterable[Joint], margin: float | None = None) -> dict[str, tuple[int, int]]:
-    """Return for each robot how many joints were trusted, and how many of them kept it.
+def trusted(joint: Joint, margin: float | None) -> bool:
+    """Return whether a joint is trusted: by default, or with another margin.
 
-    With the default grade, or with another margin; with 1 without room for other motion too.
+    With a margin of 1 without room for other motion, too.
     """
-    found: dict[str, list[int]] = defaultdict(lambda: [0, 0])
-    for each in joints:
-        trusted = each["trusted"]
-        if margin is not None:
-            level = level_of(1.0 - margin**2 * (1.0 - each["r2"]), margin * each["nrmse"])
-            trusted = level == "good" and (each["room"] or margin == 1.0)
-        found[each["robot"]][0] += trusted
-        found[each["robot"]][1] += trusted and each["kept"]
-    return {robot: (trusted, held) for robot, (trusted, held) in found.items()}
+    if margin is None:
+        return bool(joint["trusted"])
+    level = level_of(1.0 - margin**2 * (1.0 - joint["r2"]), margin * joint["nrmse"])
+    return level == "good" and (joint["room"] or margin == 1.0)
 
 
-def kept_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
-    """Yield how many grades are kept, by the default and by other margins."""
-    rows = {"default": kept(joints), "by blocks alone": kept(joints, 1.0)}
-    rows |= {f"with a margin of {m:g}": kept(joints, m) for m in MARGINS[1:]}
-    for label, found in rows.items():
-        every = (sum(pair[k] for pair in found.values()) for k in (0, 1))
-        yield [label, *(_share(*pair) for pair in found.values()), _share(*every)]
+def kept_rows(joints: Sequence[Joint], robots: Sequence[str]) -> Rows:
+    """Yield how many of the trusted joints keep their grade, by the default and other margins."""
+    labels = {"default": None, "by blocks alone": 1.0}
+    labels |= {f"with a margin of {m:g}": m for m in MARGINS[1:]}
+    for label, margin in labels.items():
+        own = [each for each in joints if trusted(each, margin)]
+        of_robots = [[each["kept"] for each in own if each["robot"] == name] for name in robots]
+        yield label, *map(_share, (*of_robots, [each["kept"] for each in own]))
 
 
-def band_rows(joints: Sequence[Joint]) -> Iterator[list[object]]:
+def band_rows(joints: Sequence[Joint]) -> Rows:
     """Yield the shares of moving rows within the bands."""
     of_cases = {(each["robot"], each["case"]): each for each in joints}.values()
     for (robot,), own in grouped(of_cases, "robot"):
         mean, width = own["inside"].mean(), np.median(own["width"])
         words = "" if BANDS[0] <= mean <= BANDS[1] else " (outside the limits)"
         ends = (f"{end:.1%}" for end in (own["inside"].min(), own["inside"].max()))
-        yield [robot, f"{mean:.1%}{words}", *ends, f"{width:.2f}"]
+        yield robot, f"{mean:.1%}{words}", *ends, f"{width:.2f}"
 
 
-def _share(trusted: int, held: int) -> str:
+def _share(kept: Sequence[bool]) -> str:
     """Return how many were kept of how many, in words."""
-    return f"{held} of {trusted}" + (f" ({held / trusted:.0%})" if trusted else "")
+    words = f"{sum(kept)} of {len(kept)}"
+    return f"{words} ({sum(kept) / len(kept):.0%})" if kept else words
 
 
 def main() -> None:
@@ -174,13 +159,11 @@ def main() -> None:
         for arm in records_of(study.data, study.sets)
         for case in cases(arm)
     }
-    joints = study.rows("grades.csv", CELL, found, lambda title: measure(*found[title]))
-    robots = dict.fromkeys(each["robot"] for each in joints)
-    study.write("kept.csv", ("trusted where", *robots, "all"), kept_rows(joints))
+    joints = study.rows("grades.csv", CELL, partial(measure, found), found)
+    robots = [*dict.fromkeys(each["robot"] for each in joints)]
+    study.write("kept.csv", ("trusted where", *robots, "all"), kept_rows(joints, robots))
     header = ("set", "moving rows within 95 % bands", "lowest", "highest", "width")
     study.write("bands.csv", header, band_rows(joints))
-    lost = [f"{e['case']}: {e['joint']}" for e in joints if e["trusted"] and not e["kept"]]
-    print(f"margin in use: {MARGIN:g}; trusted and not kept: {'; '.join(lost) or 'none'}")
 
 
 if __name__ == "__main__":

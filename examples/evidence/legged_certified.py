@@ -12,39 +12,33 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
-from study import Study
+from legged import ROBOTS as EVERY
+from study import Rows, Study
 
 import sdpid
 from sdpid.experiment.plant.legged.truth import DryFriction
 from sdpid.robot.legs import Legs, find_legs
 
+G1 = "g1_29dof_with_hand_rev_1_0"
 # Each robot and the motions that are identified from together.
-ROBOTS = {
-    "solo12": ("stand", "trot", "hang"),
-    "go1": ("stand", "trot", "hang"),
-    "a1": ("stand", "trot", "hang"),
-    "talos_reduced": ("stand", "step", "hang"),
-    "g1_29dof_with_hand_rev_1_0": ("stand", "step", "hang"),
-}
+ROBOTS = {**EVERY, G1: EVERY["talos_reduced"]}
 # What the description of a G1 does not say: where its soles are (here at the ankles' axes), and
 # how it stands, its hips having pitch, roll and yaw in this order.
-FEET = {"g1_29dof_with_hand_rev_1_0": ("left_ankle_roll_link", "right_ankle_roll_link")}
+FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 BENT = {"hip_pitch": -0.4, "hip_roll": 0.0, "hip_yaw": 0.0, "knee": 0.8, "ankle_pitch": -0.4}
 FRICTION = (sdpid.friction.Coulomb(width=DryFriction().width), "viscous", "rotor_inertia")
 COLUMNS = (
-    "robot", "links", "joints", "base_parameters", "prior", "samples", "rows",
-    "consistent", "least_margin", "gap", "certified", "from_log",
-    "identify_cpu_s", "certify_cpu_s", "verify_cpu_s", "from_log_cpu_s",
-)  # fmt: skip
+    *("robot", "links", "prior", "rows", "least_margin", "gap", "certified", "from_log"),
+    *("identify_cpu_s", "certify_cpu_s", "from_log_cpu_s"),
+)
 
 
 def legs_of(robot: sdpid.RobotModel) -> Legs:
     """Return the legs of a robot, by the names of its links or as stated above."""
-    feet = FEET.get(robot.name)
-    if feet is None:
+    if robot.name != G1:
         return find_legs(robot)
     lower, upper = robot.position_limits[robot.n_base :].T
     inside = np.minimum(0.25, (upper - lower) / 4.0)
@@ -53,10 +47,10 @@ def legs_of(robot: sdpid.RobotModel) -> Legs:
         for part, angle in BENT.items():
             if f"_{part}_" in name:
                 angles[joint] = angle
-    return find_legs(robot, feet=feet, standing=angles)
+    return find_legs(robot, feet=FEET, standing=angles)
 
 
-def rows(name: str, seconds: float, priors: tuple[bool, ...]) -> Iterator[tuple[object, ...]]:
+def rows(seconds: float, priors: tuple[bool, ...], name: str) -> Rows:
     """Yield the rows of one robot."""
     robot = sdpid.load_robot(name, root="free_flyer")
     legs = legs_of(robot)
@@ -64,47 +58,26 @@ def rows(name: str, seconds: float, priors: tuple[bool, ...]) -> Iterator[tuple[
         sdpid.simulate_legged(robot, motion, duration=seconds, seed=i, legs=legs).recording
         for i, motion in enumerate(ROBOTS[name])
     ]
+    known = {"friction": FRICTION, "effects": "none", "intervals": False}
     for prior in priors:
         times = [time.process_time()]
-        result = sdpid.identify(
-            robot,
-            logs,
-            friction=FRICTION,
-            effects="none",
-            intervals=False,
-            prior=None if prior else False,
-        )
+        result = sdpid.identify(robot, logs, prior=None if prior else False, **known)
         times.append(time.process_time())
         certificate = sdpid.certify(result.estimate)
         passed = certificate.passed
         times.append(time.process_time())
         with tempfile.TemporaryDirectory() as folder:
             result.save(folder, figures=False)
-            written = time.process_time()
             alone = sdpid.verify(folder)
-            times.append(times[-1] + time.process_time() - written)
-            written = time.process_time()
+            start = time.process_time()
             whole = sdpid.verify(folder, data=logs)
-            times.append(times[-1] + time.process_time() - written)
+            verified = time.process_time() - start
         for problem in (*alone.problems, *whole.problems):
             print(problem, flush=True)
-        margins = certificate.margins or ()
-        problem = result.problem
-        yield (
-            name,
-            robot.n_links,
-            robot.n - robot.n_base,
-            problem.base.count,
-            "one nat" if prior else "none",
-            problem.n_samples,
-            problem.n_rows,
-            certificate.feasible,
-            min((each for each in margins if each is not None), default=None),
-            certificate.gap,
-            passed and alone.passed,
-            whole.passed,
-            *np.diff(times).tolist(),
-        )
+        margins = [each for each in certificate.margins or () if each is not None]
+        said = "one nat" if prior else "none", result.problem.n_rows, min(margins, default=None)
+        proofs = certificate.gap, passed and alone.passed, whole.passed
+        yield name, robot.n_links, *said, *proofs, *np.diff(times), verified
 
 
 def main() -> None:
@@ -117,12 +90,8 @@ def main() -> None:
         with_prior=(False, "with a prior alone"),
     )
     priors = (True,) if study.with_prior else (True, False)
-    study.rows(
-        "legged_certified.csv",
-        COLUMNS,
-        study.robots,
-        lambda name: rows(name, study.seconds, priors),
-    )
+    rows_of = partial(rows, study.seconds, priors)
+    study.rows("legged_certified.csv", COLUMNS, rows_of, study.robots)
 
 
 if __name__ == "__main__":

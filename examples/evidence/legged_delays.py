@@ -14,19 +14,16 @@ Flags are also made by a threshold of a fifth of the weight, at which the feet c
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
-from legged import THREE, Walker, identified, without_imu
-from study import Study, grouped
+from legged import THREE, Walker, without_imu
+from study import Rows, Study
 
 import sdpid
 from sdpid.experiment.inspection.delays import channel_delays, is_significant
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.plant.legged.sensors import Sensors, record
-from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.prepare import with_delays
 from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.legs import find_legs
@@ -41,28 +38,20 @@ LONG_MS = {"effort": 2.0, "imu": 2.0, "base": 2.0, "contacts": 4.0}
 THRESHOLD, LIFTING = 0.2, ("trot", "walk")
 # What the first samples of a run are kept for: later delays, in samples.
 BEFORE = 20
-COLUMNS = (
-    "motion", "base_motion", "channel", "logs", "median_ms", "worst_ms", "stated_error_ms",
-    "long", "told", "without", "false",
-)  # fmt: skip
-# Late channels, in s, of the second table.
+# Late channels, ms, of the second table.
 LATE: dict[str, dict[str, float]] = {
     "nothing": {},
-    "torques 2 ms": {"effort": 0.002},
-    "torques 4 ms, IMU 2 ms, flags 10 ms": {"effort": 0.004, "imu": 0.002, "contacts": 0.01},
+    "torques 2 ms": {"effort": 2.0},
+    "torques 4 ms, IMU 2 ms, flags 10 ms": {"effort": 4.0, "imu": 2.0, "contacts": 10.0},
 }
 LATE_COLUMNS = (
-    "late", "taken", "joints_percent", "base_force_n", "mass_percent",
-    "effort_ms", "imu_ms", "contacts_ms",
-)  # fmt: skip
+    *("late", "taken", "joints_percent", "base_force_n", "mass_percent"),
+    *("effort_ms", "imu_ms", "contacts_ms"),
+)
 
 
 def recorded(
-    walker: Walker,
-    run: LeggedRun,
-    delays_ms: dict[str, float],
-    seed: int,
-    threshold: float = 0.0,
+    walker: Walker, motion: str, delays_ms: dict[str, float], seed: int, threshold: float = 0.0
 ) -> sdpid.Recording:
     """Return a run, its channels late by so much against the joints.
 
@@ -70,54 +59,42 @@ def recorded(
     """
     least = min(0.0, *delays_ms.values()) if delays_ms else 0.0
     late = {name: (value - least) * 1e-3 for name, value in delays_ms.items()}
-    robot, motion = walker.robot, run.motion
-    contacts = run.recording.contacts
-    assert contacts is not None
-    weight = 9.81 * float(run.theta[: 10 * robot.n_links : 10].sum())
+    run = walker.run(motion)
+    assert run.recording.contacts is not None
     return record(
-        find_legs(robot),
-        (np.arange(len(motion.position)) - BEFORE) * run.recording.step,
-        motion,
-        Sensors(delays={"joints": -least * 1e-3, **late}, flag_threshold=threshold * weight),
-        gravity=robot.gravity,
-        held=contacts.n == 1,
+        find_legs(walker.robot),
+        (np.arange(len(run.motion.position)) - BEFORE) * run.recording.step,
+        run.motion,
+        Sensors(delays={"joints": -least * 1e-3, **late}, flag_threshold=threshold * walker.weight),
+        gravity=walker.robot.gravity,
+        held=run.recording.contacts.n == 1,
         rng=np.random.default_rng(seed),
     )
 
 
-def found_rows(walker: Walker, motion: str, draws: int) -> Iterator[tuple[object, ...]]:
-    """Yield what is found of each channel of each log of a motion."""
+def found_rows(walker: Walker, motion: str, draws: int) -> Rows:
+    """Yield what is found of each channel of each log of a motion, ms."""
     rng = np.random.default_rng([walker.seed, ROBOTS.index(walker.name), MOTIONS.index(motion)])
-    run = walker.run(motion)
     for draw in range(draws):
         values = rng.choice(DELAYS_MS, len(CHANNELS)) if draw else np.zeros(4)
         true = dict(zip(CHANNELS, values.tolist(), strict=True))
-        log = recorded(walker, run, true, seed=draw)
+        log = recorded(walker, motion, true, seed=draw)
         sensors = {"IMU": log, "pose": without_imu(log)}
         if motion in LIFTING:
-            low = recorded(walker, run, true, seed=draw, threshold=THRESHOLD)
+            low = recorded(walker, motion, true, seed=draw, threshold=THRESHOLD)
             sensors["IMU, flags with a threshold"] = low
         for sensor, each in sensors.items():
             for channel, delay in channel_delays(walker.robot, each).items():
-                off, error = 1e3 * delay.value - true[channel], 1e3 * delay.error
-                yield (
-                    motion,
-                    sensor,
-                    channel,
-                    off,
-                    error,
-                    true[channel],
-                    is_significant(channel, delay),
-                )
+                off, told = 1e3 * delay.value - true[channel], is_significant(channel, delay)
+                long, none = abs(true[channel]) >= LONG_MS[channel], true[channel] == 0.0
+                counts = long, told and long, none, told and none
+                yield motion, sensor, channel, abs(off), 1e3 * delay.error, *counts
 
 
-def late_rows(walker: Walker, words: str) -> Iterator[tuple[object, ...]]:
+def late_rows(walker: Walker, words: str) -> Rows:
     """Yield the rows of the table of errors."""
     delays = LATE[words]
-    logs = [
-        recorded(walker, walker.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
-        for i, motion in enumerate(THREE)
-    ]
+    logs = [recorded(walker, motion, delays, i) for i, motion in enumerate(THREE)]
     taken = with_delays([Subject.of(log, walker.robot) for log in logs], Processing())
     on_time = [1e3 * getattr(taken, f"{each}_delay_s") for each in ("effort", "imu", "contacts")]
     ways = {"on time": ({}, on_time)}
@@ -125,8 +102,8 @@ def late_rows(walker: Walker, words: str) -> Iterator[tuple[object, ...]]:
         as_they_are = {f"{each}_delay_s": 0.0 for each in CHANNELS}
         ways["as recorded"] = (as_they_are, [0.0] * 3)
     for how, (changes, shown) in ways.items():
-        row = identified(walker, logs, processing=changes)
-        yield words, how, row[0], row[1], row[3], *shown
+        result = walker.identify(logs, processing=changes)
+        yield words, how, *walker.judged(result.estimate), *shown
 
 
 def main() -> None:
@@ -140,25 +117,25 @@ def main() -> None:
         draws=(5, "logs of each motion"),
         late=(len(LATE), "rows of the second table"),
     )
-    walker = cache(lambda name, seed: Walker(name, seed, study.seconds))
+    walker = cache(partial(Walker, seconds=study.seconds))
+    by, counts = ("motion", "base_motion", "channel"), ("long", "told", "without", "false")
     found = study.rows(
         "logs.csv",
-        ("motion", "base_motion", "channel", "off", "error", "true", "told"),
-        itertools.product(study.robots, range(study.seeds), MOTIONS),
-        lambda case: found_rows(walker(*case[:2]), case[2], study.draws),
+        (*by, "off", "error", *counts),
+        lambda name, seed, motion: found_rows(walker(name, seed), motion, study.draws),
+        *(study.robots, range(study.seeds), MOTIONS),
     )
-    rows = []
-    for key, own in grouped(found, *COLUMNS[:3]):
-        off, told = np.abs(own["off"]), own["told"]
-        long, none = np.abs(own["true"]) >= LONG_MS[key[2]], own["true"] == 0.0
-        counts = long.sum(), (told & long).sum(), none.sum(), (told & none).sum()
-        rows.append((*key, len(off), np.median(off), off.max(), np.median(own["error"]), *counts))
-    study.write("legged_delays.csv", COLUMNS, sorted(rows, key=str))
-    last = study.robots[-1]
-    words = [*LATE][: study.late]
-    study.rows(
-        "legged_late.csv", LATE_COLUMNS, words, lambda each: late_rows(walker(last, 0), each)
-    )
+    columns = {
+        "logs": "count off",
+        "median_ms": "median off",
+        "worst_ms": "max off",
+        "stated_error_ms": "median error",
+        **{each: f"sum {each}" for each in counts},
+    }
+    ordered = sorted(found, key=lambda row: [row[name] for name in by])
+    study.summary("legged_delays.csv", ordered, by, columns)
+    last = walker(study.robots[-1], 0)
+    study.rows("legged_late.csv", LATE_COLUMNS, partial(late_rows, last), [*LATE][: study.late])
 
 
 if __name__ == "__main__":

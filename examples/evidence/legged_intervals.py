@@ -20,13 +20,16 @@ on time, and are not searched for delays.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
-from legged import Walker
-from study import Study, grouped
+from legged import ROBOTS as EVERY
+from legged import THREE, Walker
+from scipy.special import stdtrit
+from study import Rows, Study
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -38,52 +41,27 @@ from sdpid.experiment.preparation.prepare import prepare
 from sdpid.workflow.formulate import formulate
 
 ROBOTS = ("go1", "solo12", "a1")
-MOTIONS = ("stand", "trot", "hang")
-# On soles, which step in place of the trot.
-HUMANOIDS, STEPS = ("talos_reduced",), ("stand", "step", "hang")
+# On soles, which steps in place of the trot.
+HUMANOID = "talos_reduced"
 KNOWN = (sdpid.friction.Coulomb(width=0.02), "viscous", "rotor_inertia")
 # What is measured: motions, seconds each, friction, and how many of the seeds.
 SETS = (
     (("trot",), 4.0, "known", 10),
-    (MOTIONS, 4.0, "known", 10),
+    (THREE, 4.0, "known", 10),
     (("trot", "hang"), 4.0, "known", 3),
     (("trot",), 10.0, "known", 3),
     (("trot",), 4.0, "chosen", 3),
-    (MOTIONS, 4.0, "chosen", 1),
+    (THREE, 4.0, "chosen", 1),
     (("stand", "trot"), 4.0, "known", 3),
-    (MOTIONS, 10.0, "known", 3),
-    (STEPS, 3.0, "known", 1),
+    (THREE, 10.0, "known", 3),
+    (EVERY[HUMANOID], 3.0, "known", 1),
 )
 ON_TIME = {f"{channel}_delay_s": 0.0 for channel in ("effort", "imu", "base", "contacts")}
 LEVEL = 0.95
 # Samples of the log at which the force on the base is asked for.
 INSTANTS = 20
-CELL = (
-    "robot", "motions", "seconds", "friction", "intervals", "seed",
-    "within_percent", "mass_within", "force_within_percent", "mass_error_percent", "half_width",
-)  # fmt: skip
-COLUMNS = (
-    "robot", "motions", "seconds", "friction", "intervals", "seeds",
-    "within_percent", "within_worst_percent", "mass_within_percent", "force_within_percent",
-    "mass_error_percent", "half_width",
-)  # fmt: skip
-
-
-@cache
-def recorded(
-    name: str, seed: int, seconds: float, motion: str, *, own_law: bool
-) -> sdpid.Recording:
-    """Return a simulated log, which several sets have."""
-    number = 10 * seed + (STEPS if motion in STEPS else MOTIONS).index(motion)
-    walker = Walker(name, seed, seconds)
-    return sdpid.simulate_legged(
-        walker.robot,
-        motion,
-        theta=walker.theta,
-        duration=seconds,
-        seed=number,
-        friction=walker.law if own_law else None,
-    ).recording
+# Robots with their runs, which several sets have.
+walker = cache(Walker)
 
 
 def formulated(
@@ -117,41 +95,35 @@ def asked(problem: Problem) -> tuple[Array, Array, Array]:
 
 def half_widths(estimate: Estimate, functions: Array) -> Array:
     """Return half the widths (k,) of intervals of functions (k, p) of theta."""
-    from scipy.special import stdtrit
-
     variance, _, freedom = Posterior.of(estimate).spread(functions)
     return np.asarray(stdtrit(freedom, 0.5 * (1.0 + LEVEL)) * np.sqrt(variance))
 
 
-def cells(name: str, seed: int, number: int) -> Iterator[tuple[object, ...]]:
+def cells(name: str, seed: int, number: int) -> Rows:
     """Yield what one set of motions of one robot and seed says."""
     motions, seconds, friction, _ = SETS[number]
-    walker, own_law = Walker(name, seed, seconds), friction == "chosen"
-    robot, theta = walker.robot, walker.theta
-    logs = [recorded(name, seed, seconds, motion, own_law=own_law) for motion in motions]
-    problem, processing = formulated(robot, logs, friction)
+    own = walker(name, seed, seconds, None, friction == "known")
+    logs = own.logs(*motions)
+    problem, processing = formulated(own.robot, logs, friction)
     estimate = sdpid.solve_sdp(problem)
     default = with_motion_bias(problem, logs, processing)
     base, masses, forces = asked(problem)
-    error = np.vstack([base, masses, forces]) @ (np.asarray(estimate.theta) - theta)
+    functions, count = np.vstack([base, masses, forces]), len(base)
+    error = functions @ (np.asarray(estimate.theta) - own.theta)
+    mass = 100.0 * abs(error[count]) / own.masses.sum()
     first = None
     for intervals, counted in (
         ("residuals", problem),
         ("noise", replace(default, errors=default.errors[:1])),
         ("default", default),
     ):
-        half = half_widths(replace(estimate, problem=counted), np.vstack([base, masses, forces]))
+        half = half_widths(replace(estimate, problem=counted), functions)
         inside = np.abs(error) <= half
         first = half if first is None else first
-        count = len(base)
-        yield (
-            name, ", ".join(motions), f"{seconds:g}", friction, intervals, seed,
-            100.0 * inside[:count].mean(),
-            int(inside[count]),
-            100.0 * inside[count + 1 :].mean(),
-            100.0 * abs(error[count]) / theta[: 10 * robot.n_links : 10].sum(),
-            float(np.median(half[:count] / first[:count])),
-        )  # fmt: skip
+        shares = 100.0 * inside[:count].mean(), inside[count], 100.0 * inside[count + 1 :].mean()
+        wider = np.median(half[:count] / first[:count])
+        labels = name, ", ".join(motions), f"{seconds:g}", friction, intervals
+        yield *labels, seed, *shares, mass, wider
 
 
 def main() -> None:
@@ -163,24 +135,33 @@ def main() -> None:
         robots=[*ROBOTS],
         sets=[*range(len(SETS))],
     )
-    cases = [
+    wanted = [
         (name, seed, number)
         for number in study.sets
         for seed in range(min(study.seeds, SETS[number][-1]))
-        for name in (HUMANOIDS if SETS[number][0] == STEPS else study.robots)
+        for name in ([HUMANOID] if SETS[number][0] == EVERY[HUMANOID] else study.robots)
     ]
-    found = study.rows("cells.csv", CELL, cases, lambda case: cells(*case))
-    rows = []
-    for kind, own in grouped(found, *CELL[1:5]):
-        of_robots = {name: own["robot"] == name for name in np.unique(own["robot"])}
-        shown = of_robots if kind[3] == "default" else {}
-        for name, chosen in {"all": slice(None), **shown}.items():
-            within, mass, force, error, half = (own[column][chosen] for column in CELL[6:])
-            rows.append((
-                name, *kind, len(within), within.mean(), within.min(), 100.0 * mass.mean(),
-                force.mean(), np.median(error), np.median(half),
-            ))  # fmt: skip
-    study.write("legged_intervals.csv", COLUMNS, sorted(rows, key=lambda row: row[3] != "known"))
+    by = ("robot", "motions", "seconds", "friction", "intervals")
+    header = (*by, "seed", "within", "mass_within", "force_within", "mass_error", "half_width")
+    found = study.rows("cells.csv", header, cells, wanted)
+    # All robots of a set, and of the default each by itself.
+    shown: list[dict[str, Any]] = []
+    for kind in dict.fromkeys(tuple(row[name] for name in by[1:]) for row in found):
+        own = [row for row in found if tuple(row[name] for name in by[1:]) == kind]
+        shown += [{**row, "robot": "all"} for row in own]
+        if kind[-1] == "default":
+            shown += sorted(own, key=lambda row: str(row["robot"]))
+    columns = {
+        "seeds": "count within",
+        "within_percent": "mean within",
+        "within_worst_percent": "min within",
+        "mass_within_percent": "percent mass_within",
+        "force_within_percent": "mean force_within",
+        "mass_error_percent": "median mass_error",
+        "half_width": "median half_width",
+    }
+    shown.sort(key=lambda row: bool(row["friction"] != "known"))
+    study.summary("legged_intervals.csv", shown, by, columns)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,12 @@ which they sink; the ground may resist turning and rolling, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
-from study import Study
+from study import Rows, Study
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -132,19 +132,19 @@ class Beside:
         return float(np.sqrt(error / size)) if count > 0.5 else None
 
 
-def rows_of(name: str, seconds: float) -> Iterator[tuple[Any, ...]]:
-    """Yield the lines of a robot."""
-    for motion in MOTIONS:
-        for turning in (False, True):
-            made = Beside(name, motion, seconds, turning=turning)
-            ground = "turning and rolling resisted" if turning else "forces alone"
-            known = made.left("plane", known=True)
-            plane = made.left("plane")
-            touched = made.left("point", offset="touched")
-            below = made.left("point", offset=(0.0, 0.0, -made.legs.radius))
-            yield name, motion, ground, len(made.down), known, plane, touched, below
+def rows_of(seconds: float, name: str, motion: str, ground: str) -> Rows:
+    """Yield the line of a robot in a motion on a ground."""
+    made = Beside(name, motion, seconds, turning=ground == GROUNDS[1])
+    yield (
+        len(made.down),
+        made.left("plane", known=True),
+        made.left("plane"),
+        made.left("point", offset="touched"),
+        made.left("point", offset=(0.0, 0.0, -made.legs.radius)),
+    )
 
 
+GROUNDS = ("forces alone", "turning and rolling resisted")
 COLUMNS = (
     *("robot", "motion", "ground", "samples", "known", "plane", "point"),
     "point_a_radius_below",
@@ -155,7 +155,8 @@ def main() -> None:
     """Measure and write the table."""
     quick = {"robots": ["solo12"], "seconds": 0.4}
     study = Study(__doc__, quick=quick, robots=[*ROBOTS], seconds=2.0)
-    study.rows("legged_rows.csv", COLUMNS, study.robots, lambda name: rows_of(name, study.seconds))
+    axes = study.robots, MOTIONS, GROUNDS
+    study.rows("legged_rows.csv", COLUMNS, partial(rows_of, study.seconds), *axes)
 
 
 if __name__ == "__main__":

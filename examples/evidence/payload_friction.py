@@ -13,14 +13,13 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
-from drive_gains import MASS, PAIRS, PUBLISHED, read
+from drive_gains import MASS, PAIRS, PUBLISHED, Runs
 from simulated_logs import Truth, drawn, log_of, other_log
-from study import Study, grouped
+from study import Rows, Study
 
 import sdpid
 from sdpid.experiment.preparation.prepare import default_friction, samples_of
@@ -35,11 +34,13 @@ RULES = {
     "own": ("coulomb", "viscous", "sigmoid", "stribeck", "asymmetric_coulomb", "load", "offset"),
 }
 DURATION, RATE = 40.0, 200.0
-EACH = ("robot", "load_kg", "change", "arm", "separate", "mass_error_percent", "com_error_mm")
-EACH += ("mass_held", "com_held", "half_width_mm", "cost", "parameters")
+EACH = (
+    *("robot", "load_kg", "change", "arm", "separate", "mass_error", "com_mm", "mass_held"),
+    *("com_held", "half_width_mm"),
+)
 
 
-def one(robot: str, load: float, change: float, seed: int) -> Iterator[tuple[object, ...]]:
+def one(robot: str, load: float, change: float, seed: int) -> Rows:
     """Yield what each rule finds on one arm."""
     usual = drawn(robot, seed)
     conditions = replace(usual, rate_hz=RATE, duration=DURATION, perturbed=0.15)
@@ -58,70 +59,54 @@ def one(robot: str, load: float, change: float, seed: int) -> Iterator[tuple[obj
     both = [samples_of(truth.robot, log) for log in (loaded, bare)]
     for name, separate in RULES.items():
         found = sdpid.identify_payload(truth.robot, *both, friction=terms, separate=separate)
-        off = np.asarray(found.com) - center
         held = (found.lower[1:4] <= center) & (center <= found.upper[1:4])
         yield (
-            *(robot, load, change, seed, name),
-            100.0 * (found.mass / load - 1.0),
-            1e3 * np.linalg.norm(off),
+            *(robot, load, change, seed, name, abs(100.0 * (found.mass / load - 1.0))),
+            1e3 * np.linalg.norm(np.asarray(found.com) - center),
             found.lower[0] <= load <= found.upper[0],
-            held.sum(),
+            held.mean(),
             1e3 * np.mean(found.upper[1:4] - found.lower[1:4]) / 2.0,
-            found.cost,
-            2 * truth.robot.n,
         )
 
 
-PAIRED = tuple(itertools.product(PAIRS, PUBLISHED))
-
-
-def real(folder: Path, out: Path, pair: str, source: str) -> Iterator[tuple[object, ...]]:
+def real(runs: Runs, pair: str, source: str) -> Rows:
     """Yield the mass of the load of a UR10e in a pair of recordings, by published gains."""
-    robot = sdpid.load_robot(folder / "ur10e.urdf")
-    bare, loaded = (read(robot, folder, name, out) for name in PAIRS[pair])
+    bare, loaded = runs.pairs[pair]
     gains = list(PUBLISHED[source])
     for name, separate in RULES.items():
-        found = sdpid.identify_payload(robot, loaded, bare, gains=gains, separate=separate)
-        center = 1e3 * np.asarray(found.com)
-        yield (
-            pair,
-            source,
-            name,
-            found.mass,
-            *found.lower[:1],
-            *found.upper[:1],
-            *center,
-            found.cost,
-        )
+        found = sdpid.identify_payload(runs.robot, loaded, bare, gains=gains, separate=separate)
+        ends = found.lower[0], found.upper[0]
+        yield name, found.mass, *ends, *(1e3 * np.asarray(found.com)), found.cost
 
 
 def main() -> None:
     """Count errors and coverage, and weigh the real load."""
+    pairs = [*itertools.product(PAIRS, PUBLISHED)]
     study = Study(
         __doc__,
         data=True,
         quick={"seeds": 1, "robots": [*ROBOTS[:1]], "pairs": 0},
         seeds=(5, "arms of each robot and case"),
         robots=[*ROBOTS],
-        pairs=(len(PAIRED), "pairs of real recordings and gains"),
+        pairs=(len(pairs), "pairs of real recordings and gains"),
     )
-    cases = itertools.product(study.robots, LOADS, CHANGES, range(study.seeds))
-    found = study.rows("payload_friction_each.csv", EACH, cases, lambda case: one(*case))
-    rows = []
-    for key, own in grouped(found, "load_kg", "change", "separate"):
-        mass, com, mass_held, com_held, width = (own[name] for name in EACH[5:10])
-        rows.append((
-            *key, len(mass), np.median(np.abs(mass)), np.median(com), com.max(),
-            100.0 * mass_held.mean(), 100.0 * com_held.mean() / 3.0, np.median(width),
-        ))  # fmt: skip
-    header = ("load_kg", "change", "separate", "arms", "mass_error_percent", "com_error_mm")
-    header += ("worst_com_mm", "mass_held_percent", "com_held_percent", "half_width_mm")
-    study.write("payload_friction.csv", header, rows)
-    folder = study.data / "ur10e_innopolis"
+    axes = study.robots, LOADS, CHANGES, range(study.seeds)
+    found = study.rows("payload_friction_each.csv", EACH, one, *axes)
+    columns = {
+        "arms": "count mass_error",
+        "mass_error_percent": "median mass_error",
+        "com_error_mm": "median com_mm",
+        "worst_com_mm": "max com_mm",
+        "mass_held_percent": "percent mass_held",
+        "com_held_percent": "percent com_held",
+        "half_width_mm": "median half_width_mm",
+    }
+    study.summary("payload_friction.csv", found, ("load_kg", "change", "separate"), columns)
+    runs = Runs(study.data / "ur10e_innopolis", study.out)
     header = ("pair", "gains", "separate", "mass_kg", "lower_kg", "upper_kg", "x_mm", "y_mm")
-    pairs = PAIRED[: study.pairs if folder.is_dir() else 0]
+    wanted = pairs[: study.pairs if runs.folder.is_dir() else 0]
     file, columns = "payload_friction_real.csv", (*header, "z_mm", "cost")
-    study.rows(file, columns, pairs, lambda case: real(folder, study.out, *case))
+    study.rows(file, columns, partial(real, runs), wanted)
     print(f"the load weighs {MASS} kg")
 
 

@@ -15,14 +15,15 @@ the environment variable SDPID_DATA.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from data_sets import SETS
-from held_out import QUICK, Case, cases
-from study import Study, pivot
+from data_sets import SETS, Terms
+from held_out import QUICK, Case, first_of_arms
+from study import Rows, Study, pivot
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -32,9 +33,6 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import SMOOTH, default_friction, samples_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.robot.inertia import Consistency, margin
-
-Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
-Solver = Callable[[Problem], Estimate]
 
 QUICK_METHODS = ("description, friction fitted", "OLS", "SDP 4×4")
 
@@ -46,26 +44,23 @@ DEFAULT = "SDP 4×4"
 # A margin this small, kg·m², is at the boundary of what can exist.
 ROUNDING = 1e-9
 
-HEADER = (
-    *("set", "method", "trained", "held_out", "seconds", "margin", "heaviest", "status", "gap"),
-)
-
-
-def local(solver: Callable[..., Estimate]) -> Solver:
-    """Return a local solver from one random start."""
-    return lambda problem: solver(problem, seed=0)
+HEADER = ("set", "method", "trained", "held_out", "seconds", "margin", "heaviest", "status")
 
 
 @dataclass(frozen=True)
 class Method:
     """A way to estimate: the solver, and what it is given."""
 
-    solve: Solver
+    solve: Callable[[Problem], Estimate]
     prior: sdpid.Prior | None = None
     consistency: Consistency = "pseudo_inertia"
     weighting: Weighting = "residual"
 
 
+# Local solvers begin at one random start.
+SLSQP, LOG_CHOLESKY = (
+    partial(solve, seed=0) for solve in (sdpid.solve_slsqp, sdpid.solve_log_cholesky)
+)
 ONE_NAT = sdpid.Prior()
 METHODS = {
     "description, friction fitted": Method(sdpid.solve_wls, sdpid.Prior(strength=FIXED)),
@@ -83,19 +78,14 @@ METHODS = {
     "SDP 4×4, entropic": Method(sdpid.solve_sdp, sdpid.Prior(kind="entropic")),
     "SDP 4×4, scaled euclidean": Method(sdpid.solve_sdp, sdpid.Prior(kind="scaled_euclidean")),
     "SDP 4×4, euclidean": Method(sdpid.solve_sdp, sdpid.Prior(kind="euclidean")),
-    "SLSQP 4×4, no prior": Method(local(sdpid.solve_slsqp)),
-    "SLSQP 4×4": Method(local(sdpid.solve_slsqp), ONE_NAT),
-    "log-Cholesky 4×4, no prior": Method(local(sdpid.solve_log_cholesky)),
-    "log-Cholesky 4×4": Method(local(sdpid.solve_log_cholesky), ONE_NAT),
+    "SLSQP 4×4, no prior": Method(SLSQP),
+    "SLSQP 4×4": Method(SLSQP, ONE_NAT),
+    "log-Cholesky 4×4, no prior": Method(LOG_CHOLESKY),
+    "log-Cholesky 4×4": Method(LOG_CHOLESKY, ONE_NAT),
 }
 
 
-def problem_of(
-    case: Case,
-    samples: sdpid.Samples,
-    method: Method,
-    terms: Iterable[str | sdpid.friction.FrictionTerm],
-) -> Problem:
+def problem_of(case: Case, samples: sdpid.Samples, method: Method, terms: Terms) -> Problem:
     """Return the problem of a method, with the default bounds."""
     return sdpid.build_problem(
         case.robot,
@@ -113,7 +103,7 @@ def terms_of(case: Case) -> Terms:
     return (*default_friction(case.log), *case.terms)
 
 
-def prepared(case: Case) -> Iterator[tuple[object, ...]]:
+def prepared(case: Case) -> Rows:
     """Yield what is trained on and predicted, and how long that takes to prepare."""
     start = time.perf_counter()
     processing = default_processing(case.log)
@@ -124,7 +114,7 @@ def prepared(case: Case) -> Iterator[tuple[object, ...]]:
     yield case.robot_name, processing.cutoff_hz, processing.velocity, *counts, seconds
 
 
-def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
+def rows(names: Iterable[str], case: Case) -> Rows:
     """Yield the rows of a set."""
     processing = default_processing(case.log)
     samples, fresh = case.trained(processing), case.held_out(processing)
@@ -132,7 +122,7 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
     closed = problem_of(case, samples, METHODS[DEFAULT], terms_of(case)).friction.terms
     for number, name in enumerate(names):
         method = METHODS[name]
-        gap, estimate, start = None, None, time.perf_counter()
+        start = time.perf_counter()
         try:
             problem = problem_of(case, samples, method, closed)
             if number == 0:
@@ -144,10 +134,8 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             estimate, status = getattr(error, "found", None), type(error).__name__
         seconds = time.perf_counter() - start
         if estimate is None:
-            yield case.robot_name, name, *(None,) * 5, status, gap
+            yield case.robot_name, name, *(None,) * 5, status
             continue
-        if estimate.method == "sdp":
-            gap = sdpid.certify(estimate).gap
         least: str | float | None = None
         heaviest = None
         if estimate.theta is not None:
@@ -156,17 +144,8 @@ def rows(case: Case, names: Iterable[str]) -> Iterator[tuple[object, ...]]:
             # A link without a positive mass has no margin: it is no body at all.
             least = "no body" if np.any(np.isnan(margins)) else float(np.min(margins))
             heaviest = float(links[:, 0].max())
-        yield (
-            case.robot_name,
-            name,
-            100.0 * sdpid.validate(estimate).relative,
-            100.0 * sdpid.validate(estimate, fresh).relative,
-            seconds,
-            least,
-            heaviest,
-            status,
-            gap,
-        )
+        errors = (100.0 * sdpid.validate(estimate, each).relative for each in (None, fresh))
+        yield case.robot_name, name, *errors, seconds, least, heaviest, status
 
 
 def residuals(row: Mapping[str, Any]) -> str:
@@ -238,17 +217,17 @@ GAZ: dict[str, tuple[float, dict[tuple[int, int], float]]] = {
 }
 
 
-def cutoffs(case: Case) -> Iterator[tuple[object, ...]]:
+def cutoffs(case: Case) -> Rows:
     """Yield the errors of the default estimate on rows that are filtered at other cut-offs, %."""
     processing = default_processing(case.log)
     estimate = default(case, case.trained(processing), terms_of(case))
-    line: list[object] = [case.robot_name]
+    errors = []
     for factor in SCORED:
         changed = replace(processing, cutoff_hz=factor * processing.cutoff_hz)
         fits = changed.cutoff_hz < HIGHEST * case.log.rate_hz
         fresh = case.held_out(changed) if fits else None
-        line.append(fresh and 100.0 * sdpid.validate(estimate, fresh).relative)
-    yield tuple(line)
+        errors.append(fresh and 100.0 * sdpid.validate(estimate, fresh).relative)
+    yield case.robot_name, *errors
 
 
 def default(case: Case, samples: sdpid.Samples, terms: Terms) -> Estimate:
@@ -256,7 +235,7 @@ def default(case: Case, samples: sdpid.Samples, terms: Terms) -> Estimate:
     return sdpid.solve_sdp(problem_of(case, samples, METHODS[DEFAULT], terms))
 
 
-def published(case: Case) -> Iterator[tuple[object, ...]]:
+def published(case: Case) -> Rows:
     """Yield errors of joints, N·m: published ones, and those of estimates beside them."""
     name, processing, terms = case.robot_name, default_processing(case.log), terms_of(case)
     if name not in PUBLISHED:
@@ -317,7 +296,7 @@ def joined(numbers: Iterable[float]) -> str:
 WAYS = ("SDP 4×4, no prior", DEFAULT)
 
 
-def gravities(case: Case) -> Iterator[tuple[object, ...]]:
+def gravities(case: Case) -> Rows:
     """Yield the Panda's gravity parameters, from the whole record, beside those of Gaz et al."""
     samples = samples_of(case.robot, case.rest, default_processing(case.log))
     problems = [(problem_of(case, samples, METHODS[way], terms_of(case)), way) for way in WAYS]
@@ -340,22 +319,18 @@ def main() -> None:
         sets=[*SETS],
         methods=[*METHODS],
     )
-    # The first case of an arm, but that with the terms of its drive where they are known.
-    of_arms: dict[str, Case] = {}
-    for case in cases(study.data, study.sets):
-        if case.terms or case.robot_name not in of_arms:
-            of_arms[case.robot_name] = case
-    found = list(of_arms.values())
+    found = first_of_arms(study.data, study.sets, known_drives=True)
+    arms = found.values()
     header = ("set", "cut-off, Hz", "velocity", "training samples", "held-out samples")
-    study.rows("prepared.csv", (*header, "preparing, s"), found, prepared, digits=3)
-    done = study.rows("methods.csv", HEADER, found, lambda case: rows(case, study.methods))
+    study.rows("prepared.csv", (*header, "preparing, s"), prepared, arms, digits=3)
+    done = study.rows("methods.csv", HEADER, partial(rows, study.methods), arms)
     for shown in (residuals, seconds, margins):
         study.write(f"{shown.__name__}.csv", *pivot(done, "method", "set", shown))
     header = ("set", *(f"{factor:g} × its own" for factor in SCORED))
-    study.rows("cutoffs.csv", header, found, cutoffs, digits=3)
-    study.rows("published.csv", ("set", "model", "joints 1, 2, …"), found, published)
-    pandas = [case for case in found if case.robot_name == "Panda"]
-    study.rows("panda_gravity.csv", ("parameter", "Gaz et al.", *WAYS), pandas, gravities)
+    study.rows("cutoffs.csv", header, cutoffs, arms, digits=3)
+    study.rows("published.csv", ("set", "model", "joints 1, 2, …"), published, arms)
+    pandas = [found["Panda"]] if "Panda" in found else []
+    study.rows("panda_gravity.csv", ("parameter", "Gaz et al.", *WAYS), gravities, pandas)
 
 
 if __name__ == "__main__":

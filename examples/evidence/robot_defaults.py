@@ -11,81 +11,61 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 from data_sets import TITLES
 from held_out import QUICK, Case, cases, error
-from study import Study, grouped
+from study import Rows, Study, grouped
 
 import sdpid
-from sdpid.experiment.preparation.prepare import samples_of
 from sdpid.experiment.processing.choose import default_processing
 
-# Arguments of `identify` for a recording to train on.
-Arguments = Callable[[sdpid.Recording], dict[str, Any]]
-
-
-def times(factor: float, log: sdpid.Recording) -> dict[str, Any]:
-    """Return the default cut-off times a factor, at most 2/15 of the rate."""
-    cutoff = min(factor * default_processing(log).cutoff_hz, 2.0 / 15.0 * log.rate_hz)
-    return {"processing": {"cutoff_hz": cutoff}}
-
-
-# The first of each is the default.
-CANDIDATES: dict[str, dict[str, Arguments]] = {
-    "cut-off": {
-        f"{factor:g} times the default's": partial(times, factor)
-        for factor in (1.0, 0.5, 0.8, 1.2, 2.0)
-    },
-    "mask": {
-        "default": lambda log: {},
-        "none": lambda log: {"processing": {"reversal_time": None}},
-    },
-}
-
+# Candidates for the cut-off, as factors of the default one, which is the first.
+FACTORS = (1.0, 0.5, 0.8, 1.2, 2.0)
+# A cut-off is at most this share of the rate.
+HIGHEST = 2.0 / 15.0
 # Another candidate must predict better than the default by more than this: what is seen on other
 # choices of robots is 1 % of luck.
 BETTER = 1.01
+# What is given beside the defaults, the first of each being the default.
+CANDIDATES: dict[str, dict[str, float | dict[str, Any]]] = {
+    "cut-off": {f"{factor:g} times the default's": factor for factor in FACTORS},
+    "mask": {"default": {}, "none": {"processing": {"reversal_time": None}}},
+}
 
 
-def held_out(case: Case, arguments: Arguments) -> float:
-    """Return the geometric mean of a case's errors in %, infinite where there is no estimate."""
-    given = case.arguments(arguments(case.log))
+def mean(values: Any) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def held_out(candidate: str, case: Case) -> Rows:
+    """Yield the geometric mean of a case's errors in %, infinite where there is no estimate."""
+    title, _, label = candidate.partition(": ")
+    given = CANDIDATES[title][label]
+    if isinstance(given, float):
+        cutoff = min(given * default_processing(case.log).cutoff_hz, HIGHEST * case.log.rate_hz)
+        given = {"processing": {"cutoff_hz": cutoff}}
     try:
-        estimate = sdpid.identify(case.robot, case.log, intervals=False, **given).estimate
+        estimate = case.identify(**given).estimate
     except sdpid.errors.SdpidError:
-        return float("inf")
-    errors = [
-        error(estimate, samples_of(case.robot, other, case.common), case.after, only_moving=True)
-        for other in case.others.values()
-    ]
-    return float(np.exp(np.mean(np.log(errors))))
+        yield label, case.robot_name, case.name, float("inf")
+        return
+    errors = [error(case, estimate, other) for other in case.others.values()]
+    yield label, case.robot_name, case.name, mean(errors)
 
 
-def means(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Return of each candidate the geometric mean of the cases' errors of each robot."""
-    found: dict[str, dict[str, float]] = {}
-    for (label, robot), own in grouped(rows, "candidate", "robot"):
-        found.setdefault(label, {})[robot] = float(np.exp(np.mean(np.log(own["error"]))))
-    return found
-
-
-def chosen(robots: dict[str, dict[str, float]]) -> Iterator[tuple[object, ...]]:
-    """Yield of each robot what the others would have chosen."""
+def chosen(robots: dict[str, dict[str, float]]) -> Rows:
+    """Yield of each robot what the others would have chosen, by errors with each candidate."""
     default = next(iter(robots))
     for name in robots[default]:
-        mean = {
+        others = {
             label: float(np.mean([np.log(own[other]) for other in own if other != name]))
             for label, own in robots.items()
         }
-        best = min(mean, key=mean.__getitem__)
-        if mean[best] > mean[default] - float(np.log(BETTER)):
-            best = default
-        yield name, best, robots[best][name], robots[default][name]
+        best = min(others, key=lambda label: others[label])
+        yield name, default if others[best] > others[default] - np.log(BETTER) else best
 
 
 def main() -> None:
@@ -97,27 +77,18 @@ def main() -> None:
         sets=[*TITLES],
         candidates=max(map(len, CANDIDATES.values())),
     )
-    found = {case.name: case for case in cases(study.data, study.sets)}
-    for title, all_candidates in CANDIDATES.items():
-        candidates = dict([*all_candidates.items()][: study.candidates])
-
-        def scored(
-            case: tuple[str, str], candidates: dict[str, Arguments] = candidates
-        ) -> Iterator[tuple[object, ...]]:
-            label, name = case
-            yield label, found[name].robot_name, name, held_out(found[name], candidates[label])
-
+    found = [*cases(study.data, study.sets)]
+    for title, candidates in CANDIDATES.items():
+        wanted = [f"{title}: {label}" for label in candidates][: study.candidates]
         header = ("candidate", "robot", "case", "error")
-        every = itertools.product(candidates, found)
-        errors = study.rows(f"{title}.cases.csv", header, every, scored)
-        robots = means(errors)
-        lines = (
-            [label, *own["error"], np.exp(np.mean(np.log(list(robots[label].values()))))]
-            for (label,), own in grouped(errors, "candidate")
-        )
-        study.write(f"{title}.csv", (title, *found, "robots' mean"), lines, digits=3)
-        header = ("left out", "the others choose", "it then has, %", "default, %")
-        study.write(f"{title}.chosen.csv", header, chosen(robots), digits=3)
+        errors = study.rows(f"{title}.cases.csv", header, held_out, wanted, found)
+        lines, robots = [], {}
+        for (label,), own in grouped(errors, "candidate"):
+            names = dict.fromkeys(own["robot"])
+            robots[label] = {name: mean(own["error"][own["robot"] == name]) for name in names}
+            lines.append((label, *own["error"], mean([*robots[label].values()])))
+        study.write(f"{title}.csv", (title, *map(str, found), "robots' mean"), lines, digits=3)
+        study.write(f"{title}.chosen.csv", ("left out", "the others choose"), chosen(robots))
 
 
 if __name__ == "__main__":

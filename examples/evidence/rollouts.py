@@ -13,20 +13,17 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import numpy as np
 from data_sets import TITLES, part
-from held_out import QUICK, Case, cases
-from study import Study
+from held_out import QUICK, Case, first_of_arms
+from study import Rows, Study
 
 import sdpid
 from sdpid.assurance.diagnostics.light_joints import light_joints
-from sdpid.assurance.diagnostics.validation import validate
 from sdpid.experiment.processing.choose import default_processing
-from sdpid.workflow.result import Identification
 
 HORIZONS = (0.1, 0.5, 2.0)
 
@@ -46,11 +43,10 @@ BOUNDS: dict[str, dict[str, object]] = {
 LIGHT = "LWR 4+"
 WRIST = -1
 
-HEADER = ("arm", "free", "model", "starts", *(
-    f"{kind} {horizon:g} s"
-    for horizon in HORIZONS
-    for kind in ("median", "p90", "tip", "ran away")
-))  # fmt: skip
+HEADER = (
+    *("arm", "free", "model", "starts"),
+    *(f"{kind} {horizon:g} s" for horizon in HORIZONS for kind in ("median", "ran away")),
+)
 JOINTS = (
     "arm", "joint", "inertia", "effort error", "inertial effort", "drift over motion",
     "median 0.1 s", "median 0.5 s", "motion 0.1 s",
@@ -72,27 +68,21 @@ def spacing(case: Case, count: int) -> float:
     return max(EVERY, (chosen(case).duration - HORIZONS[-1]) / count)
 
 
-def identified(case: Case, **options: Any) -> Identification:
-    """Return what identify finds with its defaults, and the drive's terms where they are known."""
-    return sdpid.identify(case.robot, case.log, intervals=False, **case.arguments(options))
-
-
-def models(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
+def models(starts: int, case: Case) -> Rows:
     """Yield rows of models of each way to free the joints."""
-    result = identified(case)
+    result = case.identify()
     for free in ("all", "each"):
         moved = rolled(case, result, starts, free=free)
         for name, errors in moved.models.items():
-            columns = errors.quantile(0.5), errors.quantile(0.9), errors.tips(), errors.diverged
-            found = np.array(columns).T * [1e3, 1e3, 1e3, 100.0]
-            cells = np.full((len(HORIZONS), 4), np.nan)
-            cells[: len(found)] = found
+            cells = np.full((len(HORIZONS), 2), np.nan)
+            medians = errors.quantile(0.5)
+            cells[: len(medians)] = np.column_stack([1e3 * medians, 100.0 * errors.diverged])
             yield case.robot_name, free, name, len(moved.start), *cells.ravel()
 
 
 def rolled(
     case: Case,
-    result: Identification,
+    result: Any,
     starts: int,
     horizons: tuple[float, ...] = HORIZONS,
     **how: Any,
@@ -109,12 +99,12 @@ def rolled(
     )
 
 
-def joints(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
+def joints(starts: int, case: Case) -> Rows:
     """Yield a row a joint: its drift, and how it moves alone."""
-    result = identified(case)
+    result = case.identify()
     moved = rolled(case, result, starts, free="each")
     medians = 1e3 * moved.models[moved.own].joints()
-    errors = validate(result.estimate).moving
+    errors = sdpid.validate(result.estimate).moving
     samples = result.problem.samples
     for each in light_joints(result.estimate.model(), samples, errors, limit=0.0):
         j = case.robot.joint_names.index(each.joint)
@@ -123,13 +113,12 @@ def joints(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
         yield case.robot_name, j + 1, *sizes, *medians[:2, j], motion
 
 
-def bounded(case: Case, starts: int) -> Iterator[tuple[object, ...]]:
+def bounded(starts: int, case: Case) -> Rows:
     """Yield what bounds a light wrist: its inertia, held-out error and motion."""
     wrist = case.robot.joint_names[WRIST]
     for name, options in BOUNDS.items():
-        result = identified(case, **options)
-        how = {"horizons": HORIZONS[:2], "free": wrist, "baselines": False}
-        moved = rolled(case, result, starts, **how)
+        result = case.identify(**options)
+        moved = rolled(case, result, starts, HORIZONS[:2], free=wrist, baselines=False)
         samples = sdpid.process(chosen(case), default_processing(case.log))
         fresh = 100.0 * sdpid.validate(result.estimate, samples).moving.relative
         samples = result.problem.samples
@@ -147,17 +136,15 @@ def main() -> None:
         sets=[*TITLES],
         starts=(STARTS, "of a record, at most"),
     )
-    # The first case of an arm: without terms that are known of its drive, and joint torques.
-    arms: dict[str, Case] = {}
-    for case in cases(study.data, study.sets):
-        arms.setdefault(case.robot_name, case)
+    # Without terms that are known of a drive, and joint torques.
+    arms = first_of_arms(study.data, study.sets, known_drives=False)
     light = [case for name, case in arms.items() if name == LIGHT]
-    for file, header, wanted, rows_of in (
-        ("rollouts.csv", HEADER, arms.values(), models),
-        ("joints.csv", JOINTS, arms.values(), joints),
-        ("bounds.csv", LIGHTS, light, bounded),
+    for file, header, rows_of, wanted in (
+        ("rollouts.csv", HEADER, models, arms.values()),
+        ("joints.csv", JOINTS, joints, arms.values()),
+        ("bounds.csv", LIGHTS, bounded, light),
     ):
-        study.rows(file, header, wanted, partial(rows_of, starts=study.starts))
+        study.rows(file, header, partial(rows_of, study.starts), wanted)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
+from scipy.linalg import expm
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -179,20 +183,15 @@ class Truth:
 
 def described(robot: str) -> sdpid.RobotModel:
     """Return a robot as its user loads it."""
-    if robot == "ur10":
-        return sdpid.load_robot("ur10_robot")
-    if robot == "denso":
-        return sdpid.load_robot("denso_vp6242")
-    if robot == "panda":
-        import pinocchio as pin
-
-        whole = sdpid.load_robot("panda_description/panda").pin_model
-        fingers = [i for i, name in enumerate(whole.names) if "finger" in name]
-        return sdpid.RobotModel.from_pinocchio(
-            pin.buildReducedModel(whole, fingers, pin.neutral(whole))
-        )
-    path = Path(os.environ["SDPID_DATA"]) / "kuka_lwr4plus" / "kuka_lwr4.urdf"
-    return sdpid.load_robot(path)
+    if robot == "lwr4":
+        path = Path(os.environ["SDPID_DATA"]) / "kuka_lwr4plus" / "kuka_lwr4.urdf"
+        return sdpid.load_robot(path)
+    if robot != "panda":
+        return sdpid.load_robot({"ur10": "ur10_robot", "denso": "denso_vp6242"}[robot])
+    whole = sdpid.load_robot("panda_description/panda").pin_model
+    fingers = [i for i, name in enumerate(whole.names) if "finger" in name]
+    arm = pin.buildReducedModel(whole, fingers, pin.neutral(whole))
+    return sdpid.RobotModel.from_pinocchio(arm)
 
 
 def with_gravity(robot: sdpid.RobotModel, gravity: Array) -> sdpid.RobotModel:
@@ -275,7 +274,9 @@ def _measured(
 ) -> sdpid.Recording:
     """Return what encoders and current sensors say of a motion."""
     conditions = truth.conditions
-    effort = truth.effort(q, v, a) + truth.noise * _noise(q.shape, conditions, rng)
+    memory = conditions.rate_hz * conditions.memory
+    kept = math.exp(-1.0 / memory) if memory > 0.0 else 0.0
+    effort = truth.effort(q, v, a) + truth.noise * colored(q.shape, kept, rng)
     seen = q + conditions.encoder_noise * rng.standard_normal(q.shape)
     return sdpid.Recording(
         time=time,
@@ -285,14 +286,9 @@ def _measured(
     )
 
 
-def _noise(shape: tuple[int, ...], conditions: Conditions, rng: np.random.Generator) -> Array:
-    """Return noise of unit variance, autoregressive of order one where it has a memory."""
-    from scipy.signal import lfilter
-
+def colored(shape: tuple[int, ...], kept: float, rng: np.random.Generator) -> Array:
+    """Return noise of unit variance of which a share is kept from sample to sample."""
     white = rng.standard_normal(shape)
-    if conditions.memory <= 0.0:
-        return white
-    kept = math.exp(-1.0 / (conditions.rate_hz * conditions.memory))
     white[1:] *= math.sqrt(1.0 - kept**2)
     return np.asarray(lfilter([1.0], [1.0, -kept], white, axis=0))
 
@@ -307,8 +303,6 @@ def _described_inertias(name: str, robot: sdpid.RobotModel) -> Array:
 
 def perturbed(bodies: Array, size: float, rng: np.random.Generator) -> Array:
     """Return bodies whose pseudo-inertias are L·exp(S)·L^T of P = L·L^T, S symmetric."""
-    from scipy.linalg import expm
-
     root = np.linalg.cholesky(pseudo_inertia(bodies))
     S = size * rng.standard_normal((len(bodies), 4, 4))
     S = 0.5 * (S + np.swapaxes(S, 1, 2))
@@ -317,8 +311,6 @@ def perturbed(bodies: Array, size: float, rng: np.random.Generator) -> Array:
 
 def turned(gravity: Array, angles: Array) -> Array:
     """Return gravity turned by angles (2,) about the base's x and y axes, rad."""
-    from scipy.spatial.transform import Rotation
-
     return np.asarray(Rotation.from_rotvec([*angles, 0.0]).apply(gravity))
 
 

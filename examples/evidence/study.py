@@ -2,8 +2,11 @@
 
 A study says its options by their defaults, and yields the rows of one case at a time:
 
-    study = Study(__doc__, quick={"seeds": 1}, seeds=(40, "simulated arms"))
-    study.rows("errors.csv", ("seed", "error"), range(study.seeds), rows_of)
+    study = Study(__doc__, quick={"seeds": 1}, seeds=(40, "simulated arms"), robots=[*ROBOTS])
+    found = study.rows(
+        "each.csv", ("robot", "seed", "error"), errors_of, study.robots, range(study.seeds)
+    )
+    study.summary("errors.csv", found, ("robot",), {"median": "median error", "worst": "max error"})
 
 The rows of every case are kept beside the tables as they come, so that a study which was stopped
 goes on where it was; those of cases that it has are not computed again with the same options.
@@ -12,11 +15,12 @@ goes on where it was; those of cases that it has are not computed again with the
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -24,8 +28,19 @@ from joblib import Parallel, delayed
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table, plain
 
-Case = TypeVar("Case")
-Row = Sequence[object]
+# What a case yields: rows, in the order of the table's columns.
+Rows = Iterator[Sequence[object]]
+
+# What a summary says of the numbers of a group, those that are missing left away.
+SUMMARIES: dict[str, Callable[[np.ndarray], object]] = {
+    "count": len,
+    "sum": np.sum,
+    "min": np.min,
+    "max": np.max,
+    "mean": np.mean,
+    "median": np.median,
+    "percent": lambda values: 100.0 * np.mean(values),
+}
 
 
 class Study:
@@ -87,9 +102,8 @@ class Study:
         self,
         file: str,
         columns: Sequence[str],
-        cases: Iterable[Case],
-        rows_of: Callable[[Case], Iterable[Row]],
-        *,
+        rows_of: Callable[..., Iterable[Sequence[object]]],
+        *axes: Iterable[Any],
         digits: int | None = None,
         jobs: int = 1,
     ) -> list[dict[str, Any]]:
@@ -101,54 +115,86 @@ class Study:
             Of the table.
         columns : sequence of str
             Its header.
-        cases : iterable
-            What is run one after the other; known again by their text.
         rows_of : callable
-            Yields the rows of a case.
+            Yields the rows of a case. Rows that are too short begin with their case.
+        *axes : iterable
+            Arguments of `rows_of`, of which each with each is a case, one after the other; a tuple
+            stands for several. Cases are known again by their text.
         digits : int, optional
             To which numbers are rounded; by default to none.
         jobs : int, optional
             How many run at a time.
         """
-        kept, wanted = self.out / f"{file}.cases.jsonl", list(cases)
+        kept, wanted = self.out / f"{file}.cases.jsonl", dict[str, tuple[Any, ...]]()
+        for each in itertools.product(*axes):
+            case = tuple(x for part in each for x in (part if isinstance(part, tuple) else [part]))
+            wanted[", ".join(map(str, case))] = case
         asked = json.dumps({k: str(v) for k, v in vars(self).items() if k != "out"})
-        done: dict[str, list[Row]] = {}
+        done: dict[str, list[Sequence[object]]] = {}
         if kept.is_file() and kept.read_text(encoding="utf-8").startswith(f"{asked}\n"):
             done = dict(map(json.loads, kept.read_text(encoding="utf-8").splitlines()[1:]))
         else:
             kept.write_text(f"{asked}\n", encoding="utf-8")
-        left = [case for case in wanted if str(case) not in done]
+        left = [name for name in wanted if name not in done]
         work = Parallel(n_jobs=jobs, return_as="generator")(
-            delayed(_rows)(rows_of, case) for case in left
+            delayed(_rows)(rows_of, wanted[name], len(columns)) for name in left
         )
         with progress(len(left), file) as advance, kept.open("a", encoding="utf-8") as lines:
-            for case, found in zip(left, work, strict=True):
-                done[str(case)] = found
-                print(json.dumps([str(case), found]), file=lines, flush=True)
+            for name, found in zip(left, work, strict=True):
+                done[name] = found
+                print(json.dumps([name, found]), file=lines, flush=True)
                 for row in found:
                     print(*row, flush=True)
                 advance(1)
-        rows = [row for case in wanted for row in done[str(case)]]
-        self.write(file, columns, rows, digits=digits)
-        return [dict(zip(columns, row, strict=True)) for row in rows]
+        rows = [row for name in wanted for row in done[name]]
+        return self.write(file, columns, rows, digits)
+
+    def summary(
+        self,
+        file: str,
+        rows: Iterable[Mapping[str, Any]],
+        by: Sequence[str],
+        columns: Mapping[str, str | Callable[[dict[str, Any]], object]],
+        digits: int | None = None,
+    ) -> list[dict[str, Any]]:
+        """Write a row for each group of rows that are the same in the columns `by`.
+
+        Further columns are one of `SUMMARIES` of a column (``"median error"``), or a function of
+        the group's columns.
+        """
+        found = [
+            (*key, *(_told(own, how) for how in columns.values()))
+            for key, own in grouped(rows, *by)
+        ]
+        return self.write(file, (*by, *columns), found, digits)
 
     def write(
-        self, file: str, columns: Sequence[str], rows: Iterable[Row], digits: int | None = None
-    ) -> None:
-        """Write a table and print it."""
-        cells = (map(_rounded(digits), plain(list(row))) for row in rows)
-        table = Table(tuple(columns), tuple(map(tuple, cells)))
+        self,
+        file: str,
+        columns: Sequence[str],
+        rows: Iterable[Sequence[object]],
+        digits: int | None = None,
+    ) -> list[dict[str, Any]]:
+        """Write a table, print it, and return its rows by the names of columns, not rounded."""
+        lines = [plain(list(row)) for row in rows]
+        shown = (tuple(_rounded(cell, digits) for cell in line) for line in lines)
+        table = Table(tuple(columns), tuple(shown))
         table.write(self.out / file)
         print(f"\n{file}\n{table.text()}", flush=True)
+        return [dict(zip(columns, line, strict=True)) for line in lines]
 
 
-def _rounded(digits: int | None) -> Callable[[object], object]:
-    """Return what rounds numbers to so many digits."""
-    return lambda cell: float(f"{cell:.{digits}g}") if digits and isinstance(cell, float) else cell
+def _rounded(cell: object, digits: int | None) -> object:
+    """Return a number to so many digits."""
+    return float(f"{cell:.{digits}g}") if digits and isinstance(cell, float) else cell
 
 
-def _rows(rows_of: Callable[[Case], Iterable[Row]], case: Case) -> list[Row]:
-    return [plain(list(row)) for row in rows_of(case)]
+def _rows(
+    rows_of: Callable[..., Iterable[Sequence[object]]], case: tuple[Any, ...], width: int
+) -> list[Sequence[object]]:
+    """Return the rows of a case, which stands before those that are too short."""
+    named = [each if isinstance(each, (bool, int, float, str)) else str(each) for each in case]
+    return [[*named[: width - len(row)], *plain(list(row))] for row in map(list, rows_of(*case))]
 
 
 def grouped(
@@ -162,7 +208,28 @@ def grouped(
     for row in rows:
         groups.setdefault(tuple(row[name] for name in names), []).append(row)
     for key, own in groups.items():
-        yield key, {name: np.array([_number(row[name]) for row in own]) for name in own[0]}
+        yield (
+            key,
+            {
+                name: np.array([np.nan if row[name] is None else row[name] for row in own])
+                for name in own[0]
+            },
+        )
+
+
+def known(values: np.ndarray) -> np.ndarray:
+    """Return the numbers that are not missing."""
+    values = values.astype(float) if values.dtype == object else values
+    return values[~np.isnan(values)] if values.dtype.kind == "f" else values
+
+
+def _told(own: dict[str, Any], how: str | Callable[[dict[str, Any]], object]) -> object:
+    """Return what a summary says of a group, or nothing where nothing is known."""
+    if callable(how):
+        return how(own)
+    kind, _, name = how.partition(" ")
+    values = known(own[name])
+    return SUMMARIES[kind](values) if kind == "count" or len(values) else None
 
 
 def pivot(
@@ -176,7 +243,3 @@ def pivot(
     columns = [*dict.fromkeys(each for _, each in found)]
     lines = [*dict.fromkeys(each for each, _ in found)]
     return [line, *columns], [[each, *(found.get((each, c)) for c in columns)] for each in lines]
-
-
-def _number(value: object) -> object:
-    return np.nan if value is None else value

@@ -22,9 +22,9 @@ from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from data_sets import SETS, records_of
+from data_sets import SETS, part, records_of
 from simulated_logs import drawn, log_of, there, with_gravity
-from study import Study, grouped, pivot
+from study import Rows, Study, grouped, pivot
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -63,31 +63,6 @@ class Good:
     robot: sdpid.RobotModel
     log: sdpid.Recording
     joint: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wrong:
-    """A way to spoil a log.
-
-    Attributes
-    ----------
-    words : str
-        For the table.
-    kinds : tuple of str
-        Kinds of findings that name it.
-    spoiled : callable
-        Returns the recordings and the robot's description.
-    of_joint : bool
-        Whether the finding must name the joint.
-    """
-
-    words: str
-    kinds: tuple[str, ...]
-    spoiled: Callable[[Good], Spoiled]
-    of_joint: bool
-
-
-Rows = tuple[tuple[str, str, Callable[[Good], Spoiled]], ...]
 
 
 def changed(good: Good, **arrays: Array) -> Spoiled:
@@ -152,13 +127,15 @@ def rested(good: Good) -> Spoiled:
     rng = np.random.default_rng(0)
     still = np.r_[np.zeros(count), np.ones(count)][:, None]
     noise = rng.standard_normal((2 * count, log.n)) * still
-    time = log.time[0] + log.step * np.arange(2 * count)
-    position = log.position[rows] + 1e-6 * noise
-    effort = log.effort[rows] + 1e-3 * noise
-    assert log.velocity is not None
-    velocity = log.velocity[rows] * (1.0 - still)
-    arrays = {"time": time, "position": position, "effort": effort, "velocity": velocity}
-    return [replace(log, reference=None, **arrays)], good.robot
+    rested = replace(
+        log,
+        reference=None,
+        time=log.time[0] + log.step * np.arange(2 * count),
+        position=log.position[rows] + 1e-6 * noise,
+        effort=log.effort[rows] + 1e-3 * noise,
+        velocity=log.velocity[rows] * (1.0 - still),
+    )
+    return [rested], good.robot
 
 
 def spiked(good: Good, quantity: str, size: float) -> Spoiled:
@@ -176,23 +153,12 @@ def loaded(good: Good) -> Spoiled:
     both[-1, :4] = mass * np.array([1.0, *3 * (LOAD_OFFSET,)])
     both[-1, [4, 6, 9]] = 2.0 * mass * LOAD_OFFSET**2
     both[-1, [5, 7, 8]] = -mass * LOAD_OFFSET**2
-    assert log.velocity is not None
     # Accelerations hardly matter: gravity bears the load.
     states = log.position, log.velocity, np.zeros_like(log.position)
     load = replace(robot, prior=arm + both).described_efforts(*states)
-    parts = [slice(0, half), slice(half, None)]
-    efforts = [log.effort[parts[0]], (log.effort + load)[parts[1]]]
-    return [
-        replace(
-            log,
-            time=log.time[part],
-            position=log.position[part],
-            velocity=log.velocity[part],
-            effort=effort,
-            reference=None,
-        )
-        for part, effort in zip(parts, efforts, strict=True)
-    ], robot
+    log = replace(log, reference=None)
+    heavy = replace(log, effort=log.effort + load)
+    return [part(log, 0, half), part(heavy, half, log.n_samples)], robot
 
 
 def hanging(good: Good) -> Spoiled:
@@ -225,14 +191,12 @@ def zeroed(good: Good) -> Array:
 
 def retimed(good: Good, factor: float) -> Spoiled:
     """Return a log whose stamps are in another unit."""
-    log = good.log
-    assert log.velocity is not None
-    return [replace(log, time=factor * log.time, velocity=None)], good.robot
+    return [replace(good.log, time=factor * good.log.time, velocity=None)], good.robot
 
 
 ALL = ("position", "velocity", "effort")
 # What is wrong, kinds of findings that name it, and the way to do it.
-OF_ALL: Rows = (
+KINDS: tuple[tuple[str, str, Callable[[Good], Spoiled]], ...] = (
     ("currents (A) named torque", "effort_scale", lambda g: scaled(g, 1.0 / constants(g))),
     ("N·mm", "effort_scale", lambda g: scaled(g, 1e3)),
     ("motors' torques, before gears of 100", "effort_scale", lambda g: scaled(g, 1e-2)),
@@ -249,9 +213,7 @@ OF_ALL: Rows = (
     ("efforts 60 ms late", "effort_late", lambda g: late(g, "effort")),
     ("velocities 60 ms late", "velocity_late", lambda g: late(g, "velocity")),
     ("half with a load of a tenth", "payload_differs", loaded),
-)
-# Those of one joint, which must be named.
-OF_ONE: Rows = (
+    # Those of one joint, which must be named.
     ("sign of one effort", "effort_sign", lambda g: flipped(g, "effort")),
     ("sign of one position", "position_sign", lambda g: flipped(g, "position", "velocity")),
     ("signs of one position and effort", "axis_sign", lambda g: flipped(g, *ALL)),
@@ -266,11 +228,8 @@ OF_ONE: Rows = (
         lambda g: spiked(g, "position", 2.0),
     ),
 )
-KINDS = tuple(
-    Wrong(words=words, kinds=tuple(kinds.split()), spoiled=spoiled, of_joint=of_joint)
-    for of_joint, rows in enumerate((OF_ALL, OF_ONE))
-    for words, kinds, spoiled in rows
-)
+# The first that is of one joint.
+OF_ONE = [words for words, *_ in KINDS].index("sign of one effort")
 
 
 def good(name: str, robot: sdpid.RobotModel, log: sdpid.Recording) -> Good:
@@ -301,19 +260,17 @@ def recorded(data: Path) -> Iterator[Good]:
         yield good(arm.name, arm.robot, arm.logs()[0])
 
 
-def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
+def named(number: int, log: Good, findings: Sequence[Finding]) -> bool:
     """Return whether findings name what is wrong, or name it as one of what does as well."""
-    joint = log.robot.joint_names[log.joint]
+    joint, kinds = log.robot.joint_names[log.joint], KINDS[number][1].split()
+    what = {
+        "position_sign": f"position of {joint} has the wrong sign",
+        "axis_sign": f"position and effort of {joint} count the other way round",
+    }.get(kinds[0], "\n")
     for finding in findings:
-        right = wrong.of_joint and finding.joint not in (None, joint)
+        another = number >= OF_ONE and finding.joint not in (None, joint)
         told = finding.severity != "note" or finding.kind.startswith("velocity")
-        if finding.kind in wrong.kinds and told and not right:
-            return True
-        what = {
-            "position_sign": f"position of {joint} has the wrong sign",
-            "axis_sign": f"position and effort of {joint} count the other way round",
-        }.get(wrong.kinds[0])
-        if what is not None and what in finding.message:
+        if (finding.kind in kinds and told and not another) or what in finding.message:
             return True
     return False
 
@@ -331,14 +288,14 @@ def main() -> int:
     every = [*simulated(study.seeds), *recorded(study.data)]
     logs = every[: study.most or None]
 
-    def spoiled(case: tuple[int, int]) -> Iterator[tuple[object, ...]]:
-        wrong, log = KINDS[case[0]], logs[case[1]]
-        findings = inspect_recordings(*wrong.spoiled(log))
+    def spoiled(number: int, of: int) -> Rows:
+        words, _, spoil = KINDS[number]
+        findings = inspect_recordings(*spoil(logs[of]))
         kinds = ", ".join(f"{f.kind} {f.joint or ''}".strip() for f in findings)
-        yield wrong.words, log.name, named(wrong, log, findings), kinds or "nothing"
+        yield words, logs[of].name, named(number, logs[of], findings), kinds or "nothing"
 
-    cases = itertools.product(range(len(KINDS)), range(len(logs)))
-    found = study.rows("spoiled.csv", ("what is wrong", "log", "named", "found"), cases, spoiled)
+    header = ("what is wrong", "log", "named", "found")
+    found = study.rows("spoiled.csv", header, spoiled, range(len(KINDS)), range(len(logs)))
     cells = [
         {"what is wrong": words, "log": name, "share": f"{own['named'].sum()}/{len(own['named'])}"}
         for (words, name), own in grouped(found, "what is wrong", "log")

@@ -12,23 +12,25 @@ motions and starts are taken in turn.
 
 from __future__ import annotations
 
-import itertools
 import sys
-from collections.abc import Iterator, Sequence
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from birdy_figures import Figures, Motion, log
-from birdy_methods import GROUPS, Result, group_methods, solved
+from birdy_methods import GROUPS, Run
 from birdy_motion import motion
 from birdy_robots import NOISE, Benchmark
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from study import Study, grouped
+from study import Rows, Study, grouped, known
 
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.robot.model import regressor_kernel
 
 # Motions, which runs take in turn; starts are taken in turn too.
@@ -37,6 +39,9 @@ MOTIONS = 10
 # One run of so many has what takes long: simulated positions, IV and DIDIM without masks, output
 # error, robust costs and `sdpid.identify`.
 SELDOM = 4
+
+# Torques are compared at about as many instants of the desired motion.
+INSTANTS = 500
 
 MAIN = ("lowPosition", "standard", "highPosition")
 
@@ -52,72 +57,156 @@ LEVELS = {
     "rv2sq_slow": {"fed_back": ("standard",)},
 }
 # Robots, where noise goes, and its level: runs of one cell differ by chance only.
-Cell = tuple[str, str, str]
-CELLS: list[Cell] = [
+CELLS = [
     (robot, noise, level)
     for robot, noises in LEVELS.items()
     for noise, levels in noises.items()
     for level in levels
 ]
-FIGURES = ("error", "mean_relative", "torque", "position", "seconds", "iterations", "simulations")
+FIGURES = ("error", "torque", "position", "seconds", "iterations", "simulations")
 KEYS = ("robot", "noise", "level", "processing", "method")
 # Of one method in one run; figures in %, None where there is none.
 COLUMNS = (*KEYS, "run", *FIGURES, "diverged", "note")
-HEADER = (*KEYS, "runs", "failed", "diverged", "masked_pc_wls", *FIGURES)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A desired motion, what the true robot makes of it, and figures of merit on it.
+
+    Attributes
+    ----------
+    benchmark : Benchmark
+        The robot.
+    wanted : ndarray, shape (3, N, 6)
+        Desired positions, velocities and accelerations, at the log's rate.
+    """
+
+    benchmark: Benchmark
+    wanted: Array
+
+    def _simulated(self, theta: Array, **how: Any) -> Any:
+        """Return the motion of a robot; fewer samples where it diverges."""
+        own = self.benchmark
+        return sdpid.simulate_closed_loop(
+            own.model(theta), tuple(self.wanted), own.controller, rate_hz=own.sample_hz, **how
+        )
+
+    def _seen(self, encoder: Array | None = None, rng: Any = 0) -> Any:
+        """Return the true robot's motion, the encoders' noise going through the controller.
+
+        The controller differentiates what it sees, without any noise too.
+        """
+        how = {"control_hz": self.benchmark.rate_hz, "differenced": True}
+        return self._simulated(self.benchmark.theta, position_noise=encoder, seed=rng, **how)
+
+    @cached_property
+    def clean(self) -> Any:
+        """The true robot's motion without noise."""
+        return self._seen()
+
+    def log(self, level: str, noise: str, seed: int) -> sdpid.Recording:
+        """Return the log of a run.
+
+        The encoders' noise goes through the controller into the motion, as in the benchmark (fed
+        back), or into the log only.
+        """
+        rng = np.random.default_rng([seed, 29])
+        encoder, sensor = self.benchmark.noise(level)
+        moved = self._seen(encoder, rng) if noise == "fed_back" else self.clean
+        position = moved.measured
+        if noise != "fed_back":
+            position = position + encoder * rng.standard_normal(position.shape)
+        return sdpid.Recording(
+            time=np.arange(len(position)) / self.benchmark.sample_hz,
+            position=position,
+            effort=moved.effort + sensor * rng.standard_normal(position.shape),
+            joint_names=self.benchmark.robot.joint_names,
+            reference=self.wanted[0],
+        )
+
+    @cached_property
+    def regressor(self) -> Array:
+        """The regressor of the desired motion, (…, 6, b)."""
+        own = self.benchmark
+        q, v, a = self.wanted[:, :: max(1, self.wanted.shape[1] // INSTANTS)]
+        samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=0.0 * q)
+        return RowSource(own.robot, own.terms, own.base, samples).regressor(slice(None))
+
+    def error(self, base: Array) -> float:
+        """Return ‖error‖ / ‖truth‖ of the base parameters in %."""
+        truth = self.benchmark.truth
+        return 100.0 * float(np.linalg.norm(base - truth) / np.linalg.norm(truth))
+
+    def torques(self, base: Array) -> float:
+        """Return the mean over the instants of ‖error‖ / ‖torque‖ in %."""
+        true = np.linalg.norm(self.regressor @ self.benchmark.truth, axis=1)
+        missed = np.linalg.norm(self.regressor @ (base - self.benchmark.truth), axis=1)
+        return 100.0 * float(np.mean(missed / true))
+
+    def positions(self, base: Array, theta: Array | None) -> float | None:
+        """Return the mean over the instants of ‖error‖ / ‖position‖ in %; None where it diverges.
+
+        Of a continuous controller without noise, for the truth as well. Parameters that no bodies
+        have do as well as any others of the same base parameters, as long as the mass matrix is
+        positive definite.
+        """
+        if theta is None:
+            B = self.benchmark.base.matrix
+            theta = self.benchmark.theta + np.linalg.lstsq(B, base - self.benchmark.truth)[0]
+        true, position = self._true_position, self._simulated(theta).position
+        if len(position) < len(true):
+            return None
+        size = np.linalg.norm(true, axis=1)
+        return 100.0 * float(np.mean(np.linalg.norm(position - true, axis=1) / size))
+
+    @cached_property
+    def _true_position(self) -> Array:
+        return self._simulated(self.benchmark.theta).position
 
 
 @cache
-def prepared(robot: str, number: int, folder: Path) -> tuple[Benchmark, Figures]:
-    """Return a robot, and one of its motions with what is compared on it."""
-    benchmark = Benchmark.of(robot)
-    true = Motion.of(benchmark, motion(benchmark, number, folder))
-    return benchmark, Figures.of(benchmark, true)
+def prepared(robot: str, number: int, folder: Path) -> Motion:
+    """Return one of the motions of a robot."""
+    benchmark = Benchmark(robot)
+    return Motion(benchmark, motion(benchmark, number, folder))
 
 
-def run(
-    cell: Cell, number: int, groups: Sequence[str], folder: Path
-) -> Iterator[tuple[object, ...]]:
+def rows(
+    groups: Sequence[str], folder: Path, number: int, robot: str, noise: str, level: str
+) -> Rows:
     """Yield the rows of a run."""
-    robot, noise, level = cell
-    benchmark, figures = prepared(robot, number % MOTIONS, folder)
-    record = log(benchmark, figures.motion, level, noise, number)
-    positions = number % SELDOM == 0 and level in MAIN
-    for found in solved(benchmark, record, benchmark.start(number), plan(level, number, groups)):
-        known = *cell, found.processing, found.method, number
-        yield *known, *judged(figures, found, positions=positions), found.note
-
-
-def judged(figures: Figures, found: Result, *, positions: bool) -> tuple[object, ...]:
-    """Return what a result is worth, and whether its simulation diverges."""
-    effort = found.seconds, found.iterations, found.simulations
-    if found.base is None:
-        return *(None,) * 4, *effort, False
-    position = figures.positions(found.base, found.theta) if positions else None
-    errors = (figures.parameters, figures.mean_of_parameters, figures.torques)
-    shares = (error(found.base) for error in errors)
-    return *shares, position, *effort, positions and position is None
+    own = prepared(robot, number % MOTIONS, folder)
+    log, start = own.log(level, noise, number), own.benchmark.start(number)
+    simulated = number % SELDOM == 0 and level in MAIN
+    for found in Run(own.benchmark, log, start).solved(plan(level, number, groups)):
+        labels, effort = (robot, noise, level, found.processing, found.method, number), found.effort
+        if found.base is None:
+            yield *labels, None, None, None, *effort, False, found.note
+            continue
+        position = own.positions(found.base, found.theta) if simulated else None
+        errors = own.error(found.base), own.torques(found.base), position
+        yield *labels, *errors, *effort, simulated and position is None, ""
 
 
 def plan(level: str, number: int, groups: Sequence[str]) -> list[tuple[str, str]]:
     """Return processings and methods of a run."""
     wanted = []
     for group in groups:
-        for processing, method in group_methods(group):
+        processings, methods = GROUPS[group]
+        for processing in processings:
             if level not in MAIN:
                 # Other levels differ little from these.
-                planned = processing != "unfiltered" and method in ("WLS", "PC-WLS")
-            elif group == "direct":
-                planned = True
-            elif group in ("instrumental", "didim"):
-                planned = processing == "masked" or number % SELDOM == 0
+                own = [name for name in methods if name in ("WLS", "PC-WLS")]
+                planned = processing != "unfiltered"
             else:
-                planned = number % SELDOM == 0
-            if planned:
-                wanted.append((processing, method))
+                own = [*methods]
+                planned = group == "direct" or number % SELDOM == 0
+                planned |= group in ("instrumental", "didim") and processing == "masked"
+            wanted += [(processing, method) for method in own if planned]
     return wanted
 
 
-def summary(found: Sequence[dict[str, Any]]) -> Iterator[tuple[object, ...]]:
+def summary(found: Sequence[dict[str, Any]]) -> Rows:
     """Yield medians over the runs of every cell, processing and method.
 
     Beside them stands the error of the masked PC-WLS of the same runs.
@@ -125,27 +214,25 @@ def summary(found: Sequence[dict[str, Any]]) -> Iterator[tuple[object, ...]]:
     groups = dict(grouped(found, *KEYS))
     for key in sorted(groups, key=lambda key: (CELLS.index(key[:3]), key)):
         own, beside = groups[key], groups.get((*key[:3], "masked", "PC-WLS"))
-        known = ~np.isnan(own["error"].astype(float))
-        figures = (middle(own[name][known]) for name in FIGURES)
-        same = beside and middle(beside["error"][np.isin(beside["run"], own["run"][known])])
-        counts = len(known), int((~known).sum()), int(own["diverged"].sum())
+        solved = ~np.isnan(own["error"].astype(float))
+        figures = (middle(own[name][solved]) for name in FIGURES)
+        same = beside and middle(beside["error"][np.isin(beside["run"], own["run"][solved])])
+        counts = len(solved), (~solved).sum(), own["diverged"].sum()
         yield *key, *counts, same, *figures
 
 
-def middle(values: np.ndarray) -> float | None:
+def middle(values: Array) -> float | None:
     """Return the median of what is known."""
-    values = values.astype(float)
-    values = values[~np.isnan(values)]
+    values = known(values)
     return float(np.median(values)) if len(values) else None
 
 
-def errors(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[object, ...]]:
+def errors(rows: Sequence[dict[str, Any]]) -> Rows:
     """Yield the errors of base parameters, with a column for each level of noise.
 
     Runs are the fewest of the main levels.
     """
-    names = (*KEYS[:2], *KEYS[3:])
-    for key, own in grouped(rows, *names):
+    for key, own in grouped(rows, *KEYS[:2], *KEYS[3:]):
         of = dict(zip(own["level"], zip(own["runs"], own["error"], strict=True), strict=True))
         runs = min((int(of[level][0]) for level in MAIN if level in of), default=None)
         yield *key, runs, *(of[level][1] if level in of else None for level in NOISE)
@@ -163,18 +250,12 @@ def main() -> None:
     )
     # Thousands of small logs are worth compiling for, one is not.
     regressor_kernel.WORTH = 0
-    folder = study.out / "motions"
-    found = study.rows(
-        "runs.csv",
-        COLUMNS,
-        itertools.product(range(study.runs), CELLS[: study.cells]),
-        lambda case: run(case[1], case[0], study.methods, folder),
-        jobs=study.jobs,
-    )
-    medians = [dict(zip(HEADER, each, strict=True)) for each in summary(found)]
-    study.write("figures.csv", HEADER, (each.values() for each in medians))
-    header = (*KEYS[:2], *KEYS[3:], "runs", *NOISE)
-    study.write("errors.csv", header, errors(medians))
+    rows_of = partial(rows, study.methods, study.out / "motions")
+    axes = range(study.runs), CELLS[: study.cells]
+    found = study.rows("runs.csv", COLUMNS, rows_of, *axes, jobs=study.jobs)
+    header = (*KEYS, "runs", "failed", "diverged", "masked_pc_wls", *FIGURES)
+    medians = study.write("figures.csv", header, summary(found))
+    study.write("errors.csv", (*KEYS[:2], *KEYS[3:], "runs", *NOISE), errors(medians))
 
 
 if __name__ == "__main__":

@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from birdy_figures import CUT
 from birdy_robots import Benchmark
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 
@@ -36,28 +34,32 @@ REVERSAL_SPEED = 0.05
 # Rounds of simulation at most, and the change at which they end, as in the benchmark.
 ROUNDS, TOLERANCE = 10, 0.025
 
+# Samples that are cut off at either end of the log, once it is filtered.
+CUT = 50
+
 # Methods that simulate the closed loop.
 CLOSED_LOOP = ("IV", "PC-IV", "DIDIM", "PC-DIDIM", "CLOE", "PC-CLOE")
 
 PROCESSINGS = ("unfiltered", "filtered", "masked")
 
-# Groups of methods, which are run together or apart. Robust ones take seconds where logs hold
-# outliers, which filters smear; "identify" processes as it sees fit.
-GROUPS = ("direct", "instrumental", "didim", "output_error", "identify", "robust")
-_METHODS = {
+# Groups of methods, which are run together or apart: processings and methods. Robust ones take
+# seconds where logs hold outliers, which filters smear; "identify" processes as it sees fit.
+GROUPS = {
     "direct": (PROCESSINGS, ("OLS", "WLS", "PC-OLS", "PC-WLS")),
     "instrumental": (PROCESSINGS, ("IV", "PC-IV")),
     "didim": (PROCESSINGS, ("DIDIM", "PC-DIDIM")),
     "output_error": (("masked",), ("CLOE", "PC-CLOE")),
-    "robust": (("filtered", "masked"), ("IRLS", "PC-IRLS")),
     "identify": (("default",), ("identify",)),
+    "robust": (("filtered", "masked"), ("IRLS", "PC-IRLS")),
 }
-
-
-def group_methods(group: str) -> list[tuple[str, str]]:
-    """Return the processings and methods of a group."""
-    processings, methods = _METHODS[group]
-    return [(processing, method) for processing in processings for method in methods]
+SOLVERS: dict[str, Callable[[Problem], Estimate]] = {
+    "OLS": sdpid.solve_wls,
+    "PC-OLS": sdpid.solve_sdp,
+    "WLS": sdpid.solve_wls,
+    "PC-WLS": sdpid.solve_sdp,
+    "IRLS": partial(sdpid.solve_robust, solver=sdpid.solve_wls),
+    "PC-IRLS": sdpid.solve_robust,
+}
 
 
 def processing(benchmark: Benchmark, name: str) -> sdpid.Processing:
@@ -101,10 +103,9 @@ class Result:
         Base parameters; None where the method failed.
     theta : ndarray, shape (p,), or None
         Standard parameters, where it has any.
-    seconds : float
-        Of the processor, from the log to the estimate.
-    iterations, simulations : int
-        Rounds of solving, and how often the robot was simulated.
+    effort : tuple of float, int, int
+        Seconds of the processor from the log to the estimate, rounds of solving, and how often the
+        robot was simulated.
     note : str
         Why it failed.
     """
@@ -113,142 +114,100 @@ class Result:
     method: str
     base: Array | None
     theta: Array | None = None
-    seconds: float = 0.0
-    iterations: int = 1
-    simulations: int = 0
+    effort: tuple[float, int, int] = (0.0, 1, 0)
     note: str = ""
 
 
-def timed(
-    benchmark: Benchmark,
-    name: str,
-    method: str,
-    solve: Callable[[], Estimate],
-    *,
-    before: float = 0.0,
-) -> Result:
-    """Return what a method finds, or why it fails; `before` are seconds spent for several."""
-    begin = time.process_time()
-    try:
-        found = solve()
-    except sdpid.errors.SdpidError as error:
-        return Result(name, method, None, note=f"{type(error).__name__}: {error}"[:200])
-    seconds = before + time.process_time() - begin
-    # Of one linear problem there is one iteration, whatever its solver counts.
-    own = found.iterations if hasattr(found, "simulations") else 1
-    rounds = getattr(found, "rounds", own)
-    simulations = getattr(found, "simulations", rounds if method in CLOSED_LOOP else 0)
-    base = found.base
-    if found.theta is not None:
-        # Base parameters of another description may be others.
-        base = benchmark.base.matrix @ found.theta
-    return Result(name, method, base, found.theta, seconds, rounds, simulations)
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A robot with a log and a start, a description that is off."""
 
+    benchmark: Benchmark
+    log: sdpid.Recording
+    start: Array
 
-def solved(
-    benchmark: Benchmark,
-    log: sdpid.Recording,
-    start: Array,
-    wanted: list[tuple[str, str]],
-) -> Iterator[Result]:
-    """Yield the results of processings and methods in one run."""
-    for name in dict.fromkeys(processing for processing, _ in wanted):
-        methods = [method for processing, method in wanted if processing == name]
-        if name == "default":
-            yield timed(benchmark, name, "identify", lambda: identified(benchmark, log, start))
-        else:
-            robot = benchmark.described(start)
-            yield from from_rows(benchmark, robot, log, start, name, methods)
+    def solved(self, wanted: list[tuple[str, str]]) -> Iterator[Result]:
+        """Yield the results of processings and methods."""
+        for name in dict.fromkeys(processing for processing, _ in wanted):
+            methods = [method for processing, method in wanted if processing == name]
+            if name == "default":
+                yield self._timed(name, "identify", self._identified)
+            else:
+                yield from self._from_rows(name, methods)
 
+    def _timed(
+        self, name: str, method: str, solve: Callable[[], Estimate], before: float = 0.0
+    ) -> Result:
+        """Return what a method finds, or why it fails; `before` are seconds spent for several."""
+        begin = time.process_time()
+        try:
+            found = solve()
+        except sdpid.errors.SdpidError as error:
+            return Result(name, method, None, note=f"{type(error).__name__}: {error}"[:200])
+        seconds = before + time.process_time() - begin
+        # Of one linear problem there is one iteration, whatever its solver counts.
+        own = found.iterations if hasattr(found, "simulations") else 1
+        rounds = getattr(found, "rounds", own)
+        simulations = getattr(found, "simulations", rounds if method in CLOSED_LOOP else 0)
+        base = found.base
+        if found.theta is not None:
+            # Base parameters of another description may be others.
+            base = self.benchmark.base.matrix @ found.theta
+        return Result(name, method, base, found.theta, (seconds, rounds, simulations))
 
-def identified(benchmark: Benchmark, log: sdpid.Recording, start: Array) -> Estimate:
-    """Return what `sdpid.identify` makes of a log, with the start for a description."""
-    cut = slice(CUT, -CUT)
-    record = sdpid.Recording(
-        time=log.time[cut],
-        position=log.position[cut],
-        effort=log.effort[cut],
-        joint_names=log.joint_names,
-        reference=log.reference[cut] if log.reference is not None else None,
-    )
-    found = sdpid.identify(
-        benchmark.described(start),
-        record,
-        friction=benchmark.friction,
-        effects="none",
-        intervals=False,
-    )
-    return found.estimate
+    def _identified(self) -> Estimate:
+        """Return what `sdpid.identify` makes of the log, with the start for a description."""
+        names = ("time", "position", "effort", "reference")
+        inside = {name: getattr(self.log, name)[CUT:-CUT] for name in names}
+        record = sdpid.Recording(joint_names=self.log.joint_names, **inside)
+        known = {"friction": self.benchmark.friction, "effects": "none", "intervals": False}
+        return sdpid.identify(self.benchmark.described(self.start), record, **known).estimate
 
-
-def from_rows(
-    benchmark: Benchmark,
-    robot: sdpid.RobotModel,
-    log: sdpid.Recording,
-    start: Array,
-    name: str,
-    methods: list[str],
-) -> Iterator[Result]:
-    """Yield the results of methods that begin with the same rows, from one log processed once."""
-    begin = time.process_time()
-    chosen = processing(benchmark, name)
-    samples = sdpid.process(log, chosen)
-    processed = time.process_time() - begin
-    solvers: dict[str, Callable[[Problem], Estimate]] = {
-        "OLS": sdpid.solve_wls,
-        "PC-OLS": sdpid.solve_sdp,
-        "WLS": sdpid.solve_wls,
-        "PC-WLS": sdpid.solve_sdp,
-        "IRLS": partial(sdpid.solve_robust, solver=sdpid.solve_wls),
-        "PC-IRLS": sdpid.solve_robust,
-    }
-    built: dict[str, tuple[Problem, float]] = {}
-    for method in methods:
-        weighting: Weighting = "gls" if method in ("OLS", "PC-OLS") else "residual"
-        if weighting not in built:
-            begin = time.process_time()
-            problem = sdpid.build_problem(
-                robot,
-                samples,
-                friction=benchmark.friction,
-                weighting=weighting,
-                # The bounds of `sdpid.identify`.
-                constraints=sdpid.Constraints.of_size(robot),
-                base=benchmark.base,
+    def _from_rows(self, name: str, methods: list[str]) -> Iterator[Result]:
+        """Yield the results of methods that begin with the same rows."""
+        robot = self.benchmark.described(self.start)
+        begin = time.process_time()
+        chosen = processing(self.benchmark, name)
+        samples = sdpid.process(self.log, chosen)
+        processed = time.process_time() - begin
+        built: dict[str, tuple[Problem, float]] = {}
+        for method in methods:
+            weighting: Any = "gls" if method.endswith("OLS") else "residual"
+            if weighting not in built:
+                begin = time.process_time()
+                problem = sdpid.build_problem(
+                    robot,
+                    samples,
+                    friction=self.benchmark.friction,
+                    weighting=weighting,
+                    # The bounds of `sdpid.identify`.
+                    constraints=sdpid.Constraints.of_size(robot),
+                    base=self.benchmark.base,
+                )
+                built[weighting] = problem, processed + time.process_time() - begin
+            problem, before = built[weighting]
+            solve = partial(
+                SOLVERS.get(method, partial(self._closed_loop, chosen, method)), problem
             )
-            built[weighting] = problem, processed + time.process_time() - begin
-        problem, before = built[weighting]
-        if method in CLOSED_LOOP:
-            solve = closed_loop_solver(benchmark, problem, log, chosen, method, start)
-        else:
-            solve = partial(solvers[method], problem)
-        yield timed(benchmark, name, method, solve, before=before)
+            yield self._timed(name, method, solve, before)
 
-
-def closed_loop_solver(
-    benchmark: Benchmark,
-    problem: Problem,
-    log: sdpid.Recording,
-    processing: sdpid.Processing,
-    method: str,
-    start: Array,
-) -> Callable[[], Estimate]:
-    """Return what solves a problem by one of `CLOSED_LOOP`; consistent ones are called PC."""
-    consistent = method.startswith("PC-")
-    if not consistent:
-        problem = problem.constrained(consistency="none")
-    options: dict[str, Any] = {
-        "processing": processing,
-        "controller": benchmark.controller,
-        "max_iterations": ROUNDS,
-        "tolerance": TOLERANCE,
-    }
-    if method.endswith("IV"):
-        solve = sdpid.solve_sdp if consistent else sdpid.solve_wls
-        options |= {"solver": solve, "start": benchmark.model(start)}
-        return partial(sdpid.solve_instrumental, problem, log, **options)
-    kind = "didim" if method.endswith("DIDIM") else "closed_loop"
-    # DIDIM hardly depends on the controller; output error does, on its delay too.
-    rate = benchmark.rate_hz if kind == "closed_loop" else None
-    options |= {"method": kind, "start": start, "control_hz": rate}
-    return partial(sdpid.solve_output_error, problem, log, **options)
+    def _closed_loop(self, chosen: sdpid.Processing, method: str, problem: Problem) -> Estimate:
+        """Solve a problem by one of `CLOSED_LOOP`; consistent ones are called PC."""
+        consistent = method.startswith("PC-")
+        if not consistent:
+            problem = problem.constrained(consistency="none")
+        options: dict[str, Any] = {
+            "processing": chosen,
+            "controller": self.benchmark.controller,
+            "max_iterations": ROUNDS,
+            "tolerance": TOLERANCE,
+        }
+        if method.endswith("IV"):
+            solve = sdpid.solve_sdp if consistent else sdpid.solve_wls
+            options |= {"solver": solve, "start": self.benchmark.model(self.start)}
+            return sdpid.solve_instrumental(problem, self.log, **options)
+        kind = "didim" if method.endswith("DIDIM") else "closed_loop"
+        # DIDIM hardly depends on the controller; output error does, on its delay too.
+        rate = self.benchmark.rate_hz if kind == "closed_loop" else None
+        options |= {"method": kind, "start": self.start, "control_hz": rate}
+        return sdpid.solve_output_error(problem, self.log, **options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -37,9 +36,13 @@ NOISE: dict[str, tuple[float, float] | None] = {
 SPREAD, STARTS = 0.15, 25
 
 
-@dataclass(frozen=True, eq=False)
 class Benchmark:
     """A robot of the benchmark; arrays are (6,) or (6, …).
+
+    Parameters
+    ----------
+    name : str
+        One of `birdy.LEVELS`.
 
     Attributes
     ----------
@@ -57,81 +60,50 @@ class Benchmark:
         Lower and upper limits, rad.
     velocity, acceleration : ndarray, float
         Limits, rad/s and rad/s².
-    encoder, sensor : ndarray
-        Standard deviations of the level "old", rad and N·m.
-    rate_hz : float
-        Of the controller.
-    every : int
-        Periods of the controller between samples of the log.
+    old : tuple of ndarray
+        Standard deviations of the level "old", of encoders (rad) and of torques (N·m).
+    rate_hz, sample_hz : float
+        Of the controller, and samples of the log a second.
     """
 
-    robot: sdpid.RobotModel
-    friction: tuple[Any, ...]
-    theta: Array
-    controller: PD
-    torque: Array | None
-    position: Array
-    velocity: Array
-    acceleration: float
-    encoder: Array
-    sensor: Array
-    rate_hz: float
-    every: int
-
-    @classmethod
-    def of(cls, name: str) -> Benchmark:
-        """Read a robot by its name, one of `birdy.LEVELS`."""
+    def __init__(self, name: str) -> None:
         data: dict[str, Any] = load_toml(HERE / f"{name.partition('_')[0]}.toml")
         table, links, control = data["kinematics"], data["links"], data["control"]
-        limits, noise = data["limits"], data["noise"]
-        position = np.radians([limits["position_deg"][k] for k in ("lower", "upper")])
+        limits, noise, own = data["limits"], data["noise"], data["friction"]
+        self.position = np.radians([limits["position_deg"][k] for k in ("lower", "upper")])
         columns = {
             "alpha": np.radians(table["alpha_deg"]),
             "d": np.array(table["a"]),
             "theta": np.radians(table["theta_offset_deg"]),
             "r": np.array(table["d"]),
-            "lower": position[0],
-            "upper": position[1],
+            "lower": self.position[0],
+            "upper": self.position[1],
         }
         joints = [{key: float(column[j]) for key, column in columns.items()} for j in range(6)]
-        bodies = _bodies(links)
-        robot = sdpid.RobotModel.from_mdh(
-            joints,
-            base_translation=[0.0, 0.0, table["base_height"]],
-            inertias=bodies,
-            name=name,
+        bodies, base = _bodies(links), [0.0, 0.0, table["base_height"]]
+        self.robot = sdpid.RobotModel.from_mdh(
+            joints, base_translation=base, inertias=bodies, name=name
         )
         sign = sdpid.friction.Coulomb(width=SMOOTH if name.endswith("smooth") else 0.0)
-        friction: tuple[Any, ...] = (sign, "viscous", "rotor_inertia")
-        own = data["friction"]
+        self.friction: tuple[Any, ...] = (sign, "viscous", "rotor_inertia")
         values = [bodies.ravel(), own["coulomb"], own["viscous"], links["rotor_inertia"]]
         if name == "tx40":
-            first, second = (robot.joint_names[j - 1] for j in own["coupling"]["joints"])
-            friction = (*friction, sdpid.friction.Coupling(first, second))
+            coupled = (self.robot.joint_names[j - 1] for j in own["coupling"]["joints"])
+            self.friction += (sdpid.friction.Coupling(*coupled),)
             # Rotor inertia, viscous and Coulomb friction across; the source has no inertia there.
             values.append([0.0, own["coupling"]["viscous"], own["coupling"]["coulomb"]])
+        self.theta = np.concatenate([np.asarray(value, dtype=np.float64) for value in values])
         gain = np.array(control["drive_gain"])
-        torque = np.array(limits["torque"]) if "torque" in limits else None
-        return cls(
-            robot=robot,
-            friction=friction,
-            theta=np.concatenate([np.asarray(value, dtype=np.float64) for value in values]),
-            controller=PD(gain * control["kp"], gain * control["kd"], effort_limit=torque),
-            torque=torque,
-            position=position,
-            velocity=np.radians(limits["velocity_deg_s"]),
-            acceleration=limits["acceleration_rad_s2"],
-            encoder=np.radians(noise["position_sd_deg"]),
-            sensor=np.array(noise["torque_sd"]),
-            rate_hz=control["rate_hz"],
-            # The nearest whole number of periods: logs at 1000 Hz, and at 138.9 for 140.
-            every=round(control["rate_hz"] / control["sample_hz"]) * (1 + name.endswith("slow")),
-        )
-
-    @property
-    def sample_hz(self) -> float:
-        """Samples of the log a second."""
-        return self.rate_hz / self.every
+        self.torque = np.array(limits["torque"]) if "torque" in limits else None
+        gains = gain * control["kp"], gain * control["kd"]
+        self.controller = PD(*gains, effort_limit=self.torque)
+        self.velocity = np.radians(limits["velocity_deg_s"])
+        self.acceleration = limits["acceleration_rad_s2"]
+        self.old = np.radians(noise["position_sd_deg"]), np.array(noise["torque_sd"])
+        self.rate_hz = control["rate_hz"]
+        # The nearest whole number of periods: logs at 1000 Hz, and at 138.9 for 140.
+        every = round(control["rate_hz"] / control["sample_hz"]) * (1 + name.endswith("slow"))
+        self.sample_hz = self.rate_hz / every
 
     @cached_property
     def terms(self) -> FrictionModel:
@@ -151,9 +123,7 @@ class Benchmark:
     def noise(self, level: str) -> tuple[Array, Array]:
         """Return standard deviations of encoders (rad) and of measured torques (N·m), (6,)."""
         given = NOISE[level]
-        if given is None:
-            return self.encoder, self.sensor
-        return np.full(6, np.radians(given[0])), np.full(6, given[1])
+        return (np.full(6, np.radians(given[0])), np.full(6, given[1])) if given else self.old
 
     def model(self, theta: Array) -> RobotDynamics:
         """Return the robot with other parameters, to simulate with."""

@@ -32,43 +32,34 @@ MEASURED = {
 
 def measure(bench: Bench) -> Table:
     """Time `sdpid identify` on the UR10's record, and its report."""
-    checkouts = _checkouts(bench)
-    rows: list[tuple[object, ...]] = []
-    if bench.data is not None:
-        folder = bench.data / "ur10_unisa"
-        files = [str(folder / "ur10_exciting.npz"), str(folder / "ur10.urdf")]
-        command = ["-m", "sdpid", "identify", files[0], "--robot", files[1], "--out", "results"]
-        runs = {name: partial(process, command, path) for name, path in checkouts.items()}
-        found = bench.in_turn(runs)
-        for key, (what, unit) in MEASURED.items():
-            each = {name: [run[key] for run in of] for name, of in found.items()}
-            rows.append(_row(f"identify, UR10: {what}", unit, each))
-        reports = {
-            name: partial(apart, report, *files, environment=_of(path))
-            for name, path in checkouts.items()
-        }
-        rows.append(_row("identify, UR10: the report alone", "s", bench.in_turn(reports)))
+    folder = bench.data / "ur10_unisa"
+    if not folder.is_dir():
+        return Table(COLUMNS, ())
+    checkouts = {"now": ROOT} | ({"before": Path(bench.before)} if bench.before else {})
+    files = [str(folder / "ur10_exciting.npz"), str(folder / "ur10.urdf")]
+    command = ["-m", "sdpid", "identify", files[0], "--robot", files[1], "--out", "results"]
+    runs = {name: partial(process, command, path) for name, path in checkouts.items()}
+    found = bench.in_turn(runs)
+    rows = []
+    for key, (what, unit) in MEASURED.items():
+        each = {name: [run[key] for run in of] for name, of in found.items()}
+        rows.append(_row(f"identify, UR10: {what}", unit, each))
+    # Python imports a checkout, wherever it is started.
+    reports = {
+        name: partial(
+            *(apart, report, *files),
+            environment={"PYTHONPATH": str(path), "PYTHONSAFEPATH": "1"},
+        )
+        for name, path in checkouts.items()
+    }
+    rows.append(_row("identify, UR10: the report alone", "s", bench.in_turn(reports)))
     return Table(COLUMNS, tuple(rows))
 
 
-def _checkouts(bench: Bench) -> dict[str, Path]:
-    return {"now": ROOT} if bench.before is None else {"now": ROOT, "before": bench.before}
-
-
-def _of(checkout: Path) -> dict[str, str]:
-    """Return what makes Python import a checkout, wherever it is started."""
-    return {"PYTHONPATH": str(checkout), "PYTHONSAFEPATH": "1"}
-
-
 def _row(what: str, unit: str, found: dict[str, list[float]]) -> tuple[object, ...]:
-    now = np.array(found["now"])
-    before = np.array(found["before"]) if "before" in found else None
-    ratio = None if before is None else float(np.median(before / now))
-    return (
-        *(what, unit, float(np.median(now)), float(now.min()), float(now.max())),
-        None if before is None else float(np.median(before)),
-        *(ratio, len(now)),
-    )
+    now, before = np.array(found["now"]), np.array(found.get("before", np.nan))
+    own = float(np.median(now)), float(now.min()), float(now.max())
+    return what, unit, *own, np.median(before), np.median(before / now), len(now)
 
 
 def process(arguments: list[str], checkout: Path) -> dict[str, float]:

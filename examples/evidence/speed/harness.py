@@ -1,6 +1,6 @@
 """How everything here is timed: in turn with what it is compared with, as ratios.
 
-A part is a function of a `Bench`. It yields rows, or returns a table of its own.
+A part is a function of a `Bench`. It yields rows of `RATIOS`, or returns a table of its own.
 """
 
 from __future__ import annotations
@@ -10,51 +10,35 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
+# Rows are written by a study, and some samples and small problems are those of the tests.
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[3]))
+
+from study import Study
 
 HERE = Path(__file__).resolve().parent
-
 # What is shorter than this (s) is called again until it is not: one tick of another process
 # would be a large part of it.
 LEAST = 0.02
+ONE_THREAD = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)  # fmt: skip
+RATIOS = ("what", "ratio", "least", "most", "against", "seconds")
 
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Bench:
-    """How often things are measured and how large they are.
-
-    Attributes
-    ----------
-    repeats : int
-        How often.
-    quick : bool
-        Whether all is small, to see that it runs.
-    data : Path, optional
-        The folder of the public records.
-    figaroh_python : str, optional
-        The interpreter of an environment with FIGAROH.
-    before : Path, optional
-        A checkout of earlier code, which commands are compared with.
-    """
-
-    repeats: int
-    quick: bool = False
-    data: Path | None = None
-    figaroh_python: str | None = None
-    before: Path | None = None
+class Bench(Study):
+    """Measurements: their options are how often, how large, and what they are compared with."""
 
     def size(self, full: T, small: T) -> T:
-        """Return a size: the full one, or a small one."""
+        """Return a size: the full one, or a small one to see that all runs."""
         return small if self.quick else full
 
     def in_turn(self, actions: Mapping[str, Callable[[], T]]) -> dict[str, list[T]]:
@@ -67,13 +51,13 @@ class Bench:
                 action()
         names = list(actions)
         found: dict[str, list[T]] = {name: [] for name in names}
-        for repeat in range(self.repeats):
+        for repeat in range(self.repeat):
             first = repeat % len(names)
             for name in names[first:] + names[:first]:
                 found[name].append(actions[name]())
         return found
 
-    def seconds(self, **actions: Callable[[], object]) -> dict[str, Array]:
+    def seconds(self, **actions: Callable[[], object]) -> dict[str, np.ndarray]:
         """Return the seconds of each action in each repeat."""
 
         def clock(action: Callable[[], object]) -> Callable[[], float]:
@@ -94,26 +78,24 @@ def timed(action: Callable[[], T], least: float = 0.0) -> tuple[float, T]:
             return elapsed / calls, found
 
 
+def ratio(what: str, seconds: Any, against: str, reference: Any) -> tuple[object, ...]:
+    """Return a row: the ratio to a reference, from the seconds of each repeat, and its spread."""
+    ratios = seconds / reference
+    spread = np.median(ratios), ratios.min(), ratios.max()
+    return what, *spread, against, np.median(seconds)
+
+
 class Laps:
-    """Seconds on the clock and of the processor (2,), stage by stage."""
+    """Seconds on the clock, stage by stage."""
 
     def __init__(self) -> None:
-        self.stages: dict[str, list[float]] = {}
-        self._last = np.array([time.perf_counter(), time.process_time()])
+        self.stages: dict[str, float] = {}
+        self._last = time.perf_counter()
 
     def end(self, stage: str) -> None:
         """End a stage."""
-        now = np.array([time.perf_counter(), time.process_time()])
-        self.stages[stage] = (now - self._last).tolist()
-        self._last = now
-
-
-def peak() -> int:
-    """Return the most bytes that this process had in memory; `getrusage` says the parent's too."""
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) * 1024
-    raise RuntimeError("/proc/self/status: has no VmHWM; this needs Linux.")
+        now = time.perf_counter()
+        self.stages[stage], self._last = now - self._last, now
 
 
 def apart(
@@ -145,42 +127,3 @@ def apart(
         raise SystemExit(f"{module}.{name} failed in {python}:\n{done.stderr}")
     found: T = json.loads(done.stdout.splitlines()[-1])
     return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One line: median seconds, and the ratio to its reference with its spread."""
-
-    what: str
-    seconds: float
-    ratio: float
-    least: float
-    most: float
-    against: str
-    against_seconds: float
-    repeats: int
-    gap: float | None = None
-    violation: float | None = None
-    status: str | None = None
-
-    @classmethod
-    def of(cls, what: str, seconds: Array, against: str, reference: Array, **facts: Any) -> Row:
-        """Build from the seconds of each repeat, those of the reference from the same ones."""
-        ratios = seconds / reference
-        return cls(
-            what=what,
-            seconds=float(np.median(seconds)),
-            ratio=float(np.median(ratios)),
-            least=float(ratios.min()),
-            most=float(ratios.max()),
-            against=against,
-            against_seconds=float(np.median(reference)),
-            repeats=len(ratios),
-            **facts,
-        )
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """Return the rows as a table."""
-    names = tuple(field.name for field in fields(Row))
-    return Table(names, tuple(tuple(getattr(row, name) for name in names) for row in rows))
