@@ -13,7 +13,7 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "adapters"), str(HERE.parent / "evidence")]
 
-from data_sets import SETS  # noqa: E402
+from data_sets import EVERY  # noqa: E402
 from held_out import STILL, Case, cases  # noqa: E402
 from protocol import Rows, Task  # noqa: E402
 
@@ -111,7 +111,7 @@ def _record(arm: str, case: Case, data: Path) -> Record:
     if case.log.velocity is not None:
         log["velocity"] = case.log.velocity
     name = SET[arm]
-    urdf = _without_meshes(data / name / ("ur10e.urdf" if name not in SETS else SETS[name].urdf))
+    urdf = _without_meshes(data / name / EVERY[name].description)
     common = _thinned(_rows(case.trained(case.common)), MOST_TRAINED)
     wrist = WRIST if "wrist" in arm else ()
     return _assembled(arm, case.robot, urdf, log, case.scored_hz, common, _held_out(case), wrist)

@@ -16,7 +16,7 @@ SDPID_DATA.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -38,17 +38,17 @@ TANH: dict[str, Terms] = {"tanh 0.02": (Coulomb(width=0.02),)}
 WITH_ROTOR: dict[str, Terms] = {"tanh 0.02, rotor": (Coulomb(width=0.02), "rotor_inertia")}
 
 
-@dataclass(frozen=True)
-class DataSet:
-    """A robot's records, and friction models that suit its effort.
+@dataclass(frozen=True, eq=False)
+class Records:
+    """A robot's public records, and friction models that suit its effort.
 
     Attributes
     ----------
     title : str
         What the robot is called.
-    urdf : str
-        Its description, in the set's folder.
-    records : tuple of str
+    description : str
+        Its URDF, in the set's folder.
+    runs : tuple of str
         One record, or two of which each predicts the other.
     models : dict
         Friction terms by name, beside viscous friction and an offset.
@@ -56,95 +56,35 @@ class DataSet:
         The model that priors are compared with.
     efforts : tuple of str
         Fields that hold an effort.
+    folder : Path
+        The set's folder, whose name is that of the set.
     """
 
     title: str
-    urdf: str
-    records: tuple[str, ...]
-    models: dict[str, Terms]
+    description: str
+    runs: tuple[str, ...] = ()
+    models: dict[str, Terms] = field(default_factory=dict)
     usual: str = "tanh 0.02"
     efforts: tuple[str, ...] = ("tau",)
-
-
-def wrist(width: float) -> Terms:
-    """Return the terms of motors that drive joints 5 and 6 together."""
-    return "rotor_inertia", Coupling("joint_5", "joint_6", width=width)
-
-
-SETS = {
-    "ur10_unisa": DataSet(
-        "UR10",
-        "ur10.urdf",
-        ("ur10_exciting",),
-        {
-            **SIGN,
-            **TANH,
-            **WITH_ROTOR,
-            "asymmetric 0.02": (AsymmetricCoulomb(width=0.02),),
-            "sigmoid": ("sigmoid",),
-        },
-    ),
-    "panda_unisa": DataSet("Panda", "panda.urdf", ("panda_exciting",), SIGN | TANH),
-    "kuka_lwr4plus": DataSet(
-        "LWR 4+", "kuka_lwr4.urdf", ("measurements_1", "measurements_2"), SIGN | TANH
-    ),
-    "staubli_tx40": DataSet(
-        "TX40",
-        "tx40.urdf",
-        ("tx40_rows_0_24750",),
-        {
-            "sign, rotor, coupling": ("coulomb", *wrist(0.0)),
-            "dead zone 0.01, rotor, coupling": (Coulomb(dead_zone=0.01), *wrist(0.0)),
-            "tanh 0.05, rotor, coupling": (Coulomb(width=0.05), *wrist(0.05)),
-            "tanh 0.05": (Coulomb(width=0.05),),
-        },
-        "tanh 0.05, rotor, coupling",
-    ),
-    "kinova_gen3_dynamapp": DataSet(
-        "Gen3",
-        "gen3.urdf",
-        ("opti_traj_testing1", "opti_traj_testing2"),
-        TANH | WITH_ROTOR,
-        efforts=("tau", "tau_current"),
-    ),
-}
-TITLES = {name: each.title for name, each in SETS.items()} | {"ur10e_innopolis": "UR10e"}
-QUICK = ("panda_unisa",)
-
-
-def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
-    """Yield name and folder of every set that is there, and say which are not."""
-    for name in dict.fromkeys(names):
-        if (data / name).is_dir():
-            yield name, data / name
-            continue
-        print(f"{name}: skipped, not in {data}; docs/evidence/data.md says where it comes from")
-
-
-@dataclass(frozen=True)
-class Records:
-    """A robot of the public records: name and folder of its set."""
-
-    name: str
-    folder: Path
+    folder: Path = Path()
 
     def __str__(self) -> str:
-        return TITLES[self.name]
+        return self.title
 
     @property
-    def data(self) -> DataSet:
-        """What is known of its set."""
-        return SETS[self.name]
+    def name(self) -> str:
+        """Of the set."""
+        return self.folder.name
 
     @property
     def urdf(self) -> Path:
         """Its description."""
-        return self.folder / self.data.urdf
+        return self.folder / self.description
 
     @property
     def paths(self) -> dict[str, Path]:
         """Files of its records, by name."""
-        return {run: self.folder / f"{run}.npz" for run in self.data.records}
+        return {run: self.folder / f"{run}.npz" for run in self.runs}
 
     @cached_property
     def robot(self) -> sdpid.RobotModel:
@@ -157,9 +97,65 @@ class Records:
         return [sdpid.read_recording(path, columns=columns) for path in self.paths.values()]
 
 
+def wrist(width: float) -> Terms:
+    """Return the terms of motors that drive joints 5 and 6 together."""
+    return "rotor_inertia", Coupling("joint_5", "joint_6", width=width)
+
+
+SETS = {
+    "ur10_unisa": Records(
+        "UR10",
+        "ur10.urdf",
+        ("ur10_exciting",),
+        {
+            **SIGN,
+            **TANH,
+            **WITH_ROTOR,
+            "asymmetric 0.02": (AsymmetricCoulomb(width=0.02),),
+            "sigmoid": ("sigmoid",),
+        },
+    ),
+    "panda_unisa": Records("Panda", "panda.urdf", ("panda_exciting",), SIGN | TANH),
+    "kuka_lwr4plus": Records(
+        "LWR 4+", "kuka_lwr4.urdf", ("measurements_1", "measurements_2"), SIGN | TANH
+    ),
+    "staubli_tx40": Records(
+        "TX40",
+        "tx40.urdf",
+        ("tx40_rows_0_24750",),
+        {
+            "sign, rotor, coupling": ("coulomb", *wrist(0.0)),
+            "dead zone 0.01, rotor, coupling": (Coulomb(dead_zone=0.01), *wrist(0.0)),
+            "tanh 0.05, rotor, coupling": (Coulomb(width=0.05), *wrist(0.05)),
+            "tanh 0.05": (Coulomb(width=0.05),),
+        },
+        "tanh 0.05, rotor, coupling",
+    ),
+    "kinova_gen3_dynamapp": Records(
+        "Gen3",
+        "gen3.urdf",
+        ("opti_traj_testing1", "opti_traj_testing2"),
+        TANH | WITH_ROTOR,
+        efforts=("tau", "tau_current"),
+    ),
+}
+# With one of which other files and motors' currents are read (held_out.py).
+EVERY = {**SETS, "ur10e_innopolis": Records("UR10e", "ur10e.urdf")}
+QUICK = ("panda_unisa",)
+
+
+def folders(data: Path, names: Iterable[str]) -> Iterator[tuple[str, Path]]:
+    """Yield name and folder of every set that is there, and say which are not."""
+    for name in dict.fromkeys(names):
+        if (data / name).is_dir():
+            yield name, data / name
+            continue
+        print(f"{name}: skipped, not in {data}; docs/evidence/data.md says where it comes from")
+
+
 def records_of(data: Path, names: Iterable[str]) -> list[Records]:
     """Return the records of arms that are there, and say which are not."""
-    return [Records(*each) for each in folders(data, names)]
+    return [replace(EVERY[name], folder=folder) for name, folder in folders(data, names)]
 
 
 def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
@@ -179,7 +175,7 @@ def cut(log: sdpid.Recording, share: float) -> tuple[sdpid.Recording, sdpid.Reco
 def cases(arm: Records) -> dict[str, tuple[sdpid.Recording, sdpid.Recording | None]]:
     """Return what is trained on, and what is predicted, by what the former is called."""
     found: dict[str, tuple[sdpid.Recording, sdpid.Recording | None]] = {}
-    for effort in arm.data.efforts:
+    for effort in arm.efforts:
         first, *others = arm.logs(effort)
         kind = "" if effort == "tau" else f" {effort.partition('_')[2]}"
         if others:
@@ -217,7 +213,7 @@ def rows(study: Study, arm: Records, words: str, terms: str) -> Rows:
                 problem = formulate(
                     arm.robot,
                     log,
-                    friction=(*arm.data.models[terms], "viscous", "offset"),
+                    friction=(*arm.models[terms], "viscous", "offset"),
                     consistency=consistency,
                     prior=prior,
                 )
@@ -268,7 +264,7 @@ def main() -> None:
         data=True,
         quick={"sets": [*QUICK], "models": 1},
         sets=[*SETS],
-        models=(max(len(data.models) for data in SETS.values()), "friction models of a set"),
+        models=(max(len(each.models) for each in SETS.values()), "friction models of a set"),
         priors=(False, "compare kinds and strengths of priors"),
     )
     wanted = [
@@ -276,7 +272,7 @@ def main() -> None:
         for arm in records_of(study.data, study.sets)
         for words in cases(arm)
         if not (study.priors and words == "all")
-        for terms in ([arm.data.usual] if study.priors else [*arm.data.models][: study.models])
+        for terms in ([arm.usual] if study.priors else [*arm.models][: study.models])
     ]
     cells = study.rows("cells.csv", HEADER, partial(rows, study), wanted)
     if study.priors:

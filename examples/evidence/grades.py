@@ -18,7 +18,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TITLES, Records, cut, records_of
+from data_sets import EVERY, Records, cut, records_of
 from held_out import QUICK, ur10e_logs
 from study import Rows, Study, grouped
 
@@ -60,14 +60,13 @@ Case = tuple[str, sdpid.RobotModel, sdpid.Recording, dict[str, sdpid.Recording]]
 
 def cases(arm: Records) -> Iterator[Case]:
     """Yield cases: a title, the robot, a recording, and others by name."""
-    if arm.name not in SETS:
+    if not arm.runs:
         # Each recording predicts all others.
         logs = dict(zip(UR10E, ur10e_logs(arm.folder, UR10E), strict=True))
-        robot = sdpid.load_robot(arm.folder / "ur10e.urdf")
         for run, log in logs.items():
-            yield f"UR10e, {run[6:]}", robot, log, {k: v for k, v in logs.items() if k != run}
+            yield f"UR10e, {run[6:]}", arm.robot, log, {k: v for k, v in logs.items() if k != run}
         return
-    for effort in arm.data.efforts:
+    for effort in arm.efforts:
         first, *more = arm.logs(effort)
         if more:
             pairs = {"run 1 → 2": (first, *more), "run 2 → 1": (*more, first)}
@@ -153,7 +152,7 @@ def _share(kept: Sequence[bool]) -> str:
 
 def main() -> None:
     """Measure and write the tables."""
-    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*EVERY])
     found = {
         case[0]: (str(arm), case)
         for arm in records_of(study.data, study.sets)

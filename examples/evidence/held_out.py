@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from data_sets import SETS, TITLES, TRAINED, Records, cut, records_of, wrist
+from data_sets import EVERY, TRAINED, Records, cut, records_of, wrist
 from study import Rows, Study
 
 import sdpid
@@ -165,11 +165,10 @@ def cases(data: Path, names: Iterable[str]) -> Iterator[Case]:
 
 def _read(arm: Records, scored_hz: float, effort: str, terms: tuple[Any, ...]) -> Iterator[Case]:
     """Yield the cases of a set: of one record its first part, of two each, of the UR10e one run."""
-    if arm.name not in SETS:
-        robot = sdpid.load_robot(arm.folder / "ur10e.urdf")
+    if not arm.runs:
         own, *logs = ur10e_logs(arm.folder, (UR10E_TRAINED, *UR10E.values()))
         others = dict(zip(UR10E, logs, strict=True))
-        yield Case("UR10e, 30 s", "UR10e", robot, own, others, scored_hz)
+        yield Case("UR10e, 30 s", str(arm), arm.robot, own, others, scored_hz)
         return
     first, *more = arm.logs(effort)
     kind = " with its terms" if terms else "" if effort == "tau" else " currents"
@@ -242,7 +241,7 @@ HEADER = ("trained on", "predicted", "common rows, %", "moving", "least squares,
 
 def main() -> None:
     """Run every case and write the table."""
-    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*TITLES])
+    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*EVERY])
     study.rows("held_out.csv", HEADER, rows, cases(study.data, study.sets), digits=3)
 
 

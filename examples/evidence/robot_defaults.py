@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from data_sets import TITLES
+from data_sets import EVERY
 from held_out import QUICK, Case, cases, error
 from study import Rows, Study, grouped
 
@@ -74,7 +74,7 @@ def main() -> None:
         __doc__,
         data=True,
         quick={"sets": [*QUICK[:1]], "candidates": 1},
-        sets=[*TITLES],
+        sets=[*EVERY],
         candidates=max(map(len, CANDIDATES.values())),
     )
     found = [*cases(study.data, study.sets)]

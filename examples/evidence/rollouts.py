@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from data_sets import TITLES, part
+from data_sets import EVERY, part
 from held_out import QUICK, Case, first_of_arms
 from study import Rows, Study
 
@@ -31,7 +31,7 @@ HORIZONS = (0.1, 0.5, 2.0)
 PREDICTED = {"UR10e": "8 harmonics"}
 
 # Starts of a record, at most, and the least time between them, s.
-STARTS, EVERY = 20, 0.25
+STARTS, APART = 20, 0.25
 
 # What may bound a joint that is too light.
 BOUNDS: dict[str, dict[str, object]] = {
@@ -65,7 +65,7 @@ def chosen(case: Case) -> sdpid.Recording:
 
 def spacing(case: Case, count: int) -> float:
     """Return the time between starts, s."""
-    return max(EVERY, (chosen(case).duration - HORIZONS[-1]) / count)
+    return max(APART, (chosen(case).duration - HORIZONS[-1]) / count)
 
 
 def models(starts: int, case: Case) -> Rows:
@@ -133,7 +133,7 @@ def main() -> None:
         __doc__,
         data=True,
         quick={"sets": [*QUICK], "starts": 2},
-        sets=[*TITLES],
+        sets=[*EVERY],
         starts=(STARTS, "of a record, at most"),
     )
     # Without terms that are known of a drive, and joint torques.
