@@ -122,49 +122,42 @@ PLACES: dict[str, Change] = {
 }
 
 
-def defects_of(weight: float) -> dict[str, tuple[Change, bool]]:
-    """Return what is wrong: the change that does it, and whether forces alone have it."""
+def defects_of(weight: float) -> tuple[dict[str, Change], dict[str, Change]]:
+    """Return what is wrong, and what of it forces alone have; recorded at 1 kHz."""
     bias = np.array([0.0, 0.0, BIAS * weight])
-    # Recorded at 1 kHz.
-    return {
-        **{name: (change, False) for name, change in PLACES.items()},
-        "torques 2 ms late": (effort(lambda e: late(e, 2)), False),
-        "IMU 2 ms late": (
-            imu(lambda i: {k: late(getattr(i, k), 2) for k in ("gyroscope", "accelerometer")}),
-            False,
+    both = {
+        **PLACES,
+        "torques 2 ms late": effort(lambda e: late(e, 2)),
+        "IMU 2 ms late": imu(
+            lambda i: {k: late(getattr(i, k), 2) for k in ("gyroscope", "accelerometer")}
         ),
-        "flags and forces 10 ms late": (
-            feet(lambda c: {"down": late(c.down, 10), "forces": late(c.forces, 10)}),
-            False,
+        "flags and forces 10 ms late": feet(
+            lambda c: {"down": late(c.down, 10), "forces": late(c.forces, 10)}
         ),
-        "flags above 10 % of the weight": (
-            feet(lambda c: {"down": c.forces[..., 2] > THRESHOLD * weight}),
-            False,
+        "flags above 10 % of the weight": feet(
+            lambda c: {"down": c.forces[..., 2] > THRESHOLD * weight}
         ),
-        "one foot always down": (
-            feet(lambda c: {"down": c.down | (np.arange(c.down.shape[1]) == 0)}),
-            False,
+        "one foot always down": feet(
+            lambda c: {"down": c.down | (np.arange(c.down.shape[1]) == 0)}
         ),
-        "left and right feet swapped": (exchanged((1, 0, 3, 2)), False),
-        "diagonal feet swapped": (exchanged((3, 2, 1, 0)), False),
-        "forces 10 % low": (scaled(0.9), True),
-        "one foot's forces 10 % low": (scaled(0.9, 1.0, 1.0, 1.0), True),
-        "one foot's forces of zeros": (scaled(0.0, 1.0, 1.0, 1.0), True),
-        "forces of zeros": (scaled(0.0), True),
-        "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
-        "forces on the ground": (scaled(-1.0), True),
-        "forces in the base's axes": (in_base_axes, True),
-        "forces of left and right feet swapped": (
-            feet(lambda c: {"forces": c.forces[:, [1, 0, 3, 2]]}),
-            True,
+        "left and right feet swapped": exchanged((1, 0, 3, 2)),
+        "diagonal feet swapped": exchanged((3, 2, 1, 0)),
+        "quaternion w x y z": base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
+        "gyroscope of zeros": imu(lambda i: {"gyroscope": 0.0 * i.gyroscope}),
+        "torques in N·mm": effort(lambda e: 1e3 * e),
+        "torques 5 % high": effort(lambda e: 1.05 * e),
+    }
+    return both, {
+        "forces 10 % low": scaled(0.9),
+        "one foot's forces 10 % low": scaled(0.9, 1.0, 1.0, 1.0),
+        "one foot's forces of zeros": scaled(0.0, 1.0, 1.0, 1.0),
+        "forces of zeros": scaled(0.0),
+        "forces off by 5 % of the weight": feet(lambda c: {"forces": c.forces + bias}),
+        "forces on the ground": scaled(-1.0),
+        "forces in the base's axes": in_base_axes,
+        "forces of left and right feet swapped": feet(
+            lambda c: {"forces": c.forces[:, [1, 0, 3, 2]]}
         ),
-        "quaternion w x y z": (
-            base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
-            False,
-        ),
-        "gyroscope of zeros": (imu(lambda i: {"gyroscope": 0.0 * i.gyroscope}), False),
-        "torques in N·mm": (effort(lambda e: 1e3 * e), False),
-        "torques 5 % high": (effort(lambda e: 1.05 * e), False),
     }
 
 
@@ -180,7 +173,8 @@ def cell(quadruped: Walker, defect: str, fused: bool) -> list[object]:
     rms = float(np.sqrt(np.mean(quadruped.run("trot").motion.wrenches ** 2)))
     std = WITH_FORCES.force_noise * rms
     options: dict[str, Any] = {"processing": {"contact_force_std": std}} if fused else {}
-    change = defects_of(quadruped.weight)[defect][0]
+    both, of_forces = defects_of(quadruped.weight)
+    change = {**both, **of_forces}[defect]
     logs = [change(log) for log in quadruped.logs(*THREE)]
     if not fused:
         logs = [without_forces(log) for log in logs]
@@ -197,13 +191,13 @@ def cell(quadruped: Walker, defect: str, fused: bool) -> list[object]:
 
 def defects(study: Study) -> None:
     """Write what is found of a mistake, but for what is found of the right logs."""
-    every = defects_of(1.0)
-    names = [*every][: study.most]
+    both, of_forces = defects_of(1.0)
+    names = [*both, *of_forces][: study.most]
     quadruped = cache(lambda name: Walker(name, 0, study.seconds or 3.0, WITH_FORCES))
 
     def cells(name: str, defect: str, fused: bool) -> Rows:
         # Without forces there are no mistakes in them.
-        if fused or not every[defect][1]:
+        if fused or defect in both:
             yield name, defect, fused, *cell(quadruped(name), defect, fused)
 
     header = ("robot", "defect", "fused", "joints", "mass", "kinds", "refused")
@@ -307,7 +301,7 @@ def main() -> None:
         parts=[*parts],
         seconds=(0.0, "of each motion; 0 for those of the tables"),
         robots=["solo12", "go1", "a1"],
-        most=(len(defects_of(1.0)), "number of mistakes of defects"),
+        most=(sum(map(len, defects_of(1.0))), "number of mistakes of defects"),
         seeds=(4, "of each robot of places"),
         motions=["stand", "trot", "walk", "hang"],
     )
