@@ -11,6 +11,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -300,19 +301,6 @@ def test_hdf5_joint_by_joint(tmp_path: Path):
     close(read_recording(tmp_path / "log.h5", joint_names=["up", "down"]))
 
 
-def test_own_parquet_and_overrides(tmp_path: Path):
-    file = tmp_path / "log.PARQUET"
-    log = Recording(time=T, position=Q, effort=TAU, joint_names=AB, period=0.1)
-    log.to_parquet(file)
-    again = read_recording(file, joint_names=["b", "a"])
-    assert again.period == 0.1
-    assert again.effort[:, ::-1].tobytes() == log.effort.tobytes()
-    assert read_recording(file, period=0.2).period == 0.2
-    labels = ["position_a", "position_b", "effort_a", "effort_b"]
-    FRAME.set_axis(labels, axis=1).assign(t=T).to_parquet(file)
-    close(read_recording(file), joints=AB)
-
-
 @pytest.mark.parametrize(
     ("suffix", "wanted"), [(".h5", "h5py"), (".mcap", "rosbags"), (".bag", "rosbags")]
 )
@@ -551,27 +539,21 @@ NIGHT = pd.date_range("2024-03-31T00:59:59.9", periods=N, freq="10ms", tz="UTC")
 SECONDS = ["", *(f"2024-03-01 00:00:{k:02d}" for k in range(1, N))]
 
 
-@pytest.mark.parametrize("zone", ["", "Z", "+02:00", " UTC"])
-@pytest.mark.parametrize("between", ["T", " "])
-def test_dates(tmp_path: Path, zone: str, between: str):
-    frame = FRAME.assign(time=[str(s).replace("T", between) + zone for s in MIDNIGHT])
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    close(read_recording(tmp_path / "log.csv"))
-
-
-@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Rome"])
-def test_stamps_with_time_zones(tmp_path: Path, zone: str | None):
-    frame = FRAME.assign(time=NIGHT.tz_convert(zone))
-    frame.to_parquet(tmp_path / "log.parquet")
-    frame.to_feather(tmp_path / "log.feather")
-    files = (tmp_path / "log.parquet", tmp_path / "log.feather")
-    for source in (frame, FRAME.set_axis(NIGHT.tz_convert(zone)), *files):
-        close(read_recording(source))
-
-
-def test_dates_of_whole_seconds_are_no_milliseconds(tmp_path: Path):
-    FRAME.assign(time=SECONDS).to_csv(tmp_path / "log.csv", index=False)
-    for source in (tmp_path / "log.csv", FRAME.assign(time=pd.to_datetime(SECONDS))):
+def test_dates(tmp_path: Path):
+    csv, parquet, feather = (tmp_path / f"log.{suffix}" for suffix in ("csv", "parquet", "feather"))
+    for zone, between in product(("", "Z", "+02:00", " UTC"), ("T", " ")):
+        dates = [str(stamp).replace("T", between) + zone for stamp in MIDNIGHT]
+        FRAME.assign(time=dates).to_csv(csv, index=False)
+        close(read_recording(csv))
+    for zone in (None, "UTC", "Europe/Rome"):
+        frame = FRAME.assign(time=NIGHT.tz_convert(zone))
+        frame.to_parquet(parquet)
+        frame.to_feather(feather)
+        for source in (frame, FRAME.set_axis(NIGHT.tz_convert(zone)), parquet, feather):
+            close(read_recording(source))
+    # Those of whole seconds are no milliseconds.
+    FRAME.assign(time=SECONDS).to_csv(csv, index=False)
+    for source in (csv, FRAME.assign(time=pd.to_datetime(SECONDS))):
         found = read_recording(source, missing="drop")
         np.testing.assert_allclose(found.time, np.arange(N - 1.0), atol=1e-12)
 
@@ -668,7 +650,8 @@ def test_a_joint_that_is_not_wanted_may_lack_values(tmp_path: Path):
 
 @pytest.mark.parametrize("quoted", ["", '"'])
 def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
-    file = write_csv(tmp_path / "log.csv", ["label", "t", *NAMES], T, T, Q, TAU)
+    names = ["label", f"{quoted}t{quoted}", "q_up", "q_down", "tau_up", "tau_down"]
+    file = write_csv(tmp_path / "log.csv", names, T, T, Q, TAU)
     head, *lines = file.read_text().splitlines()
     lines = [head, *(f"{quoted}go{quoted},{line.partition(',')[2]}" for line in lines)]
     line = lines[30]
@@ -676,7 +659,11 @@ def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
         file.write_text("\n".join([*lines[:30], broken, *lines[31:]]))
         refuses(DataError, r"line 31 has [57] values for 6 columns", read_recording, file)
     file.write_text("\n".join(lines))
-    close(read_recording(file))
+    close(read_recording(file), joints=JOINTS)
+    turned = read_recording(file, joint_names=JOINTS[::-1])
+    np.testing.assert_array_equal(turned.effort, TAU[:, ::-1])
+    one = {"position": ["q_down"], "effort": ["tau_down"]}
+    np.testing.assert_array_equal(read_recording(file, columns=one).position, Q[:, 1:])
 
 
 def test_half_precision_is_read_without_a_warning(tmp_path: Path):

@@ -422,37 +422,6 @@ def test_columns_are_found(
         assert reading.sources["effort"] == "Torque 1 (Nm) ... Torque 2 (mNm) in Nm/mNm"
 
 
-def test_csv_with_joint_names_text_columns_and_quotes(tmp_path: Path):
-    text = 'label,"time",position_up,position_down,effort_up,effort_down\n'
-    text += "".join(f"go,{k},{k},{-k},{2 * k},{-2 * k}\n" for k in range(4))
-    file = tmp_path / "log.csv"
-    file.write_text("\ufeff" + text, encoding="utf-8")
-    log = read_recording(file)
-    assert log.joint_names == ("up", "down")
-    assert log.effort[3].tolist() == [6.0, -6.0]
-    assert read_recording(file, joint_names=("down", "up")).effort[3].tolist() == [-6.0, 6.0]
-    log = read_recording(file, columns={"position": ["position_down"], "effort": ["effort_down"]})
-    assert log.position[:, 0].tolist() == [0.0, -1.0, -2.0, -3.0]
-
-
-ROBOTS = {
-    "kinova_gen3_dynamapp/opti_traj_testing1.npz": (4741, 7, 1000.0),
-    "kuka_lwr4plus/measurements_1.npz": (5027, 7, 200.0),
-    "panda_unisa/panda_exciting.npz": (727, 7, 30.0),
-    "staubli_tx40/tx40_rows_0_24750.npz": (24750, 6, 5000.0),
-    "ur10_unisa/ur10_exciting.npz": (3441, 6, 125.0),
-}
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_real_logs(data_folder: Path, name: str):
-    samples, joints, rate = ROBOTS[name]
-    log = read_recording(data_folder / name)
-    assert (log.n_samples, log.n) == (samples, joints)
-    assert log.rate_hz == pytest.approx(rate, rel=1e-4)
-    assert log.joint_names is not None
-
-
 # Commanded positions: found where their names are clear, and kept by everything.
 
 
@@ -464,8 +433,8 @@ TORQUE = np.random.default_rng(5).standard_normal((STEPS, 2))
 PLAIN = numbered("q_{}", "tau_{}")
 
 
-def with_reference(folder: Path, names: list[str], *tables: Any) -> Path:
-    return write_csv(folder / "log.csv", ["t", *names], SLOW, MOVED, TORQUE, *tables)
+def beside(*names: str) -> list[str]:
+    return [*PLAIN, *numbered(*names)]
 
 
 def test_references_of_arrays(tmp_path: Path):
@@ -482,66 +451,54 @@ def test_references_of_arrays(tmp_path: Path):
 
 LABELED = [f"{each}_{q}" for q in ("position", "effort") for each in ("lift", "elbow")]
 COMMANDED = numbered("Joint {} [deg]", "Torque {} (Nm)", "Command {} [deg]")
-BESIDE = [*PLAIN, *numbered("q_ref_{}")]
+BESIDE = beside("q_ref_{}")
 AT_MOTORS = {"gear_ratios": [10.0, -20.0], "offsets": [0.5, 0.0]}
 OF_POSITIONS = {"gear_ratios": [10.0, 20.0], "applies_to": ["position"]}
 
 
-@pytest.mark.parametrize(
-    ("names", "table", "how", "wanted"),
-    [
-        ([*LABELED, "elbow_target_position", "lift_target_position"], REF[:, ::-1], {}, REF),
-        (BESIDE, REF, {"columns": {"reference": None}}, None),
-        # A reference has the unit of the position, unless it says otherwise.
-        (COMMANDED, REF, {}, np.radians(REF)),
-        (BESIDE, REF, {"units": {"position": "deg"}}, np.radians(REF)),
-        (BESIDE, REF, {"units": {"position": "deg", "reference": "rad"}}, REF),
-        (BESIDE, REF, {"motors": AT_MOTORS}, REF / [10.0, -20.0] + [0.5, 0.0]),
-        (BESIDE, REF, {"motors": OF_POSITIONS}, REF),
-        # A joint called d has no reference.
-        (["q_c", "q_d", "tau_c", "tau_d"], np.empty((STEPS, 0)), {}, None),
-    ],
-)
-def test_references_by_joints_and_units(
-    tmp_path: Path, names: list[str], table: Any, how: dict[str, Any], wanted: Any
-):
-    log = read_recording(with_reference(tmp_path, names, table), **how)
-    assert (log.reference is None) == (wanted is None)
-    if wanted is not None:
-        np.testing.assert_allclose(log.reference, wanted, rtol=1e-15)
+BOTH = np.hstack([REF, REF])
+# Names beside those of positions and efforts, columns under them, how they are read, what is found,
+# and why nothing is.
+REFERENCES: list[tuple[list[str], Any, dict[str, Any], Any, str | None]] = [
+    ([*LABELED, "elbow_target_position", "lift_target_position"], REF[:, ::-1], {}, REF, None),
+    (BESIDE, REF, {"columns": {"reference": None}}, None, None),
+    # A reference has the unit of the position, unless it says otherwise.
+    (COMMANDED, REF, {}, np.radians(REF), None),
+    (BESIDE, REF, {"units": {"position": "deg"}}, np.radians(REF), None),
+    (BESIDE, REF, {"units": {"position": "deg", "reference": "rad"}}, REF, None),
+    (BESIDE, REF, {"motors": AT_MOTORS}, REF / [10.0, -20.0] + [0.5, 0.0], None),
+    (BESIDE, REF, {"motors": OF_POSITIONS}, REF, None),
+    # A joint called d has no reference.
+    (["q_c", "q_d", "tau_c", "tau_d"], np.empty((STEPS, 0)), {}, None, None),
+    # A derivative by its values, and by the second derivative beside it.
+    (beside("q_d_{}"), np.cos(np.outer(SLOW, [1.0, 1.7])), {}, None, "may be a derivative"),
+    (beside("q_d_{}", "q_dd_{}"), BOTH, {}, None, None),
+    *((beside(name), REF, {}, None, None) for name in ("command_{}", "target_{}", "target_qd_{}")),
+    *((beside(name), REF, {}, None, None) for name in ("qd_des_{}", "tau_ref_{}")),
+    *((beside(name), REF, {}, None, None) for name in ("Command {} [A]", "position_error_{}")),
+    (beside("q_ref_{}", "target_q_{}"), BOTH, {}, None, "it could be "),
+    (BESIDE, np.where(SLOW[:, None] > 1.0, np.nan, REF), {}, None, "lacks values"),
+]
 
 
-@pytest.mark.parametrize(
-    ("names", "table", "why"),
-    [
-        # A derivative by its values, and by the second derivative beside it.
-        (["q_d_{}"], np.cos(np.outer(SLOW, [1.0, 1.7])), "may be a derivative"),
-        (["q_d_{}", "q_dd_{}"], np.hstack([REF, REF]), None),
-        (["command_{}"], REF, None),
-        (["target_{}"], REF, None),
-        (["target_qd_{}"], REF, None),
-        (["qd_des_{}"], REF, None),
-        (["tau_ref_{}"], REF, None),
-        (["Command {} [A]"], REF, None),
-        (["position_error_{}"], REF, None),
-        (["q_ref_{}", "target_q_{}"], np.hstack([REF, REF]), "it could be "),
-        (["q_ref_{}"], np.where(SLOW[:, None] > 1.0, np.nan, REF), "lacks values"),
-    ],
-)
-def test_what_may_be_something_else_is_left_out(
-    tmp_path: Path, names: list[str], table: np.ndarray, why: str | None
+@pytest.mark.parametrize(("names", "table", "how", "wanted", "why"), REFERENCES)
+def test_references_are_found_and_what_may_be_something_else_is_left_out(
+    tmp_path: Path, names: list[str], table: Any, how: dict[str, Any], wanted: Any, why: str | None
 ):
-    columns = numbered(*names)
-    file = with_reference(tmp_path, [*PLAIN, *columns], table)
-    reading = read_described(file)
-    assert reading.recording.reference is None
-    assert ("reference" in reading.sources) == (why is not None)
+    file = write_csv(tmp_path / "log.csv", ["t", *names], SLOW, MOVED, TORQUE, table)
+    reading = read_described(file, **how)
+    assert (reading.recording.reference is None) == (wanted is None)
+    assert wanted is not None or ("reference" in reading.sources) == (why is not None)
     assert why is None or why in reading.sources["reference"]
-    how = {"columns": {"reference": columns[:2]}, "units": {"reference": "rad"}}
-    if np.isfinite(table).all():
-        np.testing.assert_array_equal(read_recording(file, **how).reference, table[:, :2])
-    else:
-        refuses(DataError, "reference", read_recording, file, **how)
+    if wanted is not None:
+        np.testing.assert_allclose(reading.recording.reference, wanted, rtol=1e-15)
+    elif names[:4] == PLAIN and not how:
+        # It is taken where it is named.
+        how = {"columns": {"reference": names[4:6]}, "units": {"reference": "rad"}}
+        if np.isfinite(table).all():
+            np.testing.assert_array_equal(read_recording(file, **how).reference, table[:, :2])
+        else:
+            refuses(DataError, "reference", read_recording, file, **how)
 
 
 def test_wrapped_references_follow_positions():

@@ -1,6 +1,7 @@
 """Samples: settings, derivatives, contacts, delays and floating bases."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare, samples_of
-from sdpid.experiment.processing.base import base_limit, body_rate, unit
+from sdpid.experiment.processing.base import base_limit, unit
 from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.filters import low_pass
@@ -26,6 +27,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating import BaseMotion
 from tests.helpers.crawl import FEET as CRAWLING
 from tests.helpers.crawl import RADIUS, Crawl, crawl
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 
 # The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
@@ -48,13 +50,10 @@ def sweep(
     """Return a record of five tones up to 2 Hz, and its exact accelerations."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(rate * seconds)) / rate
-    omega = 2.0 * np.pi * np.array([0.3, 0.6, 1.0, 1.5, 2.0])
-    phase = rng.uniform(0.0, 2.0 * np.pi, (5, 2))
-    angle = time[:, None, None] * omega[:, None] + phase
-    position = (np.sin(angle) / omega[:, None] ** 2).sum(axis=1)
+    omega = 2.0 * np.pi * np.array([0.3, 0.6, 1.0, 1.5, 2.0])[:, None]
+    position, _, acceleration = sines(time, omega, rng.uniform(0.0, 2.0 * np.pi, (5, 2)), omega**-2)
     noisy = position + noise * rng.standard_normal(position.shape)
-    log = sdpid.Recording(time=time, position=noisy, effort=noisy)
-    return log, -np.sin(angle).sum(axis=1)
+    return sdpid.Recording(time=time, position=noisy, effort=noisy), acceleration
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -84,6 +83,9 @@ def test_the_choice_says_why() -> None:
     assert cutoff.startswith(f"cutoff_hz {chosen.cutoff_hz:.4g}: 25 × motion, below")
     assert f"below {motion:.4g} Hz" in cutoff
     assert velocity == "velocity differentiated: none was recorded"
+    assert chosen.cutoff_hz == pytest.approx(25.0 * motion)
+    assert (chosen.order, chosen.derivative) == (4, "central4")
+    assert chosen.reversal_time == pytest.approx(0.1 / chosen.cutoff_hz)
     # The bound by the rate, and that by the length.
     slow = replace(log, time=10.0 * log.time)
     fast = default_processing(sweep(rate=20.0)[0])
@@ -204,44 +206,38 @@ def test_samples_keep_what_they_are_given():
 
 
 nan = np.full((K, JOINTS), np.nan)
-BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "nan": ({"acceleration": nan}, "acceleration: 10 of 10 values are not finite"),
-    "rows": ({"position": np.zeros((4, 2))}, r"position: has shape \(4, 2\)"),
-    "positions": ({"position": np.zeros((K, 1))}, "position: has shape"),
-    "velocity": ({"velocity": np.zeros((K, 3))}, r"velocity: has shape \(5, 3\), expected"),
-    "empty": ({"effort": np.zeros((0, 2))}, "nothing to fit"),
-    "no velocity": ({"velocity": None}, "velocity: is missing; give one column for each joint"),
-    "time": ({"time": np.zeros(3)}, r"time: has shape \(3,\), expected \(5,\): one time for each"),
-    "names": ({"joint_names": ("a",)}, "1 names"),
-    "covariance shape": ({"covariance": np.eye(3)}, "covariance: has shape"),
-    "covariance count": ({"covariance": np.zeros((2, 2, 2))}, "covariance: has shape"),
-    "asymmetric": ({"covariance": [[1.0, 0.5], [0.4, 1.0]]}, "not symmetric"),
-    "negative": ({"covariance": [[1.0, 0.0], [0.0, -1.0]]}, "joint 2 has a negative variance"),
-    "indefinite": ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "not positive semidefinite"),
-    "mask shape": ({"mask": np.ones(K, dtype=bool)}, "mask: has shape"),
-    "mask type": ({"mask": np.ones((K, JOINTS))}, "expected .* bool"),
-    "mask empty": ({"mask": np.zeros((K, JOINTS), dtype=bool)}, "mask: leaves none of 10 rows"),
-    "block": ({"block": 0}, "block: is 0"),
-    "block nan": ({"block": float("nan")}, "block: is nan, expected a whole number"),
-    "block inf": ({"block": float("inf")}, "block: is inf, expected a whole number"),
-    "block text": ({"block": "2"}, "block: is 2, expected a whole number"),
-    "periods none": ({"periods": 1.5}, "periods: is 1.5, expected a whole number"),
-    "periods": ({"periods": 0}, "periods: is 0"),
-    "effort_periods": (
+BAD: list[tuple[dict[str, Any], str]] = [
+    ({"acceleration": nan}, "acceleration: 10 of 10 values are not finite"),
+    ({"position": np.zeros((4, 2))}, r"position: has shape \(4, 2\)"),
+    ({"position": np.zeros((K, 1))}, "position: has shape"),
+    ({"velocity": np.zeros((K, 3))}, r"velocity: has shape \(5, 3\), expected"),
+    ({"effort": np.zeros((0, 2))}, "nothing to fit"),
+    ({"velocity": None}, "velocity: is missing; give one column for each joint"),
+    ({"time": np.zeros(3)}, r"time: has shape \(3,\), expected \(5,\): one time for each"),
+    ({"joint_names": ("a",)}, "1 names"),
+    ({"covariance": np.eye(3)}, "covariance: has shape"),
+    ({"covariance": np.zeros((2, 2, 2))}, "covariance: has shape"),
+    ({"covariance": [[1.0, 0.5], [0.4, 1.0]]}, "not symmetric"),
+    ({"covariance": [[1.0, 0.0], [0.0, -1.0]]}, "joint 2 has a negative variance"),
+    ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "not positive semidefinite"),
+    ({"mask": np.ones(K, dtype=bool)}, "mask: has shape"),
+    ({"mask": np.ones((K, JOINTS))}, "expected .* bool"),
+    ({"mask": np.zeros((K, JOINTS), dtype=bool)}, "mask: leaves none of 10 rows"),
+    ({"block": 0}, "block: is 0"),
+    ({"block": float("nan")}, "block: is nan, expected a whole number"),
+    ({"block": float("inf")}, "block: is inf, expected a whole number"),
+    ({"block": "2"}, "block: is 2, expected a whole number"),
+    ({"periods": 1.5}, "periods: is 1.5, expected a whole number"),
+    ({"periods": 0}, "periods: is 0"),
+    (
         {"periods": 2, "effort_periods": np.zeros((3, K, JOINTS))},
         "effort_periods: has shape",
     ),
-    **{
-        f"starts {starts}": ({"starts": starts}, "rising sample numbers")
+    *(
+        ({"starts": starts}, "rising sample numbers")
         for starts in ((1,), (), (0, 3, 3), (0, 5), (0, 4, 2))
-    },
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_refused(case: str):
-    changes, message = BAD[case]
-    refuses(DataError, message, Samples, **fields(**changes))
+    ),
+]
 
 
 def test_pieces_are_joined_in_order():
@@ -275,18 +271,12 @@ def test_pieces_are_joined_in_order():
     assert not first.mask.flags.writeable
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"covariance": np.eye(2)}, "1 of 2 pieces have a covariance"),
-        ({"joint_names": ("a", "b")}, "the joints of piece 2"),
-        ({"periods": 3}, "averages over periods"),
-        ({"position": np.zeros((K, 3))}, "position of piece 2 has 3 columns"),
-    ],
-)
-def test_what_does_not_belong_together_is_refused(change, message):
-    refuses(DataError, message, Samples.join, [Samples(**fields()), Samples(**fields(**change))])
-    refuses(DataError, "none to join", Samples.join, [])
+APART: list[tuple[dict[str, Any], str]] = [
+    ({"covariance": np.eye(2)}, "1 of 2 pieces have a covariance"),
+    ({"joint_names": ("a", "b")}, "the joints of piece 2"),
+    ({"periods": 3}, "averages over periods"),
+    ({"position": np.zeros((K, 3))}, "position of piece 2 has 3 columns"),
+]
 
 
 # Friction columns that pass the filter of the efforts.
@@ -302,12 +292,9 @@ def steep(velocity: np.ndarray, _: np.ndarray) -> np.ndarray:
 def log_of(rate: float = 500.0, seconds: float = 30.0, period: float | None = None):
     """Return a record whose efforts are nothing but steep friction of the exact velocity."""
     time = np.arange(round(rate * seconds)) / rate
-    tones = np.array([0.5, 0.7]) if period is None else np.array([0.5, 1.0])
-    angle = 2.0 * np.pi * time[:, None] * tones
-    position, velocity = (
-        np.sin(angle) + 0.4 * np.sin(0.5 * angle + 1.0),
-        2.0 * np.pi * tones * (np.cos(angle) + 0.2 * np.cos(0.5 * angle + 1.0)),
-    )
+    tones = 2.0 * np.pi * np.array([0.5, 0.7 if period is None else 1.0])
+    rates, size = np.stack([tones, 0.5 * tones]), np.array([[1.0], [0.4]])
+    position, velocity, _ = sines(time, rates, np.array([[0.0], [1.0]]), size)
     effort = steep(velocity, velocity)
     return sdpid.Recording(time=time, position=position, effort=effort, period=period)
 
@@ -418,37 +405,38 @@ WRENCHES = np.zeros((12, 2, 6))
 UNKNOWN = np.where(np.arange(36).reshape(6, 6) == 0, np.inf, np.ones((6, 6)))
 
 
-@pytest.mark.parametrize(
-    ("said", "given"),
-    [
-        ("frames are .*, expected names", {"frames": ["left", ""]}),
-        ("against is .*, expected a frame other", {"against": ["left", None]}),
-        (r"down: has shape \(12, 3\)", {"down": np.zeros((12, 3), dtype=bool)}),
-        ("down: holds 0.5, expected True or False", {"down": np.full((12, 2), 0.5)}),
-        ("kind is 'ball'", {"kind": "ball"}),
-        (r"offset: has shape \(2,\)", {"offset": np.zeros(2)}),
-        ("forces and force_covariance together", {"forces": WRENCHES}),
-        (r"forces: has shape \(11, 2, 6\)", {"forces": WRENCHES[1:], "force_covariance": 0}),
-        (r"covariance has shape \(3, 3\)", {"forces": WRENCHES, "force_covariance": np.eye(3)}),
-        ("least eigenvalue is -1", {"forces": WRENCHES, "force_covariance": -np.eye(6)}),
-        ("finite and symmetric", {"forces": WRENCHES, "force_covariance": np.tri(6)}),
-        ("is not measured; its other", {"forces": WRENCHES, "force_covariance": UNKNOWN}),
-    ],
-)
-def test_refuses(said: str, given: dict[str, Any]) -> None:
-    refuses(DataError, said, contacts, **{"kind": "plane"} | given)
+MEASURED = samples(forces=np.zeros((12, 2, 6)), force_covariance=np.eye(6))
+CONTACTS: list[tuple[str, dict[str, Any]]] = [
+    ("frames are .*, expected names", {"frames": ["left", ""]}),
+    ("against is .*, expected a frame other", {"against": ["left", None]}),
+    (r"down: has shape \(12, 3\)", {"down": np.zeros((12, 3), dtype=bool)}),
+    ("down: holds 0.5, expected True or False", {"down": np.full((12, 2), 0.5)}),
+    ("kind is 'ball'", {"kind": "ball"}),
+    (r"offset: has shape \(2,\)", {"offset": np.zeros(2)}),
+    ("forces and force_covariance together", {"forces": WRENCHES}),
+    (r"forces: has shape \(11, 2, 6\)", {"forces": WRENCHES[1:], "force_covariance": 0}),
+    (r"covariance has shape \(3, 3\)", {"forces": WRENCHES, "force_covariance": np.eye(3)}),
+    ("least eigenvalue is -1", {"forces": WRENCHES, "force_covariance": -np.eye(6)}),
+    ("finite and symmetric", {"forces": WRENCHES, "force_covariance": np.tri(6)}),
+    ("is not measured; its other", {"forces": WRENCHES, "force_covariance": UNKNOWN}),
+]
+AT_POINT = "'left' is a point at .* in recording 2, and a point"
+PLAIN, join = Samples(**fields()), Samples.join
+REFUSED: list[tuple[str, Any]] = [
+    *((words, partial(Samples, **fields(**changes))) for changes, words in BAD),
+    *((words, partial(join, [PLAIN, Samples(**fields(**change))])) for change, words in APART),
+    ("none to join", partial(join, [])),
+    *((words, partial(contacts, **{"kind": "plane"} | changes)) for words, changes in CONTACTS),
+    (AT_POINT, partial(join, [samples(), samples(offset=(0.0, 0.0, -0.02))])),
+    ("'left' is a line at .* and a point", partial(join, [samples(), samples(kind="line")])),
+    ("forces of 'left' are measured in one", partial(join, [samples(), MEASURED])),
+    ("contacts: has 12 samples, expected 5", partial(replace, samples(5), contacts=contacts())),
+]
 
 
-def test_refuses_other_contacts_in_one_join() -> None:
-    measured = samples(forces=np.zeros((12, 2, 6)), force_covariance=np.eye(6))
-    for other, said in (
-        (samples(offset=(0.0, 0.0, -0.02)), "'left' is a point at .* in recording 2, and a point"),
-        (samples(kind="line"), "'left' is a line at .* and a point"),
-        (measured, "forces of 'left' are measured in one recording and not"),
-    ):
-        refuses(DataError, said, Samples.join, [samples(), other])
-    words = "contacts: has 12 samples, expected 5"
-    refuses(DataError, words, replace, samples(5), contacts=contacts())
+@pytest.mark.parametrize(("words", "make"), REFUSED, ids=[words for words, _ in REFUSED])
+def test_what_are_no_samples_is_refused(words: str, make: Any) -> None:
+    refuses(DataError, words, make)
 
 
 # Channels that were recorded late are taken at their time.
@@ -690,19 +678,6 @@ def test_a_finite_filter_sees_no_farther_than_it_says() -> None:
         assert not seen[: 150 - finite.reach].any()
         np.testing.assert_allclose(seen.sum(axis=0), 1.0)
         np.testing.assert_allclose(seen, seen[::-1])
-
-
-def test_angular_velocities_are_those_of_pinocchio() -> None:
-    rng = np.random.default_rng(1)
-    axis, step = rng.normal(size=3), 0.01
-    turns = [pin.exp3(axis * t) @ pin.exp3(np.array([0.3, -0.5, 2.0])) for t in step * np.arange(9)]
-    quaternions = unit(np.array([pin.Quaternion(R).coeffs() for R in turns]))
-    expected = [R.T @ axis for R in turns]
-    weights = np.array([1 / 12, -2 / 3, 0.0, 2 / 3, -1 / 12])
-    # A quaternion and its negative are one rotation.
-    for signs in (np.ones(9), (-1.0) ** np.arange(9)):
-        found = body_rate(signs[:, None] * quaternions, weights, step)
-        np.testing.assert_allclose(found[2:-2], expected[2:-2], rtol=1e-9)
 
 
 @pytest.mark.parametrize("frame", ["twist", "own_twist"])

@@ -28,6 +28,7 @@ from sdpid.experiment.inspection.motion_checks import _read_as_seconds
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import prepare
 from sdpid.experiment.recording.recording import Recording
+from tests.helpers.motions import sines
 from tests.helpers.refusals import refuses
 
 RATE = 100.0
@@ -48,10 +49,8 @@ def simulated(robot: RobotModel, seed: int, load: float = 0.0) -> Recording:
     rate = 2.0 * np.pi * rng.uniform(0.05, 0.4, (4, robot.n))
     phase = rng.uniform(0.0, 2.0 * np.pi, rate.shape)
     size = np.array([1.0, 0.5, 0.8, 1.0, 1.0, 1.0]) / 2.0
-    angle = T[:, None, None] * rate + phase
-    position = (size * np.sin(angle)).sum(axis=1) - np.array([0.0, 1.2, 0.0, 0.0, 0.0, 0.0])
-    velocity = (size * rate * np.cos(angle)).sum(axis=1)
-    acceleration = -(size * rate**2 * np.sin(angle)).sum(axis=1)
+    position, velocity, acceleration = sines(T, rate, phase, size)
+    position -= np.array([0.0, 1.2, 0.0, 0.0, 0.0, 0.0])
     bodies = robot.prior * np.exp(0.15 * np.random.default_rng(7).standard_normal((6, 1)))
     bodies[-1, :4] += load * np.array([1.0, 0.05, 0.05, 0.1])
     effort = robot.inverse_dynamics(bodies, position, velocity, acceleration)
@@ -301,6 +300,10 @@ ROWS: Rows = {
 }
 
 
+WITHOUT_REMEDY = ("joints_unknown", "joints", "continued", "recording")
+OF_ONE = ("_frozen", "_spike", "_lone", "_coarse", "_silent", "_small", "effort_clipped")
+
+
 @pytest.mark.parametrize("name", ROWS)
 def test_what_is_wrong_is_found_and_named(log: Recording, robot: RobotModel, name: str):
     change, kind, words = ROWS[name]
@@ -309,12 +312,7 @@ def test_what_is_wrong_is_found_and_named(log: Recording, robot: RobotModel, nam
     assert kind in found, found
     assert found[kind].severity == severity(kind)
     assert words in found[kind].message
-    assert bool(found[kind].remedy) or kind in (
-        "joints_unknown",
-        "joints",
-        "continued",
-        "recording",
-    )
+    assert bool(found[kind].remedy) or kind in WITHOUT_REMEDY
     assert inspection.ok == (found[kind].severity == "note")
     if found[kind].severity == "refuse":
         assert (kind in REFUSED) != KINDS[kind].final
@@ -322,6 +320,9 @@ def test_what_is_wrong_is_found_and_named(log: Recording, robot: RobotModel, nam
     # Some hide the alarms that they raise.
     if kind in ("position_in_degrees", "joints_unknown", "repeated_rows", "continued"):
         assert [*found] == [kind]
+    # No other joint and no unit is accused.
+    if kind.endswith(OF_ONE) or "alone" in words:
+        assert [(each.kind, each.joint) for each in inspection.findings] == [(kind, SECOND)]
 
 
 def one_speed(_: Recording) -> Recording:
@@ -350,17 +351,10 @@ def alone(position: np.ndarray, time: np.ndarray = T) -> Change:
     )
 
 
-OF_ONE = ("_frozen", "_spike", "_lone", "_coarse", "_silent", "_small", "effort_clipped")
 SIGNS = scaled("effort", np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0]))
 TWICE = {("effort_sign", name) for name in JOINTS[1:3]}
 SLOW = np.round(0.5 * np.sin(2.0 * np.pi * np.arange(8000) / 4000.0), 1)
 EXACTLY: dict[str, tuple[Change, set[tuple[str, str | None]]]] = {
-    # No other joint and no unit is accused.
-    **{
-        name: (change, {(kind, SECOND)})
-        for name, (change, kind, words) in ROWS.items()
-        if kind.endswith(OF_ONE) or "alone" in words
-    },
     **{f"{x:g} times the time": (scaled("time", x), {("time_scale", None)}) for x in (0.5, 2.0)},
     "stays, wrong sign": (
         lambda log: flipped("effort")(stays("effort", 6.0)(log)),

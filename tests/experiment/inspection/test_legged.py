@@ -23,8 +23,7 @@ from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.experiment.processing.contact_samples import ContactSamples
-from sdpid.robot.model.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.jacobians import frame_axes
 from sdpid.workflow import formulate
 from tests.helpers.refusals import refuses
 
@@ -299,15 +298,19 @@ def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> Non
     assert not told_by(base_checks.contacts_missing, air, "solo12")
 
 
+def kinds_of_no_robot(step: float, base: sdpid.BaseMotion) -> dict[str, str]:
+    """Return what is told of a base whose two joints move as sines."""
+    time = step * np.arange(base.n_samples)
+    moved = np.sin(np.outer(time, [1.0, 2.0]))
+    log = Recording(time=time, position=moved, effort=moved, base=base)
+    return {each.kind: each.message for each in sdpid.inspect_recording(log).findings}
+
+
 def test_base_that_never_moves() -> None:
-    count = 3000
-    level = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-    imu = sdpid.Imu(gyroscope=np.zeros((count, 3)))
-    base = sdpid.BaseMotion(orientation=level, position=np.zeros((count, 3)), imu=imu)
-    moved = np.sin(np.outer(0.01 * np.arange(count), [1.0, 2.0]))
-    log = Recording(time=0.01 * np.arange(count), position=moved, effort=moved, base=base)
-    told = {each.kind: each.message for each in sdpid.inspect_recording(log).findings}
-    assert ZEROS in told["imu_gyroscope"]
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (3000, 1))
+    imu = sdpid.Imu(gyroscope=np.zeros((3000, 3)))
+    base = sdpid.BaseMotion(orientation=level, position=np.zeros((3000, 3)), imu=imu)
+    assert ZEROS in kinds_of_no_robot(0.01, base)["imu_gyroscope"]
 
 
 def test_imu_that_turns_about_one_axis_is_compared_without_a_warning() -> None:
@@ -317,10 +320,7 @@ def test_imu_that_turns_about_one_axis_is_compared_without_a_warning() -> None:
     orientation = np.hstack([np.sin(half) * up, np.cos(half)])
     imu = sdpid.Imu(gyroscope=0.2 * np.cos(time)[:, None] * up, accelerometer=9.81 * up)
     base = sdpid.BaseMotion(orientation=orientation, imu=imu)
-    moved = np.sin(np.outer(time, [1.0, 2.0]))
-    log = Recording(time=time, position=moved, effort=moved, base=base)
-    found = sdpid.inspect_recording(log).findings
-    assert {each.kind for each in found} == {"contacts_missing", "imu_accelerometer"}
+    assert kinds_of_no_robot(0.02, base).keys() == {"contacts_missing", "imu_accelerometer"}
 
 
 def test_wrong_force_does_not_lift_all_feet() -> None:
@@ -617,27 +617,3 @@ def test_forces_are_compared_with_efforts() -> None:
 def test_without_a_robot_the_imu_is_compared_with_the_pose() -> None:
     told = {each.kind: each for each in sdpid.inspect_recording(recorded(late=True)).findings}
     assert told["imu_late"].numbers["delay"] == pytest.approx(0.004, abs=5e-4)
-
-
-def test_projected_efforts_hold_no_force_of_contacts() -> None:
-    rng = np.random.default_rng(1)
-    turned = Rotation.random(4, random_state=rng).as_quat()
-    down = np.array([[1, 1], [1, 0], [0, 1], [0, 0]])
-    position = np.hstack([np.zeros((4, 3)), turned, rng.normal(size=(4, 12))])
-    contacts = ContactSamples(frames=["FL_FOOT", "FR_FOOT"], kind=("point", "line"), down=down == 1)
-    scale = rng.uniform(0.5, 2.0, size=18)
-    free = delays.free_of_contacts(robot(), position, contacts, scale)
-    J = contact_jacobians(robot(), position, contacts.frames) * down[:, :, None, None] / scale
-    for i, rows in enumerate((3, 6)):
-        assert np.abs(J[:, i, :rows] @ free).max() < 1e-9 * np.abs(J).max()
-    np.testing.assert_allclose(np.einsum("kii->k", free), 18 - down @ [3, 6])
-
-
-@pytest.mark.parametrize("delay", [-0.013, 0.0004, 0.02])
-def test_lag_of_two_signals(delay: float) -> None:
-    def wave(time: Array) -> Array:
-        return np.sin(4.0 * time[:, None] + [0.0, 1.0]) + np.sin(7.3 * time[:, None])
-
-    time = 0.01 * np.arange(800)
-    found = delays.lag(wave(time - delay), 1.3 * wave(time) + 2.0, 0.01, gain=True)
-    assert found.value == pytest.approx(delay, abs=1e-4)

@@ -336,15 +336,12 @@ def test_what_cannot_be_simulated_is_refused() -> None:
         (DataError, "falls", go1(), "trot", falls),
     ):
         refuses(error, words, sdpid.simulate_legged, robot, motion, **options)
-    for words, options in (
-        ("no channel 'torque'", {"delays": {"torque": 0.1}}),
-        ("not negative", {"delays": {"imu": -0.1}}),
+    for words, kind, options in (
+        ("no channel 'torque'", Sensors, {"delays": {"torque": 0.1}}),
+        ("not negative", Sensors, {"delays": {"imu": -0.1}}),
+        (r"too steep.*limit is 0.03", DryFriction, {"peak": 1.0}),
+        ("width: 0", DryFriction, {"width": 0.0}),
+        ("peak: -1", DryFriction, {"peak": -1.0}),
     ):
-        refuses(DataError, words, Sensors, **options)
-    for words, options in (
-        (r"too steep.*limit is 0.03", {"peak": 1.0}),
-        ("width: 0", {"width": 0.0}),
-        ("peak: -1", {"peak": -1.0}),
-    ):
-        refuses(DataError, words, DryFriction, **options)
+        refuses(DataError, words, kind, **options)
     refuses(ModelError, "no frame 'paw'", find_legs, go1(), feet=["paw"])

@@ -28,7 +28,6 @@ from sdpid.experiment.processing.filters import Weights, low_pass, stencil
 from sdpid.experiment.processing.motion import joint_frequencies, white_noise
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.gaps import make_grid
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import small_arm
 
@@ -397,30 +396,6 @@ def test_timing_is_decided_by_what_the_motion_says(kind: str, resampled: int):
     assert np.abs(samples.velocity - expected).max() < 5e-3 + late * bounds[1]
 
 
-REAL = {
-    "kuka_lwr4plus/measurements_1.npz": ("taken as regular, 200", 200.0),
-    "kuka_lwr4plus/measurements_2.npz": ("taken as regular, 200", 200.0),
-    "panda_unisa/panda_exciting.npz": ("taken as regular, 29.99", 30.0),
-    "ur10_unisa/ur10_exciting.npz": (None, 125.0),
-}
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_real_logs(data_folder: Path, name: str):
-    note, rate = REAL[name]
-    log = sdpid.read_recording(data_folder / name)
-    grid = make_grid(log)
-    assert (grid.note is None) if note is None else (note in grid.note)
-    setting = Processing(cutoff_hz=4.0, order=4, decimation=1, covariance=None, trim_s=0.5)
-    samples = process(log, setting)
-    assert samples.periods is None
-    assert samples.mask.mean(axis=0).min() > 0.2
-    assert samples.block >= rate * 0.99
-    inner = slice(round(0.5 * rate), -round(0.5 * rate))
-    error = samples.velocity - log.velocity[inner][: samples.n_samples]
-    assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(log.velocity**2))
-
-
 # Recordings prepared for a robot: what is chosen for them, and other motions beside them.
 
 
@@ -442,15 +417,6 @@ def sine(rate: float, hertz: float) -> Recording:
     time = np.arange(round(20.0 * rate)) / rate
     position = np.sin(2.0 * np.pi * hertz * time)[:, None] * np.ones(2)
     return Recording(time=time, position=position, effort=position)
-
-
-def test_the_cut_off_follows_the_motion() -> None:
-    slow = default_processing(sine(1000.0, 0.5))
-    # 95 % of a windowed sine lie below its frequency and one or two steps of the spectrum, 0.05 Hz.
-    assert 25.0 * 0.5 <= slow.cutoff_hz <= 25.0 * 0.61
-    assert (slow.order, slow.derivative, slow.velocity) == (4, "central4", "differentiated")
-    assert slow.reversal_time == pytest.approx(0.1 / slow.cutoff_hz)
-    assert default_processing(sine(1000.0, 10.0)).cutoff_hz == pytest.approx(1000.0 / 7.5)
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(30.0, "measured"), (200.0, "differentiated")])
