@@ -22,6 +22,7 @@ from sdpid.friction import (
     Tilt,
     Viscous,
 )
+from sdpid.robot.friction.posed import horizontal_axes
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -116,9 +117,12 @@ def test_what_does_not_fit_is_refused() -> None:
     refuses(DataError, "state 0 has a quaternion", floating.mass_matrix, q)
 
 
-@given(SEEDS)
-def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
-    robot = ROBOTS["arm"]
+GRAVITIES = ((0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (3.0, -5.0, 2.0))
+
+
+@given(SEEDS, st.sampled_from(GRAVITIES))
+def test_tilt_and_friction_of_the_load_are_in_it(seed: int, g: tuple[float, float, float]) -> None:
+    robot = sdpid.RobotModel.from_pinocchio(ROBOTS["arm"].pin_model, gravity=g)
     bodies = random_bodies(robot, seed)
     theta = np.concatenate([np.ravel(bodies), [0.03, -0.02], np.full(4, 0.1)])
     terms = friction_model(robot, (Tilt(bodies), LoadFriction(bodies)))
@@ -128,7 +132,8 @@ def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
     rest = np.zeros_like(v)
     upright = robot.inverse_dynamics(theta, q, rest, rest)
     tilt = model.gravity(q) - upright
-    gravity = robot.gravity + np.cross([0.03, -0.02, 0.0], robot.gravity)
+    turn = np.array([0.03, -0.02]) @ horizontal_axes(robot.gravity)
+    gravity = robot.gravity + np.cross(turn, robot.gravity)
     tilted = sdpid.RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
     assert_same(tilt, tilted.inverse_dynamics(theta, q, v, a) - links)
     np.testing.assert_allclose(model.to_pinocchio().gravity.linear, gravity, atol=1e-12)

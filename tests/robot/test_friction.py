@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -180,7 +179,6 @@ def test_columns_lie_within(term: FrictionTerm, seed: int) -> None:
 
 ARM = small_arm(4)
 ROBOTS = {"arm": ARM, "mimic": sdpid.load_robot(TREE_MIMIC), **MODELS}
-GRAVITIES = ((0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (3.0, -5.0, 2.0))
 
 
 def motion_of(robot: sdpid.RobotModel, seed: int, count: int = 20) -> SampledMotion:
@@ -192,19 +190,6 @@ def efforts(robot: sdpid.RobotModel, motion: SampledMotion, bodies: object) -> A
     return robot.inverse_dynamics(
         np.ravel(np.asarray(bodies)), motion.position, motion.velocity, motion.acceleration
     )
-
-
-@given(st.integers(0, 99), st.sampled_from(GRAVITIES))
-def test_a_tilt_is_how_efforts_change_with_gravity(seed: int, gravity: tuple[float, float, float]):
-    robot = sdpid.RobotModel.from_pinocchio(ARM.pin_model, gravity=gravity)
-    motion, bodies = motion_of(robot, seed), random_bodies(robot, seed)
-    columns = Tilt(bodies).columns_in(motion, robot.joint_names)
-    upright = efforts(robot, motion, bodies)
-    for k, axis in enumerate(horizontal_axes(robot.gravity)):
-        turned = robot.gravity + np.cross(axis, robot.gravity)
-        other = sdpid.RobotModel.from_pinocchio(ARM.pin_model, gravity=turned.tolist())
-        change = efforts(other, motion, bodies) - upright
-        np.testing.assert_allclose(columns[:, :, k], change, atol=1e-10)
 
 
 @given(rotations())

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +22,6 @@ from sdpid.robot.description.catalog import (
 )
 from sdpid.robot.description.urdf import check_urdf
 from sdpid.robot.description.xml import encode_xml, is_mjcf, parse_xml, read_description
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.geometry import collision_points, link_placements
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
@@ -527,18 +526,3 @@ def test_placements() -> None:
     fixed = link_placements(sdpid.load_robot(TREE))
     np.testing.assert_allclose(floating[1:], fixed, atol=KINEMATICS)
     refuses(DataError, "position", link_placements, robot, [0.1, 0.2])
-
-
-# Which coordinates are lengths.
-
-
-@pytest.mark.parametrize("root", [None, "free_flyer"])
-def test_lengths_are_those_of_sliding_joints_and_of_a_base(
-    root: Literal["free_flyer"] | None,
-) -> None:
-    robot = load_robot(TREE, root=root)
-    found = sliding(robot.pin_model, robot.joint_names)
-    lengths = {name for name, slides in zip(robot.joint_names, found, strict=True) if slides}
-    base = {name for name in robot.joint_names if name.endswith(("/vx", "/vy", "/vz"))}
-    assert lengths == {"lift", "slide"} | base
-    assert len(base) == (3 if root == "free_flyer" else 0)
