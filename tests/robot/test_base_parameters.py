@@ -48,6 +48,7 @@ CHOICES: tuple[tuple[Term | None, ...], ...] = (
     (None, SigmoidFriction(0.02), SigmoidFriction(0.3)),
     (None, "square_root"),
 )
+TREES = {"tree": TREE, "mimic": TREE_MIMIC, "follower": TREE_MIMIC_NO_OFFSET}
 ROBOTS = {
     "vertical slide": sdpid.RobotModel.from_mdh(
         (DhJoint(kind="prismatic"), DhJoint(alpha=np.pi / 2), DhJoint(d=0.3))
@@ -118,10 +119,10 @@ def test_regrouping_holds_at_fresh_states(table: DhTable, seed: int) -> None:
 @pytest.mark.parametrize(
     ("source", "root"),
     [
-        (TREE, None),
-        (TREE_MIMIC, None),
-        (TREE, "free_flyer"),
-        (TREE_MIMIC_NO_OFFSET, "free_flyer"),
+        ("tree", None),
+        ("mimic", None),
+        ("tree", "free_flyer"),
+        ("follower", "free_flyer"),
         ("solo12", None),
         ("solo12", "free_flyer"),
         ("panda", None),
@@ -129,7 +130,7 @@ def test_regrouping_holds_at_fresh_states(table: DhTable, seed: int) -> None:
     ],
 )
 def test_trees_floating_bases_and_humanoids(source: str, root: str | None) -> None:
-    robot = sdpid.load_robot(source, root=root)
+    robot = sdpid.load_robot(TREES.get(source, source), root=root)
     check(robot, ("coulomb", "rotor_inertia"), 7, 24)
     base = base_of(robot, "coulomb", "rotor_inertia")
     # The rank is the numerical one: the singular values fall off a cliff there.
