@@ -172,7 +172,7 @@ REFUSED: list[tuple[str, Any]] = [
     ("increasing", partial(Spline(**STILL).enclose, [0.0, 0.0])),
     ("derivative", partial(Spline.control_matrix, 6, 1.0, 6)),
     ("at least 6", partial(Spline.expansion, 5)),
-    ("not within", partial(paper_excitation("denso_vp6242", 3, period=12.0).sample, 0, 10**9)),
+    ("not within", lambda: paper_excitation("denso_vp6242", 3, period=12.0).sample(0, 10**9)),
     (r"none\.csv.*no such file", partial(read_trajectory, Path("none.csv"))),
     ("no format of trajectories", partial(read_trajectory, Path("motion.bag"))),
 ]

@@ -297,6 +297,8 @@ WRONG_SETTINGS = ({"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2})
         ("log: is 3; give a Recording", 3, None),
         ("looks like degrees", FAR, None),
         ("2 jumps by .* at sample 78 of .*: an outlier", changed(periodic(3), 1, 77, 20.0), None),
+        # Whole turns, nearly, but far too many of them.
+        (r"2 jumps by 1e\+12 rad at sample 78", changed(periodic(3), 1, 77, 1e12), None),
         (r"no row of joint wrist: .* 0.1 s away .* 0.02 rad/s.*reversal_time=None", STANDING, {}),
         (r"2 periods for 2 joints: .* at least 3 periods", periodic(2, noise=0.5), Processing()),
         ("has 1, a covariance needs at least 2", periodic(1), {"covariance": "pooled"}),
