@@ -342,6 +342,7 @@ def test_a_local_result_is_certified_by_the_bound_of_another(tmp_path: Path) -> 
     found = certify(early, bound=best)
     assert not found.passed
     assert found.gap == pytest.approx(1.0 - best.cost / early.cost, rel=1e-3)
+    assert certify(early, bound=certify(best).bound).gap == found.gap
     again = checked(found.to_dict(), tmp_path)
     # It does not claim to be optimal, and what it claims is true.
     assert again.passed == found.feasible
