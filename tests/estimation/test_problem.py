@@ -11,17 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid import Constraints, Recording, RobotModel, load_robot, solve_sdp, solve_wls
+from sdpid import Constraints, Recording, RobotModel, load_robot, solve_sdp, solve_slsqp, solve_wls
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.constraints.mass import TotalMass
 from sdpid.estimation.local.log_cholesky import solve_log_cholesky
 from sdpid.estimation.local.run import random_start
-from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
-from tests.helpers import data, world
+from tests.helpers import data
 from tests.helpers.arm import BOTH
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, small_arm
@@ -115,15 +114,6 @@ def test_bad_constraints() -> None:
     # A single condition needs no tuple.
     total = TotalMass(3.0)
     assert Constraints(others=total).others == Constraints(others=[total]).others == (total,)
-
-
-@pytest.mark.parametrize("noise", [0.01, 1.0])
-def test_residuals_over_their_sigma_have_a_variance_of_one(noise: float) -> None:
-    """However little of the effort they are: a prior would count too much or too little else."""
-    samples, _ = world.samples(ARM, 21, count=600, noise=noise)
-    problem = build_problem(ARM, samples, weighting="residual")
-    # The correlation time, which is found with some noise, divides it.
-    assert 0.6 < problem.floor / (problem.n_rows - problem.base.count) < 1.1
 
 
 def test_unknown_options_and_arguments_of_another_kind() -> None:

@@ -123,16 +123,6 @@ def test_outliers_do_little(seed: int, weighting: Weighting) -> None:
     assert errors[1] < 0.35 * errors[0]
 
 
-def test_with_a_huge_threshold_it_is_the_quadratic_cost() -> None:
-    problem, _ = spoiled(ARM3, 5)
-    quadratic = solve_sdp(problem)
-    robust = solve_robust(problem, threshold=1e6)
-    assert robust.rounds == 1
-    assert robust.robust_cost == pytest.approx(quadratic.cost, rel=SAME_OPTIMUM)
-    np.testing.assert_allclose(robust.base, quadratic.base, atol=1e-3)
-    assert robust.robust_gap <= GAP
-
-
 def test_rows_too_large_to_keep_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, theta = spoiled(ROBOTS["planar"], 6, masked=True)
     kept = HuberLoss.of(problem, threshold=1.0)
