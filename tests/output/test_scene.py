@@ -17,9 +17,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.charts.page import policy
-from sdpid.output.scene.contents import inertia_ellipsoid, recorded_motion
-from sdpid.output.scene.identified import identified_scene
-from sdpid.output.scene.scene import Scene
+from sdpid.output.scene.scene import Scene, identified_scene, inertia_ellipsoid, recorded_motion
 from sdpid.output.scene.surfaces import Surface, described_surfaces, hull, thinned
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia, theta_from_physical
 from sdpid.robot.model.geometry import link_placements, neutral

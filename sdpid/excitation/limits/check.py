@@ -14,15 +14,18 @@ from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
-from sdpid.excitation.limits.extremes import CurveMeasure, Extremes, extremes, with_tolerance
 from sdpid.excitation.limits.inequalities import ToolSpeedWithin
 from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import (
+    CurveMeasure,
     DistanceMeasure,
+    Extremes,
     MotionMeasure,
     ToolMeasure,
     TorqueMeasure,
+    extremes,
+    with_tolerance,
 )
 from sdpid.excitation.limits.motions import Motion, curves_of
 from sdpid.excitation.limits.torque import TorqueModel
@@ -165,12 +168,7 @@ class LimitCheck(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "ok": self.ok,
-            "rows": plain(self.rows),
-            "notes": plain(self.notes),
-            "left_out": plain(self.left_out),
-        }
+        return {"ok": self.ok, **plain(self)}
 
     def _tables(self) -> Iterator[Table]:
         yield self.table()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from sdpid._common.files import load_toml
 from sdpid._common.tables import Settings, plain
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import KINDS, JointLimits
-from sdpid.excitation.limits.narrowing import OTHERS, Values, narrow
+from sdpid.excitation.limits.narrowing import OTHERS, Narrowing, Values
 from sdpid.robot.model.model import RobotModel
 
 
@@ -76,7 +76,7 @@ class Limits(Settings):
 
     def __post_init__(self) -> None:
         for kind in KINDS:
-            object.__setattr__(self, kind, _with_infinity(getattr(self, kind)))
+            object.__setattr__(self, kind, _each(getattr(self, kind), _number))
             for where, value in _entries(getattr(self, kind)):
                 _check_number(kind, where, value)
         for name, least in (("tool_speed", "above 0"), ("clearance", "from 0")):
@@ -146,7 +146,7 @@ class Limits(Settings):
         """Return the fields that are given, as JSON and `Limits` take them."""
         given = {each.name: getattr(self, each.name) for each in fields(self)}
         return {
-            name: _without_infinity(value)
+            name: plain(_each(value, _text))
             for name, value in given.items()
             if value is not None and value is not False
         }
@@ -184,7 +184,7 @@ class Limits(Settings):
         """
         values = {kind: getattr(self, kind) for kind in KINDS}
         used = share if self.share is None else self.share
-        found = narrow(robot, values, rest, share=used, override=self.override, assume=assume)
+        found = Narrowing(robot, values, used, self.override, assume).limits(rest)
         return replace(found, tool_speed=self.tool_speed, tool=self.tool, clearance=self.clearance)
 
 
@@ -193,26 +193,23 @@ _ARM = tuple(each.name for each in fields(Limits) if each.name not in KINDS)
 OBSTACLES = ("plane", "box", "mesh", "table", "wall")
 
 
-def _with_infinity(values: Any) -> Any:
-    """Return values with numbers in place of the text ``"inf"``, which JSON has for infinity."""
+def _each(values: Any, function: Callable[[Any], Any]) -> Any:
+    """Return the same with what a function returns of each value."""
     if isinstance(values, Mapping):
-        return {name: _with_infinity(value) for name, value in values.items()}
+        return {name: _each(value, function) for name, value in values.items()}
     if isinstance(values, list | tuple | np.ndarray):
-        return tuple(_with_infinity(value) for value in values)
-    return (
-        {"inf": np.inf, "-inf": -np.inf}.get(values, values) if isinstance(values, str) else values
-    )
+        return tuple(_each(value, function) for value in values)
+    return function(values)
 
 
-def _without_infinity(values: Any) -> Any:
-    """Return plain values with texts in place of infinite numbers."""
-    if isinstance(values, Mapping):
-        return {name: _without_infinity(value) for name, value in values.items()}
-    if isinstance(values, tuple):
-        return [_without_infinity(value) for value in values]
-    if is_number(values) and np.isinf(values):
-        return "inf" if values > 0.0 else "-inf"
-    return plain(values)
+def _number(value: Any) -> Any:
+    """Return a number in place of the text ``"inf"``, which JSON has for infinity."""
+    return {"inf": np.inf, "-inf": -np.inf}.get(value, value) if isinstance(value, str) else value
+
+
+def _text(value: Any) -> Any:
+    """Return a text in place of an infinite number."""
+    return str(float(value)) if is_number(value) and np.isinf(value) else value
 
 
 def _entries(values: Values) -> Iterable[tuple[str, object]]:

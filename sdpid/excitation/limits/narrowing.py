@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -75,25 +75,16 @@ _SAME = 1e-3
 _EASY, _DRAWN = 0.7, 1000
 
 
-def narrow(
-    robot: RobotModel,
-    given: Mapping[str, Values],
-    rest: ArrayLike | None,
-    *,
-    share: float,
-    override: bool,
-    assume: bool,
-) -> JointLimits:
-    """Return the limits of a robot's joints; see `Limits.of`.
+@dataclass(eq=False)
+class Narrowing:
+    """The way from given limits and a description to those of the joints, told on the way.
 
-    Parameters
+    Attributes
     ----------
     robot : RobotModel
         On a fixed base.
     given : mapping
         Values by kind of limit, one for each of `KINDS`.
-    rest : array_like, shape (n,), optional
-        Position at rest.
     share : float
         Share of the description's limits that is used.
     override : bool
@@ -105,37 +96,41 @@ def narrow(
     ------
     ModelError
         When the base floats.
-    DataError
-        When limits contradict each other or what they are for.
     """
-    require_fixed_robot(robot, "limits")
-    found = _Narrowing(robot, given, share, override, assume).limits(rest)
-    return _standing(robot, found, given=rest is not None) if assume else found
 
+    robot: RobotModel
+    given: Mapping[str, Values]
+    share: float
+    override: bool
+    assume: bool
 
-class _Narrowing:
-    """The way from given limits and a description to those of the joints, told on the way."""
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        given: Mapping[str, Values],
-        share: float,
-        override: bool,
-        assume: bool,
-    ) -> None:
-        self.robot, self.given, self.share, self.override = robot, given, share, override
-        self.assume = assume
-        self.names, self.n, self.sliding = robot.joint_names, robot.n, robot.slides
-        self.told: list[str] = []
-        self.sources: dict[str, tuple[str, ...]] = {}
+    def __post_init__(self) -> None:
+        require_fixed_robot(self.robot, "limits")
+        self._names, self._n, self._sliding = (
+            self.robot.joint_names,
+            self.robot.n,
+            self.robot.slides,
+        )
+        self._told: list[str] = []
+        self._sources: dict[str, tuple[str, ...]] = {}
 
     def limits(self, rest: ArrayLike | None) -> JointLimits:
-        """Return the joints' limits."""
+        """Return the joints' limits; see `Limits.of`.
+
+        Parameters
+        ----------
+        rest : array_like, shape (n,), optional
+            Position at rest.
+
+        Raises
+        ------
+        DataError
+            When limits contradict each other or what they are for.
+        """
         start = None if rest is None else self._start(rest)
-        lower, upper = self._range(np.zeros(self.n) if start is None else start)
+        lower, upper = self._range(np.zeros(self._n) if start is None else start)
         found: dict[str, Any] = {"lower": lower, "upper": upper}
-        before = np.full(self.n, np.inf)
+        before = np.full(self._n, np.inf)
         for kind, (seconds, most, words) in _USUAL.items():
             values = self._size(kind)
             missing = np.isnan(values)
@@ -143,33 +138,34 @@ class _Narrowing:
             self._missing(
                 kind, missing, *(words.format(amount=each, seconds=seconds) for each in amounts)
             )
-            usual = np.minimum(before / seconds, np.where(self.sliding, *most[::-1]))
+            usual = np.minimum(before / seconds, np.where(self._sliding, *most[::-1]))
             before = found[kind] = np.where(missing, usual if self.assume else np.inf, values)
         torque = self._size("torque")
         self._tell(np.isnan(torque), f"no torque limits; {_UNCHECKED}")
         self._tell_empty(upper - lower, found["velocity"], torque)
-        if self.share < 1.0 and any(DESCRIBED in each for each in self.sources.values()):
-            self.told.append(
+        if self.share < 1.0 and any(DESCRIBED in each for each in self._sources.values()):
+            self._told.append(
                 f"of the description's position ranges, speeds and torques {100 * self.share:g} % "
                 "are used, since controllers stop the arm at their limits."
             )
-        return JointLimits(
-            joint_names=self.names,
-            sliding=tuple(self.sliding.tolist()),
+        limits = JointLimits(
+            joint_names=self._names,
+            sliding=tuple(self._sliding.tolist()),
             rest=_usual_rest(lower, upper) if start is None else start,
             torque=np.where(np.isnan(torque), np.inf, torque),
-            sources=self.sources,
-            assumed=tuple(self.told),
+            sources=self._sources,
+            assumed=tuple(self._told),
             **found,
         )
+        return _standing(self.robot, limits, given=rest is not None) if self.assume else limits
 
     def _start(self, rest: ArrayLike) -> Array:
         """Return the given rest position (n,)."""
         values = real_array(rest, "rest position", ndim=1)
-        if values.shape != (self.n,):
+        if values.shape != (self._n,):
             raise DataError(
-                f"rest position: {values.size} values, '{self.robot.name}' has {self.n} joints: "
-                f"{', '.join(self.names)}."
+                f"rest position: {values.size} values, '{self.robot.name}' has {self._n} joints: "
+                f"{', '.join(self._names)}."
             )
         return values
 
@@ -180,7 +176,7 @@ class _Narrowing:
         if wrong.size and not self.override:
             j = wrong[0]
             raise DataError(
-                f"limits: the description of '{self.robot.name}' has joint '{self.names[j]}' from "
+                f"limits: the description of '{self.robot.name}' has joint '{self._names[j]}' from "
                 f"{low[j]:g} to {high[j]:g}; mend it, or give both with override."
             )
         real = np.isfinite(low) & (low < high)
@@ -189,7 +185,7 @@ class _Narrowing:
         spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
         lower = self._merged("lower", low + spare, low)
         upper = self._merged("upper", high - spare, high)
-        way = np.where(self.sliding, _SHORT_WAY, _HALF_TURN) if self.assume else np.inf
+        way = np.where(self._sliding, _SHORT_WAY, _HALF_TURN) if self.assume else np.inf
         no_lower, no_upper = ~np.isfinite(lower), ~np.isfinite(upper)
         lower, upper = (
             np.where(no_lower, np.where(no_upper, about - way, upper - 2.0 * way), lower),
@@ -204,19 +200,19 @@ class _Narrowing:
         for kind, missing in (("lower", no_lower), ("upper", no_upper)):
             self._mark(kind, missing)
         for j in np.flatnonzero(~(lower < upper)):
-            sides = [self.sources[kind][j] for kind in ("lower", "upper")]
+            sides = [self._sources[kind][j] for kind in ("lower", "upper")]
             given = sides == [GIVEN, GIVEN]
             remedy = "exchange them" if given else "give limits that overlap the description's"
             raise DataError(
-                f"limits: joint '{self.names[j]}': lower {lower[j]:g} ({sides[0]}) is not below "
-                f"upper {upper[j]:g} ({sides[1]}) {unit_of('lower', self.sliding[j])}; {remedy}."
+                f"limits: joint '{self._names[j]}': lower {lower[j]:g} ({sides[0]}) is not below "
+                f"upper {upper[j]:g} ({sides[1]}) {unit_of('lower', self._sliding[j])}; {remedy}."
             )
         return lower, upper
 
     def _size(self, kind: str) -> Array:
         """Return the limits (n,) of a size that are given or described, NaN where neither is."""
         limits = {"velocity": self.robot.velocity_limits, "torque": self.robot.effort_limits}
-        described = limits.get(kind, np.full(self.n, np.inf))
+        described = limits.get(kind, np.full(self._n, np.inf))
         described = np.where(np.isfinite(described), described, np.nan)
         return self._merged(kind, self.share * described, described)
 
@@ -238,28 +234,28 @@ class _Narrowing:
             self._tell(wider & np.isfinite(given), f"{words}; the description's hold")
         own = ~np.isnan(given) & (~beyond | self.override)
         sources = np.where(own, GIVEN, np.where(np.isnan(described), NONE, DESCRIBED))
-        self.sources[kind] = tuple(sources.tolist())
+        self._sources[kind] = tuple(sources.tolist())
         return values
 
     def _values(self, kind: str) -> Array:
         """Return the given values (n,) of a kind, NaN where none is given."""
         values = self.given[kind]
         if isinstance(values, Mapping):
-            unknown = [name for name in values if name not in self.names and name != OTHERS]
+            unknown = [name for name in values if name not in self._names and name != OTHERS]
             if unknown:
                 raise DataError(
                     f"limits: {kind}: '{self.robot.name}' has no joint '{unknown[0]}'; its joints "
-                    f"are {', '.join(self.names)}."
+                    f"are {', '.join(self._names)}."
                 )
-            each = [values.get(name, values.get(OTHERS)) for name in self.names]
+            each = [values.get(name, values.get(OTHERS)) for name in self._names]
         elif values is None or is_number(values):
-            each = [values] * self.n
+            each = [values] * self._n
         else:
             each = list(values)  # type: ignore[arg-type]
-        if len(each) != self.n:
+        if len(each) != self._n:
             raise DataError(
-                f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self.n} "
-                f"joints: {', '.join(self.names)}."
+                f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self._n} "
+                f"joints: {', '.join(self._names)}."
             )
         given = np.array(each, dtype=np.float64)
         self._check_units(kind, given)
@@ -267,29 +263,29 @@ class _Narrowing:
 
     def _check_units(self, kind: str, given: Array) -> None:
         """Raise `DataError` when given values look like degrees or mm."""
-        most = np.where(self.sliding, *_SLIPS.get(kind, (np.inf, np.inf))[::-1])
+        most = np.where(self._sliding, *_SLIPS.get(kind, (np.inf, np.inf))[::-1])
         for j in np.flatnonzero(np.isfinite(given) & (np.abs(given) > most)):
-            unit = unit_of(kind, self.sliding[j])
-            slip, factor = ("mm", 1e-3) if self.sliding[j] else ("degrees", np.pi / 180.0)
+            unit = unit_of(kind, self._sliding[j])
+            slip, factor = ("mm", 1e-3) if self._sliding[j] else ("degrees", np.pi / 180.0)
             raise DataError(
-                f"limits: joint '{self.names[j]}': {kind} is {given[j]:g} {unit}, which looks like "
-                f"{slip}; give {given[j] * factor:.4g} {unit}."
+                f"limits: joint '{self._names[j]}': {kind} is {given[j]:g} {unit}, which looks "
+                f"like {slip}; give {given[j] * factor:.4g} {unit}."
             )
 
     def _missing(self, kind: str, where: Mask, turning: str, slides: str) -> None:
         """Tell what is assumed of turning joints, and what of sliding ones, or that nothing is."""
-        if kind in self.sources:
+        if kind in self._sources:
             self._mark(kind, where)
         if not self.assume:
             turning = slides = _UNCHECKED
         for words in dict.fromkeys((turning, slides)):
-            alike = np.where(self.sliding, slides == words, turning == words)
+            alike = np.where(self._sliding, slides == words, turning == words)
             self._tell(where & alike, f"no {kind} limits; {words}")
 
     def _mark(self, kind: str, where: Mask) -> None:
         """Note the joints whose limits are assumed, or none."""
         source = ASSUMED if self.assume else NONE
-        self.sources[kind] = tuple(np.where(where, source, self.sources[kind]).tolist())
+        self._sources[kind] = tuple(np.where(where, source, self._sources[kind]).tolist())
 
     def _tell_empty(self, width: Array, velocity: Array, torque: Array) -> None:
         """Tell which limits of the description are so wide that they limit nothing."""
@@ -303,9 +299,9 @@ class _Narrowing:
             (("velocity",), "velocity limits", velocity, _FASTEST, "rad/s"),
             (("torque",), "torque limits", torque, most, "N·m"),
         ):
-            described = np.all(np.array([self.sources[k] for k in kinds]) == DESCRIBED, axis=0)
+            described = np.all(np.array([self._sources[k] for k in kinds]) == DESCRIBED, axis=0)
             # Infinity is told as none.
-            beyond = np.isfinite(size) & (size > limit) & ~self.sliding
+            beyond = np.isfinite(size) & (size > limit) & ~self._sliding
             self._tell(
                 described & beyond,
                 f"{what} in the description that limit nothing (more than {limit:.3g} {unit}); "
@@ -317,12 +313,12 @@ class _Narrowing:
         joints = np.flatnonzero(where)
         if joints.size == 0:
             return
-        if joints.size == self.n and self.n > 1:
-            self.told.append(f"all joints have {words}.")
+        if joints.size == self._n and self._n > 1:
+            self._told.append(f"all joints have {words}.")
         else:
-            names = ", ".join(self.names[j] for j in joints)
+            names = ", ".join(self._names[j] for j in joints)
             verb = "has" if joints.size == 1 else "have"
-            self.told.append(f"{names} {verb} {words}.")
+            self._told.append(f"{names} {verb} {words}.")
 
 
 def _within_mimics(robot: RobotModel, low: Array, high: Array) -> tuple[Array, Array]:

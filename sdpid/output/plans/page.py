@@ -16,7 +16,7 @@ from sdpid.experiment.trajectory.trajectory import Played, played
 from sdpid.output.charts.charts import Charts
 from sdpid.output.charts.page import number
 from sdpid.output.plans.scene import scene_of
-from sdpid.output.scene.contents import FRAME_RATE
+from sdpid.output.scene.scene import FRAME_RATE
 
 
 def tiles(plan: Plan) -> Iterator[tuple[str, str, str]]:

@@ -13,8 +13,7 @@ from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Mesh, Plane
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.experiment.trajectory.trajectory import Played
-from sdpid.output.scene.contents import Group, ShownMotion
-from sdpid.output.scene.scene import Line, Scene, grid, robot_scene
+from sdpid.output.scene.scene import Group, Line, Scene, ShownMotion, grid, robot_scene
 from sdpid.output.scene.surfaces import Surface, described_surfaces, surface_of
 from sdpid.robot.model.model import RobotModel
 

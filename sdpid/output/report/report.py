@@ -23,7 +23,7 @@ from sdpid.output.report.kinds import LEVELS
 from sdpid.output.report.subject import Judged, VerdictSubject
 from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
-from sdpid.output.scene.identified import identified_scene
+from sdpid.output.scene.scene import identified_scene
 from sdpid.plots.lines import TimeLine
 
 
