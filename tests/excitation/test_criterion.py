@@ -165,19 +165,15 @@ def test_white_noise_has_a_density() -> None:
     np.testing.assert_allclose(noise.filtered_variance(1e6), [1.0, 4.0, 9.0])
 
 
-def test_one_number_serves_all_joints_and_names_serve_each() -> None:
+def test_numbers_serve_all_joints_or_each_and_without_them_it_is_assumed() -> None:
     one = ExpectedNoise.of(NAMES, 0.5, RMS, 100.0)
     np.testing.assert_allclose(one.deviation, 0.5)
     named = ExpectedNoise.of(NAMES, dict(zip(NAMES, (3.0, 2.0, 1.0), strict=True)), RMS, 100.0)
     np.testing.assert_allclose(named.deviation, [3.0, 2.0, 1.0])
     assert ExpectedNoise.of(NAMES, named, RMS, 1.0) is named
-
-
-def test_without_numbers_it_is_assumed_and_said() -> None:
-    noise = ExpectedNoise.of(NAMES, None, RMS, 100.0)
-    assert noise.deviation[0] < noise.deviation[1]
-    assert np.all(noise.deviation > 0.0)
-    assert "assumed" in noise.notes[0]
+    assumed = ExpectedNoise.of(NAMES, None, RMS, 100.0)
+    assert 0.0 < assumed.deviation[2] < assumed.deviation[0] < assumed.deviation[1]
+    assert "assumed" in assumed.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -190,8 +186,7 @@ def test_without_numbers_it_is_assumed_and_said() -> None:
     ],
 )
 def test_wrong_numbers_are_refused(noise: object, says: str) -> None:
-    with pytest.raises(DataError, match=says):
-        ExpectedNoise.of(NAMES, noise, RMS, 100.0)  # type: ignore[arg-type]
+    refuses(DataError, says, ExpectedNoise.of, NAMES, noise, RMS, 100.0)
 
 
 @given(st.lists(st.floats(0.0, 1e4), min_size=1, max_size=7), st.floats(1e-3, 1e3))
@@ -228,21 +223,15 @@ RNG = np.random.default_rng(0)
 STATES = tuple(RNG.standard_normal((50, 3)) for _ in range(3))
 
 
-def test_described_bodies_are_made_possible() -> None:
-    robot = sdpid.load_robot("ur10_robot")
+@pytest.mark.parametrize("robot", [NOMINAL, sdpid.load_robot("ur10_robot")])
+def test_bodies_are_possible_as_described_or_assumed_and_told(robot: sdpid.RobotModel) -> None:
     bodies, notes = nominal_bodies(robot)
-    assert notes == ()
     known = robot.prior[:, 0] > 0.0
     np.testing.assert_allclose(bodies[known, 0], robot.prior[known, 0])
-    assert np.all(margin(bodies, "pseudo_inertia") > 0.0)
-
-
-def test_without_masses_some_are_assumed_and_told() -> None:
-    bodies, notes = nominal_bodies(NOMINAL)
-    assert not NOMINAL.prior.any()
     assert np.all(bodies[:, 0] > 0.0)
-    assert "no masses" in notes[0]
     assert np.all(margin(bodies, "pseudo_inertia") > 0.0)
+    assert known.any() or "no masses" in notes[0]
+    assert len(notes) == (0 if known.any() else 1)
 
 
 def test_friction_is_of_a_usual_size_and_other_terms_are_zero() -> None:
@@ -329,8 +318,7 @@ def test_functionals_of_a_part_are_log_det_of_its_covariance() -> None:
 
 
 def test_unknown_objectives_are_refused() -> None:
-    with pytest.raises(DataError, match="use one of mixed, D"):
-        Objective(kind="G")  # type: ignore[arg-type]
+    refuses(DataError, "use one of mixed, D", Objective, kind="G")
     refuses(DataError, "needs functionals", Objective, kind="V")
 
 

@@ -178,80 +178,47 @@ SPACES = {
     "fourier": lambda: FourierSpace.of(3, 8.0, 5),
     "sized": lambda: SplineSpace.of(3, 8.0).sized(SIZES),
 }
-NAMES = tuple(SPACES)
 
 
 def drawn(space: Space, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(space.size)
 
 
-@given(st.sampled_from(NAMES), st.integers(0, 1000))
-def test_the_curve_is_what_the_basis_says(name: str, seed: int) -> None:
+@given(st.sampled_from(tuple(SPACES)), st.integers(0, 1000))
+def test_motions_are_linear_at_rest_at_their_ends_and_bounded(name: str, seed: int) -> None:
     space = SPACES[name]()
-    x = drawn(space, seed)
-    time = space.grid()
+    x, time = drawn(space, seed), space.grid()
+    c, curve = space.coefficients(x), space.curve(x)
+    ends, dense = np.array([0.0, curve.duration]), np.linspace(0.0, space.duration, 3001)
     for order in range(4):
-        expected = space.basis(time, order) @ space.coefficients(x)
-        found = space.curve(x).evaluate(time, derivative=order)
-        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
-
-
-@given(st.sampled_from(NAMES), st.integers(0, 1000))
-def test_every_motion_is_at_rest_at_its_ends(name: str, seed: int) -> None:
-    space = SPACES[name]()
-    curve = space.curve(drawn(space, seed))
-    ends = np.array([0.0, curve.duration])
-    for order in (1, 2):
-        inside = np.abs(curve.evaluate(space.grid(), derivative=order)).max()
-        assert np.abs(curve.evaluate(ends, derivative=order)).max() <= 1e-9 * inside
+        expected, found = space.basis(time, order) @ c, curve.evaluate(time, derivative=order)
+        inside = np.abs(expected).max()
+        np.testing.assert_allclose(found, expected, atol=1e-9 * inside)
+        if order in (1, 2):
+            assert np.abs(curve.evaluate(ends, derivative=order)).max() <= 1e-9 * inside
+        # Rows bound a derivative between the samples too.
+        rows, share = space.bounds(order)
+        bound = np.abs(rows @ c).max(axis=0) / share
+        assert np.all(np.abs(space.basis(dense, order) @ c).max(axis=0) <= bound * (1.0 + 1e-12))
     if name != "open":
         np.testing.assert_allclose(*curve.evaluate(ends), atol=1e-9)
+    by_c = np.random.default_rng(seed + 1).standard_normal(c.shape)
+    assert np.sum(c * by_c) == pytest.approx(float(x @ space.pulled(by_c)))
+    position = by_c[0]
+    still = space.curve(space.standing(position)).evaluate(time)
+    np.testing.assert_allclose(still, np.tile(position, (len(time), 1)), atol=1e-9)
+    assert (space.refined(x) is None) == (name in ("postures", "one_by_one", "fourier"))
 
 
-@given(st.sampled_from(NAMES), st.integers(0, 1000))
-def test_rows_bound_a_derivative_between_the_samples_too(name: str, seed: int) -> None:
-    space = SPACES[name]()
-    x = drawn(space, seed)
-    dense = np.linspace(0.0, space.duration, 3001)
-    for order in range(4):
-        rows, share = space.bounds(order)
-        reached = np.abs(space.basis(dense, order) @ space.coefficients(x))
-        bound = np.abs(rows @ space.coefficients(x)).max(axis=0) / share
-        assert np.all(reached.max(axis=0) <= bound * (1.0 + 1e-12))
-
-
-@given(st.sampled_from(NAMES), st.integers(0, 1000))
-def test_the_pull_is_the_transpose(name: str, seed: int) -> None:
-    space = SPACES[name]()
-    x = drawn(space, seed)
-    c = np.random.default_rng(seed + 1).standard_normal(space.coefficients(x).shape)
-    assert np.sum(space.coefficients(x) * c) == pytest.approx(float(x @ space.pulled(c)))
-
-
-@given(st.sampled_from(NAMES), st.integers(0, 1000))
-def test_standing_still_is_standing_still(name: str, seed: int) -> None:
-    space = SPACES[name]()
-    position = np.random.default_rng(seed).standard_normal(3)
-    curve = space.curve(space.standing(position))
-    np.testing.assert_allclose(
-        curve.evaluate(space.grid()), np.tile(position, (len(space.grid()), 1)), atol=1e-9
-    )
-
-
-def test_one_joint_moves_at_a_time() -> None:
-    space = SPACES["one_by_one"]()
-    speed = space.curve(drawn(space, 0)).evaluate(space.grid(20.0), derivative=1)
-    moving = np.abs(speed) > 1e-9
-    assert moving.any(axis=0).all()
-    assert moving.sum(axis=1).max() == 1
-
-
-def test_postures_are_held() -> None:
-    space = SPACES["postures"]()
-    speed = np.abs(space.curve(drawn(space, 0)).evaluate(space.grid(50.0), derivative=1)).max(
-        axis=1
-    )
-    assert np.count_nonzero(speed < 1e-9) > 0.05 * len(speed)
+def test_one_joint_moves_at_a_time_and_postures_are_held() -> None:
+    moving = {}
+    for name in ("one_by_one", "postures"):
+        space = SPACES[name]()
+        speed = space.curve(drawn(space, 0)).evaluate(space.grid(50.0), derivative=1)
+        moving[name] = np.abs(speed) > 1e-9
+    assert moving["one_by_one"].any(axis=0).all()
+    assert moving["one_by_one"].sum(axis=1).max() == 1
+    assert np.mean(~moving["postures"].any(axis=1)) > 0.05
 
 
 @given(st.sampled_from(("spline", "fourier")), st.integers(0, 200))
@@ -277,11 +244,12 @@ def test_random_starts_hold_the_limits_at_every_instant(name: str, seed: int) ->
         np.testing.assert_allclose(made.curve(x).evaluate(np.zeros(1))[0], begin, atol=1e-9)
 
 
-def test_the_largest_step_ends_at_the_first_limit() -> None:
+@pytest.mark.parametrize(
+    ("direction", "length"), [((1.0, 1.0), 1.0), ((0.0, 1.0), 3.0), ((0.0, -2.0), 0.5)]
+)
+def test_the_largest_step_ends_at_the_first_limit(direction: Any, length: float) -> None:
     linear = (csr_array(np.eye(2)), np.array([-1.0, -1.0]), np.array([1.0, 3.0]))
-    assert largest_step(linear, np.zeros(2), np.array([1.0, 1.0])) == pytest.approx(1.0)
-    assert largest_step(linear, np.zeros(2), np.array([0.0, 1.0])) == pytest.approx(3.0)
-    assert largest_step(linear, np.zeros(2), np.array([0.0, -2.0])) == pytest.approx(0.5)
+    assert largest_step(linear, np.zeros(2), np.array(direction)) == pytest.approx(length)
 
 
 def test_a_single_harmonic_is_refused() -> None:
@@ -307,12 +275,6 @@ def test_refined_splines_hold_the_motion_and_its_limits(name: str, seed: int) ->
         size = np.abs(bounds[0]).max()
         assert np.all(bounds[1].max(axis=0) <= bounds[0].max(axis=0) + 1e-8 * size)
         assert np.all(bounds[1].min(axis=0) >= bounds[0].min(axis=0) - 1e-8 * size)
-
-
-@pytest.mark.parametrize("name", ["postures", "one_by_one", "fourier"])
-def test_other_motions_are_not_refined(name: str) -> None:
-    space = SPACES[name]()
-    assert space.refined(drawn(space, 0)) is None
 
 
 # The progress bar of a search.

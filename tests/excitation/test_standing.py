@@ -13,12 +13,12 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.limits.check import LimitCheck, LimitRow
+from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import Stance, StanceStates
-from sdpid.excitation.standing.task import StandingInequalities, _joints
+from sdpid.excitation.standing.task import _joints
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
@@ -34,6 +34,9 @@ def test_a_plan_holds_its_limits_and_tells_what_it_buys() -> None:
     assert {"torque", "normal force", "friction", "determinant", "miss"} <= kinds
     assert np.all(plan.standard_errors <= plan.before * (1.0 + 1e-9))
     assert np.min(plan.standard_errors / plan.before) < 0.2
+    told = [note for note in plan.notes if "limit nothing" in note]
+    assert len(told) == 3
+    assert told[1].startswith("all joints have velocity limits in the description")
     motion = plan.motion
     # From rest to rest, and somewhere between.
     np.testing.assert_allclose(motion.velocity[[0, -1]], 0.0, atol=1e-9)
@@ -90,43 +93,33 @@ def test_limits_are_held_where_the_criterion_looks() -> None:
     """A leg that is stretched there, and nowhere else, would make rows without bound."""
     plan = standing_plan()
     space = SplineSpace.of(plan.stance.n, 3.0)
-    finer = space.refined(np.zeros(space.size))
-    for each in (space, finer[0]):
-        ((_, instants),) = StandingInequalities(plan.held).rows(each).parts
+    for each in (space, space.refined(np.zeros(space.size))[0]):
+        ((_, instants),) = plan.held.rows(each).parts
         np.testing.assert_array_equal(instants, each.grid())
 
 
 @pytest.mark.parametrize(("slack", "narrower"), [(-1e-6, 1.0013), (-0.05, 1.13), (-np.inf, 2.3)])
 def test_limits_are_narrowed_by_what_was_missing(slack: float, narrower: float) -> None:
     """Also where a foot is pulled, and no friction holds it."""
-    row = LimitRow(
-        kind="friction", subject="foot", side="upper", limit=0.5, worst=0.5 - slack,
-        reached=0.5 - slack, time=0.0, slack=slack, unit="1", verdict="broken",
-    )  # fmt: skip
-    searched = StandingInequalities(None, share=0.97)  # type: ignore[arg-type]
-    searched.learn(LimitCheck(rows=(row,), notes=()))
-    assert searched.share == pytest.approx(0.97 / narrower)
+    first = standing_plan().limits.rows[0]
+    row = replace(first, limit=0.5, slack=slack, verdict="broken")
+    held = replace(standing_plan().held, searched=0.97)
+    held.learn(LimitCheck(rows=(row,), notes=()))
+    assert held.searched == pytest.approx(0.97 / narrower)
 
 
 def test_robots_without_legs_are_refused() -> None:
-    refuses(ModelError, "has no link with 'foot' or 'sole'", sdpid.design_standing, "ur10_robot")
-    # Its fingers mimic each other, which is not what is wrong.
-    with pytest.raises(ModelError, match=r"has no link with 'foot' or 'sole'.*no robot on legs"):
-        sdpid.design_standing("panda")
-
-
-def test_limits_that_limit_nothing_are_told() -> None:
-    plan = sdpid.design_standing("solo12", duration=2.0, steps=2, progress=False)
-    told = [note for note in plan.notes if "limit nothing" in note]
-    assert len(told) == 3
-    assert told[1].startswith("all joints have velocity limits in the description")
+    # Fingers of a Panda mimic each other, which is not what is wrong.
+    for name in ("ur10_robot", "panda"):
+        words = "has no link with 'foot' or 'sole'.*no robot on legs"
+        refuses(ModelError, words, sdpid.design_standing, name)
 
 
 def test_motions_of_other_robots_are_refused() -> None:
-    with pytest.raises(DataError, match="'go1' has 12 joints and feet FL_foot"):
-        sdpid.simulate_legged("go1", standing_plan().motion)
-    with pytest.raises(DataError, match="duration: 9 s, the motion ends after 3 s"):
-        sdpid.simulate_legged("solo12", standing_plan().motion, duration=9.0)
+    motion = standing_plan().motion
+    refuses(DataError, "'go1' has 12 joints and feet FL_foot", sdpid.simulate_legged, "go1", motion)
+    words = "duration: 9 s, the motion ends after 3 s"
+    refuses(DataError, words, sdpid.simulate_legged, "solo12", motion, duration=9.0)
 
 
 # Kinematics, rows and loads of a stance, beside Pinocchio, differences, and an estimate's rows.

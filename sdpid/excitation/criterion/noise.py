@@ -9,7 +9,7 @@ noise of sensors, and they last: that is what is assumed where nothing is known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -89,7 +89,7 @@ class ExpectedNoise:
         return cls(density=LASTING * deviation**2, deviation=deviation, notes=(note,))
 
     @classmethod
-    def of_residuals(cls, problem: Problem, theta: Array | None) -> ExpectedNoise:
+    def of_residuals(cls, problem: Problem, theta: Array) -> ExpectedNoise:
         """Return that of an earlier run, from the spectrum of its residuals.
 
         Raises
@@ -107,11 +107,7 @@ class ExpectedNoise:
             raise DataError("the noise of an earlier run: its samples have no time stamps.")
         step = float(np.median(np.diff(time)))
         variance = np.diag(sigma) * np.where(own > 0.0, own, 1.0)
-        residual = (
-            rows.samples.effort - problem.predict(problem.base_of(theta))
-            if (theta is not None)
-            else np.zeros_like(rows.samples.effort)
-        )
+        residual = rows.samples.effort - problem.predict(problem.base_of(theta))
         used = rows.samples.used
         squares = np.where(used, residual, 0.0) ** 2
         deviation = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
@@ -171,7 +167,3 @@ class ExpectedNoise:
             Integral of its squared gain over negative and positive frequencies, Hz.
         """
         return np.minimum(self.deviation**2, self.density * bandwidth_hz)
-
-    def scaled(self, factor: float) -> ExpectedNoise:
-        """Return noise of `factor` times the standard deviation."""
-        return replace(self, density=self.density * factor**2, deviation=self.deviation * factor)

@@ -121,9 +121,8 @@ def _smaller(search: Search, candidate: Candidate, shares: Iterable[float]) -> I
         x, check = checked(search, candidate, share)
         if check.ok:
             if share < 1.0:
-                value = search.on(candidate.space).value_and_gradient(x)[0]
-                status = f"shrunk to {100.0 * share:g} %"
-                candidate = replace(candidate, x=x, value=value, status=status)
+                value, _ = search.on(candidate.space).value_and_gradient(x)
+                candidate = replace(candidate, x=x, value=value)
             yield candidate, check
             return
 

@@ -23,6 +23,12 @@ _FROM_PRIOR = 0.5
 # An interval says nothing where it is this many times the value.
 _SAYS_NOTHING = 10.0
 
+# Columns of the table.
+_HEADER = (
+    *("parameter", "unit", "assumed", "standard error", "lower", "upper", "before"),
+    "share of the prior",
+)
+
 # Parameters that a sentence lists.
 _LISTED = 8
 
@@ -262,36 +268,29 @@ class Expected(Shown):
             f"{most} at {self.joint_names[worst]}"
         )
 
+    def _base(self) -> dict[str, Sequence[Any]]:
+        """Return the columns of the base parameters."""
+        return {
+            "name": self.names,
+            "unit": self.units,
+            "value": self.values.tolist(),
+            "standard_error": self.standard_errors.tolist(),
+            "lower": self.lower.tolist(),
+            "upper": self.upper.tolist(),
+            "before": self.before.tolist(),
+            "prior_share": self.prior_share.tolist(),
+        }
+
     def table(self) -> Table:
         """Return one row a base parameter."""
-        return Table.of_columns(
-            {
-                "parameter": self.names,
-                "unit": self.units,
-                "assumed": self.values.tolist(),
-                "standard error": self.standard_errors.tolist(),
-                "lower": self.lower.tolist(),
-                "upper": self.upper.tolist(),
-                "before": _finite(self.before),
-                "share of the prior": self.prior_share.tolist(),
-            }
-        )
+        return Table.of_columns(dict(zip(_HEADER, self._base().values(), strict=True)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: None where a number is not finite."""
         content = {
             "seconds": self.seconds,
             "sentences": list(self.sentences()),
-            "base_parameters": _records(
-                name=self.names,
-                unit=self.units,
-                value=self.values,
-                standard_error=self.standard_errors,
-                lower=self.lower,
-                upper=self.upper,
-                before=self.before,
-                prior_share=self.prior_share,
-            ),
+            "base_parameters": _records(**self._base()),
             "standard_parameters": _records(
                 name=self.theta_names,
                 unit=self.theta_units,
@@ -317,10 +316,6 @@ class Expected(Shown):
 def _records(**columns: Iterable[Any]) -> list[dict[str, Any]]:
     """Return one dictionary a row."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-def _finite(values: Array) -> list[float | None]:
-    return [float(x) if np.isfinite(x) else None for x in values.tolist()]
 
 
 def _within(share: float) -> str:

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.kept import last_kept
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.search.space import Space
 
@@ -132,18 +133,9 @@ class KeptDistance:
         """Return its derivative by position (K, 1, n)."""
         return self._least(q)[1], None, None
 
+    @last_kept
     def _least(self, q: Array) -> tuple[Array, Array]:
-        key = q.tobytes()
-        if self._last.get("key") != key:
-            found = self.collision.soft_minimum(
-                q, _SHARPNESS, clearance=self.clearance, beyond=self.margin
-            )
-            slack = found[0][:, None] / _LENGTH
-            self._last.update(key=key, found=(slack, found[1][:, None, :] / _LENGTH))
-        least: tuple[Array, Array] = self._last["found"]
-        return least
-
-    @cached_property
-    def _last(self) -> dict[str, Any]:
-        """The last states: values and derivatives are asked for one after the other."""
-        return {}
+        slack, slope = self.collision.soft_minimum(
+            q, _SHARPNESS, clearance=self.clearance, beyond=self.margin
+        )
+        return slack[:, None] / _LENGTH, slope[:, None, :] / _LENGTH

@@ -15,7 +15,7 @@ from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.design.loop import designed
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import settings_of
-from sdpid.excitation.search.search import Candidate, require_search
+from sdpid.excitation.search.search import require_search
 from sdpid.excitation.standing.plan import StandingPlan
 from sdpid.excitation.standing.task import StandingRequest, StandingTask
 from sdpid.robot.friction.term import FrictionTerm
@@ -28,6 +28,8 @@ FRICTION = ("coulomb", "viscous", "rotor_inertia")
 STARTS, STEPS = 1, 30
 # Of a time limit, what is kept for the check, at most seconds and this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.2
+# Samples a second at which the information of the motion that is found is summed.
+_INFORMED_HZ = 50.0
 
 
 def design_standing(
@@ -152,11 +154,15 @@ def design_standing(
     if stopped:
         notes.append("the search was ended early: this is the best motion that it had found.")
     known = search.criterion.known
-    information = _information(task, best)
+    curve = best.space.curve(best.x)
+    grid = best.space.grid(rate=_INFORMED_HZ)
+    W = task.rows.rows(*(curve.evaluate(grid, derivative=order) for order in range(3)))
+    flat = W.reshape(-1, W.shape[2])
+    information = curve.duration / len(grid) * (flat.T @ flat)
     before, after = (_deviations(each) for each in (known, known + information))
     return StandingPlan(
         stance=task.held.stance,
-        curve=best.space.curve(best.x),
+        curve=curve,
         limits=check,
         held=task.held,
         base=task.rows.regressor.base,
@@ -169,17 +175,6 @@ def design_standing(
         notes=tuple(notes),
         settings=settings_of(given, robot=robot.name, prior=None, previous=None, progress=None),
     )
-
-
-def _information(task: StandingTask, candidate: Candidate) -> Array:
-    """Return the information (b, b) of a motion, signs as they are."""
-    space = candidate.space
-    grid = space.grid(rate=50.0)
-    c = space.coefficients(candidate.x)
-    states = [space.basis(grid, order) @ c for order in range(3)]
-    W = task.rows.rows(*states)
-    flat = W.reshape(-1, W.shape[2])
-    return np.asarray(space.duration / len(grid) * (flat.T @ flat))
 
 
 def _deviations(information: Array) -> Array:

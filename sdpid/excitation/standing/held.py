@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.search.inequalities import InstantRows
+from sdpid.excitation.search.space import Space
 from sdpid.excitation.standing.stance import RATE_HZ, Stance, StanceStates, slopes
 from sdpid.experiment.trajectory.curve import Curve
 
@@ -25,6 +27,11 @@ _SHARPNESS = 30.0
 # Moments on a sole count as forces at this share of its width: half of the half width.
 _LEVER = 0.25
 
+# Share of limits that a search uses; by how much less than what was missing that becomes, and by
+# which share at least and at most: nothing bounds the friction that a foot would need which is
+# pulled.
+_SEARCHED, _BEYOND, _LEAST, _MOST = 0.97, 1.3, 1e-3, 1.0
+
 # Feet miss their places by no more, m and rad.
 _MISS = 1e-9
 
@@ -32,7 +39,7 @@ _MISS = 1e-9
 Quantity = tuple[str, str, str, Array, float, float]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Held:
     """Limits of a stance, as functions of a state that are to be at least zero.
 
@@ -50,6 +57,8 @@ class Held:
         Least normal force of a foot, N.
     share : float
         Share of joints' limits and of friction that is used.
+    searched : float
+        That which a search uses.
     """
 
     stance: Stance
@@ -58,6 +67,7 @@ class Held:
     grip: float
     load: float
     share: float = 1.0
+    searched: float = _SEARCHED
 
     @cached_property
     def weight(self) -> float:
@@ -65,6 +75,20 @@ class Held:
         mass = float(self.bodies[:, 0].sum())
         gravity = float(np.linalg.norm(self.stance.robot.gravity))
         return mass * gravity / len(self.stance.legs.frames)
+
+    def rows(self, space: Space, share: float | None = None) -> InstantRows:
+        """Return a share of the limits at the instants at which the criterion looks.
+
+        At others a leg might be stretched where only the criterion looks: its rows grow without
+        bound there, and the search would find little else.
+        """
+        held = replace(self, share=share or self.searched)
+        return InstantRows(space=space, parts=[(held, space.grid())])
+
+    def learn(self, check: LimitCheck) -> None:
+        """Search with a smaller share of the limits, by what a check found broken."""
+        worst = max(-row.slack / (abs(row.limit) or 1.0) for row in check.broken)
+        self.searched /= 1.0 + _BEYOND * min(max(worst, _LEAST), _MOST)
 
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
         """Return slacks (K, g) at coordinates (K, m) and derivatives, in units of their limits.
@@ -77,9 +101,8 @@ class Held:
 
     def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
         """Return derivatives (K, g, m) of them by coordinates and both derivatives."""
-        states = self.stance.at(q, v, a)
-        here = self._outputs(states)
-        aside = self._outputs(self.stance.beside(states, q, v, a))
+        states = self.stance.at(q, v, a), self.stance.beside(q, v, a)
+        here, aside = map(self._outputs, states)
         shares = [_least(own)[1] for own in self._slacks(here)[0]]
         found = []
         for slope in slopes(here, aside):

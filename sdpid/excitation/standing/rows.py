@@ -58,9 +58,8 @@ class StandingRows:
     def gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives (K, m) of ``sum(C * rows(q, v, a))`` for constant C (K, m, b)."""
         stance = self.stance
-        states = stance.at(q, v, a)
-        beside = stance.beside(states, q, v, a)
-        here = np.einsum("kmb,kmb->k", C, self.of_states(states))
+        beside = stance.beside(q, v, a)
+        here = np.einsum("kmb,kmb->k", C, self.rows(q, v, a))
         which = np.tile(np.arange(len(q)), 5 * stance.n)
         # In blocks: the regressors of all at once would take gigabytes of humanoids.
         count = max(1, _BLOCK // (8 * stance.robot.n * self.count))

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid._common.kept import last_kept
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
@@ -285,6 +286,7 @@ class Stance:
         velocity[:, :3] = 0.0
         return StanceStates(poses, velocity, acceleration)
 
+    @last_kept
     def at(self, x: Array, rate: Array, second: Array) -> StanceStates:
         """Return the states of coordinates and their derivatives, (K, m) each."""
         return self.states(self.poses(x), rate, second)
@@ -296,13 +298,14 @@ class Stance:
         x, rate, second = (curve.evaluate(time, derivative=order) for order in range(3))
         return time, self.states(self.along(x), rate, second)
 
-    def beside(self, here: StanceStates, x: Array, rate: Array, second: Array) -> StanceStates:
+    @last_kept
+    def beside(self, x: Array, rate: Array, second: Array) -> StanceStates:
         """Return the 5·m·K states beside those of coordinates (K, m), for `slopes`.
 
         Coordinates ahead and behind, rates ahead and behind, accelerations ahead; of each the m
         coordinates one after the other, K states each.
         """
-        (k, m), poses = x.shape, here.poses
+        (k, m), poses = x.shape, self.at(x, rate, second).poses
         steps = np.eye(m)[:, None, :]
         ahead = _DIFFERENCE * steps
         moved = np.concatenate([x + ahead, x - ahead]).reshape(-1, m)

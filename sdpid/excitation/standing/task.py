@@ -15,18 +15,15 @@ from sdpid.excitation.criterion.belief import nominal_bodies, prior_information
 from sdpid.excitation.criterion.criterion import Criterion, Objective
 from sdpid.excitation.criterion.noise import LASTING, ExpectedNoise, Given
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.limits.joint_limits import NONE, JointLimits
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.search.inequalities import InstantRows
 from sdpid.excitation.search.search import Search
-from sdpid.excitation.search.space import Space, SplineSpace
+from sdpid.excitation.search.space import SplineSpace
 from sdpid.excitation.search.starts import usual_states
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.plan import StandingPlan
 from sdpid.excitation.standing.rows import StandingRows
 from sdpid.excitation.standing.stance import RATE_HZ, Stance
-from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.legs import find_legs
 from sdpid.robot.model.model import RobotModel
@@ -34,10 +31,6 @@ from sdpid.robot.model.model import RobotModel
 # Share of the description's limits that is used, and what is kept of torques for friction, which
 # descriptions seldom have.
 _SHARE, _RESERVE = 0.95, 0.2
-# Share of limits that a search uses; by how much less than what was missing that becomes, and by
-# which share at least and at most: nothing bounds the friction that a foot would need which is
-# pulled.
-_SEARCHED, _BEYOND, _LEAST, _MOST = 0.97, 1.3, 1e-3, 1.0
 # The base sways by this share of its height where nothing else is said: on balls, and on soles.
 _SWAY, _SWAY_ON_SOLES = 0.25, 0.1
 # It speeds up by at most this share of gravity along the ground, and as much at its height about
@@ -144,7 +137,7 @@ class StandingTask:
         coordinates = _coordinates(stance, joints, sway, request.tilt)
         space = SplineSpace.of(stance.n, request.duration)
         still = np.zeros(space.n)
-        whole, rng = StandingInequalities(held, share=1.0).rows(space), generator(request.seed)
+        whole, rng = held.rows(space, share=1.0), generator(request.seed)
         homes = [still] * _USUAL
         usual = usual_states(space, coordinates, homes, rng, whole.hold, start=still)
         torque, _ = held.loads(stance.at(*usual))
@@ -177,7 +170,7 @@ class StandingTask:
             space=space,
             criterion=criterion,
             limits=coordinates,
-            inequalities=StandingInequalities(held),
+            inequalities=held,
             name=robot.name,
             start=still,
             steps=request.steps,
@@ -192,41 +185,6 @@ class StandingTask:
             values=regressor.base.matrix @ theta,
             notes=(*joints.assumed, *assumed, *expected.notes),
         )
-
-
-@dataclass(eq=False)
-class StandingInequalities:
-    """The limits of a standing robot, as a search holds them on a grid.
-
-    Attributes
-    ----------
-    held : Held
-        The limits.
-    share : float
-        Share of them that is used.
-    """
-
-    held: Held
-    share: float = _SEARCHED
-
-    def rows(self, space: Space) -> InstantRows:
-        """Return the limits at the instants at which the criterion looks.
-
-        At others a leg might be stretched where only the criterion looks: its rows grow without
-        bound there, and the search would find little else.
-        """
-        return InstantRows(
-            space=space, parts=[(replace(self.held, share=self.share), space.grid())]
-        )
-
-    def check(self, curve: Curve) -> LimitCheck:
-        """Return what a motion comes to beside its limits, 500 times a second."""
-        return self.held.check(curve)
-
-    def learn(self, check: LimitCheck) -> None:
-        """Use a smaller share of the limits, by what a check found broken."""
-        worst = max(-row.slack / (abs(row.limit) or 1.0) for row in check.broken)
-        self.share /= 1.0 + _BEYOND * min(max(worst, _LEAST), _MOST)
 
 
 def _check(request: StandingRequest) -> None:
