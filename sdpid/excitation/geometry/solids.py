@@ -84,12 +84,8 @@ class Solid:
             return shape.load()[0], shape.placement
         if shape.kind == "mesh":
             return _convex(shape.vertices), shape.placement
-        made = {
-            "box": coal.Box,
-            "sphere": coal.Sphere,
-            "cylinder": coal.Cylinder,
-            "capsule": coal.Capsule,
-        }[shape.kind]
+        # Coal has classes Box, Sphere, Cylinder and Capsule.
+        made = getattr(coal, shape.kind.capitalize())
         return made(*(float(size) for size in shape.sizes)), shape.placement
 
 
