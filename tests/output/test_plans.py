@@ -25,7 +25,6 @@ from sdpid.experiment.trajectory.trajectory import Trajectory, played
 from sdpid.output.charts.page import number
 from sdpid.output.plans import motion_files, write
 from sdpid.output.plans.page import plan_html
-from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.write import write_plan
 from tests.helpers.browser import Tab, look
 from tests.helpers.motions import fourier_motion, spline_motion
@@ -252,8 +251,6 @@ def test_the_scene_is_the_motion(page: str) -> None:
     groups = {(each["group"], each["link"]) for each in found["surfaces"]}
     assert groups == {("links", -1), ("links", 0), ("links", 1), ("obstacles", -1), ("planes", -1)}
     assert len(found["distances"]["frames"]) == frames["count"]
-    bare = scene_of(plan.robot, motion, None, 0.0)
-    assert "no collisions were checked" in bare.markup
 
 
 def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
@@ -402,6 +399,11 @@ def test_what_is_not_installed_is_left_out(tmp_path: Path, monkeypatch: pytest.M
     names = {path.name for path in write_plan(small_plan(), tmp_path, report=told.append)}
     assert FILES - names == {"report.html"}
     assert any("pip install 'jinja2>=" in each for each in told)
+
+
+def test_a_plan_without_collisions(tmp_path: Path) -> None:
+    write_plan(replace(small_plan(), collision=None), tmp_path)
+    assert "no collisions were checked" in (tmp_path / "report.html").read_text()
 
 
 def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
