@@ -136,16 +136,10 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
         yield "a character that a terminal may obey"
     if result.passed and len(said_claims(result)) != 4:
         yield "accepted without a word on bound, parameters, cost and gap"
-    for start, key in (
-        ("No feasible parameters cost less than ", "lower_bound"),
-        ("They cost at most ", "cost"),
-        ("They are optimal up to a gap of at most ", "gap"),
-    ):
-        for each in result.statements:
-            if (
-                each.startswith(start)
-                and float(each[len(start) :].split()[0].rstrip(".,:")) != claims[key]
-            ):
+    for start, claim in CLAIMS.items():
+        for each in result.statements if claim != "feasible" else ():
+            stated, key = each.removeprefix(start), claim.replace(" ", "_")
+            if stated != each and float(stated.split()[0].rstrip(".,:")) != claims[key]:
                 yield f"{each} It is {claims[key]!r} in the file"
     links, p = problem["links"], len(problem["lower"])
     masses = range(0, 10 * links, 10)
