@@ -95,11 +95,9 @@ def test_marginal_information_is_the_inverse_of_a_block(seed: int, k: int, rest:
     np.testing.assert_allclose(
         marginal(J, kept), np.linalg.inv(np.linalg.inv(J)[:k, :k]), rtol=1e-6, atol=1e-9
     )
-
-
-def test_what_is_open_takes_nothing_with_it() -> None:
-    J = np.diag([4.0, 0.0, 1.0])
-    np.testing.assert_allclose(marginal(J, np.array([True, False, True])), np.diag([4.0, 1.0]))
+    # What is open takes nothing with it.
+    open_one = marginal(np.diag([4.0, 0.0, 1.0]), np.array([True, False, True]))
+    np.testing.assert_allclose(open_one, np.diag([4.0, 1.0]))
 
 
 @given(seeds)

@@ -99,6 +99,28 @@ def test_an_interrupted_search_is_not_refined(sent: bool) -> None:
     assert holds(found[0], search)
 
 
+def test_an_interruption_between_starts_leaves_what_was_found() -> None:
+    search = search_of(steps=1, refining_steps=1)
+
+    def interrupted(count: int) -> Iterator[Array]:
+        yield from starts_of(search, count)
+        raise KeyboardInterrupt
+
+    found, stopped = search.run(interrupted(1))
+    assert stopped
+    assert holds(found[0], search)
+    with pytest.raises(KeyboardInterrupt):
+        search.run(interrupted(0))
+
+
+def test_the_best_of_the_first_random_motions_goes_first() -> None:
+    search, rng = search_of(), np.random.default_rng(1)
+    found = list(search.random_starts(rng.uniform(-1.0, 0.5, (5, search.space.n)), rng))
+    values = [search.value_and_gradient(x)[0] for x in found]
+    assert len(values) == 5
+    assert values[:4] == sorted(values[:4])
+
+
 # The call of IPOPT: limits hold at every step, and the best point is kept.
 
 
@@ -147,20 +169,30 @@ def test_a_search_stopped_at_any_step_is_within_the_linear_limits(most: int) -> 
     assert found_in(stop=lambda steps, _: steps >= most).stopped
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-def test_exceptions_of_the_function_come_through_and_interruptions_end_it(error: Any) -> None:
+def raising(error: type[BaseException], call: Any, after: int) -> Any:
+    """Return a function that raises instead when it was called some times."""
     calls = itertools.count()
 
-    def broken(x: np.ndarray) -> tuple[float, np.ndarray]:
-        if next(calls) > 3:
+    def called(*arguments: Any) -> Any:
+        if next(calls) >= after:
             raise error("here")
-        return bowl(x)
+        return call(*arguments)
 
+    return called
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+@pytest.mark.parametrize("broken", ["function", "stop", "rows"])
+def test_exceptions_come_through_and_interruptions_end_it(error: Any, broken: str) -> None:
+    rows = Ball()
+    functions = {"function": bowl, "stop": lambda *_: False, "rows": rows.values}
+    # Limits at the first point, where there is no value to go on with.
+    functions[broken] = raising(error, functions[broken], 0 if broken == "rows" else 3)
+    rows.values = functions.pop("rows")  # type: ignore[method-assign]
     if error is ZeroDivisionError:
-        with pytest.raises(ZeroDivisionError, match="here"):
-            found_in(broken)
+        refuses(error, "here", found_in, rows=rows, **functions)
     else:
-        found = found_in(broken)
+        found = found_in(rows=rows, **functions)
         assert (found.stopped, found.status) == (True, INTERRUPTED)
 
 
@@ -231,17 +263,16 @@ def test_random_starts_hold_the_limits_at_every_instant(name: str, seed: int) ->
     rng = np.random.default_rng(seed)
     x = random_start(made, linear, limits.rest, rng, lambda x: True)
     A, lower, upper = linear
-    assert np.all(A @ x >= lower - 1e-9)
-    assert np.all(A @ x <= upper + 1e-9)
+    assert np.all((A @ x >= lower - 1e-9) & (A @ x <= upper + 1e-9))
+    rates = (limits.velocity, limits.acceleration, limits.jerk)
+    ends = [(limits.lower, limits.upper), *((-most, most) for most in rates)]
     dense = np.linspace(0.0, 8.0, 2001)
-    ranges = [limits.upper, limits.velocity, limits.acceleration, limits.jerk]
-    for order, most in enumerate(ranges):
-        reached = made.curve(x).evaluate(dense, derivative=order)
-        assert np.all(reached <= most)
-        assert np.all(reached >= (limits.lower if order == 0 else -most))
-    assert np.abs(made.curve(x).evaluate(dense, derivative=1)).max() > 0.05
+    reached = [made.curve(x).evaluate(dense, derivative=order) for order in range(4)]
+    for values, (least, most) in zip(reached, ends, strict=True):
+        assert np.all((values >= least) & (values <= most))
+    assert np.abs(reached[1]).max() > 0.05
     if begin is not None:
-        np.testing.assert_allclose(made.curve(x).evaluate(np.zeros(1))[0], begin, atol=1e-9)
+        np.testing.assert_allclose(reached[0][0], begin, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,9 @@ def test_feet_stay_down_in_mujoco() -> None:
 def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
     """Earlier plans count: what they tell is known before."""
     plan = standing_plan()
-    again = sdpid.design_standing("solo12", duration=3.0, steps=2, previous=plan, progress=False)
+    again = sdpid.design_standing(
+        "solo12", duration=3.0, steps=2, previous=plan, time_limit=600.0, progress=False
+    )
     np.testing.assert_allclose(again.before, plan.standard_errors, rtol=1e-6)
 
 
