@@ -20,6 +20,8 @@ from sphinx.util.docutils import SphinxDirective
 from sdpid.experiment.inspection.inspect import KINDS
 
 _LINE = re.compile(r"(\w+): ([^|]*?)(?: \| (.*))?$")
+# Lists, tables and options, whose quotes and hyphens must stay.
+_CODE = re.compile(r"(\w+ ?= ?[\[{][^\]}]*[\]}]|--[\w-]+(?: \w+_\w+)?)")
 _FIELD = re.compile(r"\{(\w+)[^{}]*\}")
 
 
@@ -43,8 +45,11 @@ def remedy_of(kind: str) -> str:
 
 
 def _literal(text: str) -> str:
-    """Return a text that stands in Markdown as it is."""
-    return re.sub(r"([|*_<>\[\]$`\\])", r"\\\1", text)
+    """Return a text that stands in Markdown as it is, code in it as code."""
+    pieces = _CODE.split(text)
+    pieces[::2] = [re.sub(r"([|*_<>\[\]$`\\])", r"\\\1", piece) for piece in pieces[::2]]
+    pieces[1::2] = [f"`{piece}`" for piece in pieces[1::2]]
+    return "".join(pieces)
 
 
 class Findings(SphinxDirective):
