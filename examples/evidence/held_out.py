@@ -5,9 +5,11 @@ without any hint, and predicts the rest, on common rows: filtered alike whatever
 and with none masked, so that no default wins by leaving out what is hard. Those that move are shown
 apart: at rest friction is anything up to its limit, which no function of the velocity tells. Least
 squares stands beside, with Coulomb, square-root and viscous friction and offsets, fitted to the
-common rows that move.
+common rows that move. The part ``defaults`` compares candidates for the defaults, scored by errors
+on common rows of joints that move, which no candidate changes; each robot is left out in turn, and
+the others choose.
 
-    python examples/evidence/held_out.py --data /path/to/data --out results
+    python examples/evidence/held_out.py --parts errors --data /path/to/data --out results
 
 The folder of the data may also be named by the environment variable SDPID_DATA.
 """
@@ -21,12 +23,13 @@ from typing import Any
 
 import numpy as np
 from data_sets import EVERY, TRAINED, Records, cut, records_of, wrist
-from study import Rows, Study
+from study import Rows, Study, grouped
 
 import sdpid
 from sdpid._common.arrays import Mask
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.prepare import default_friction, samples_of
+from sdpid.experiment.processing.choose import default_processing
 
 # De Luca's gains of another UR10, N·m/A (docs/evidence/data.md).
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
@@ -239,10 +242,87 @@ def rows(case: Case) -> Rows:
 HEADER = ("trained on", "predicted", "common rows, %", "moving", "least squares, moving")
 
 
-def main() -> None:
-    """Run every case and write the table."""
-    study = Study(__doc__, data=True, quick={"sets": [*QUICK]}, sets=[*EVERY])
+# Candidates for the cut-off, as factors of the default one, which is the first.
+FACTORS = (1.0, 0.5, 0.8, 1.2, 2.0)
+# A cut-off is at most this share of the rate.
+HIGHEST = 2.0 / 15.0
+# Another candidate must predict better than the default by more than this: what is seen on other
+# choices of robots is 1 % of luck.
+BETTER = 1.01
+# What is given beside the defaults, the first of each being the default.
+CANDIDATES: dict[str, dict[str, float | dict[str, Any]]] = {
+    "cut-off": {f"{factor:g} times the default's": factor for factor in FACTORS},
+    "mask": {"default": {}, "none": {"processing": {"reversal_time": None}}},
+}
+
+
+def mean(values: Any) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def scored(candidate: str, case: Case) -> Rows:
+    """Yield the geometric mean of a case's errors in %, infinite where there is no estimate."""
+    title, _, label = candidate.partition(": ")
+    given = CANDIDATES[title][label]
+    if isinstance(given, float):
+        cutoff = min(given * default_processing(case.log).cutoff_hz, HIGHEST * case.log.rate_hz)
+        given = {"processing": {"cutoff_hz": cutoff}}
+    try:
+        estimate = case.identify(**given).estimate
+    except sdpid.errors.SdpidError:
+        yield label, case.robot_name, case.name, float("inf")
+        return
+    errors = [error(case, estimate, other) for other in case.others.values()]
+    yield label, case.robot_name, case.name, mean(errors)
+
+
+def chosen(robots: dict[str, dict[str, float]]) -> Rows:
+    """Yield of each robot what the others would have chosen, by errors with each candidate."""
+    default = next(iter(robots))
+    for name in robots[default]:
+        others = {
+            label: float(np.mean([np.log(own[other]) for other in own if other != name]))
+            for label, own in robots.items()
+        }
+        best = min(others, key=lambda label: others[label])
+        yield name, default if others[best] > others[default] - np.log(BETTER) else best
+
+
+def errors(study: Study) -> None:
+    """Predict what was not trained on."""
     study.rows("held_out.csv", HEADER, rows, cases(study.data, study.sets), digits=3)
+
+
+def defaults(study: Study) -> None:
+    """Compare candidates for the defaults."""
+    found = [*cases(study.data, study.sets)]
+    for title, candidates in CANDIDATES.items():
+        wanted = [f"{title}: {label}" for label in candidates][: study.candidates]
+        header = ("candidate", "robot", "case", "error")
+        errors = study.rows(f"{title}.cases.csv", header, scored, wanted, found)
+        lines, robots = [], {}
+        for (label,), own in grouped(errors, "candidate"):
+            names = dict.fromkeys(own["robot"])
+            robots[label] = {name: mean(own["error"][own["robot"] == name]) for name in names}
+            lines.append((label, *own["error"], mean([*robots[label].values()])))
+        study.write(f"{title}.csv", (title, *map(str, found), "robots' mean"), lines, digits=3)
+        study.write(f"{title}.chosen.csv", ("left out", "the others choose"), chosen(robots))
+
+
+def main() -> None:
+    """Write the tables that are asked for."""
+    parts = {"errors": errors, "defaults": defaults}
+    study = Study(
+        __doc__,
+        data=True,
+        quick={"sets": [*QUICK], "candidates": 1},
+        parts=[*parts],
+        sets=[*EVERY],
+        candidates=(max(map(len, CANDIDATES.values())), "for each default"),
+    )
+    for part in study.parts:
+        parts[part](study)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ numbers that can be compared stand beside.
 
     python examples/evidence/real_robots.py --data /path/to/data --out results
 
-robot_defaults.py shows how the defaults were chosen. The folder of the data may also be named by
+held_out.py shows how the defaults were chosen. The folder of the data may also be named by
 the environment variable SDPID_DATA.
 """
 
