@@ -133,8 +133,7 @@ def design_standing(
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, root="free_flyer")
     given |= {"robot": robot, "friction": FRICTION if friction is None else tuple(friction)}
-    earlier = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
-    given["previous"] = earlier
+    given["previous"] = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
     began, kept = time.monotonic(), 0.0
     task = StandingTask.of(StandingRequest(**given))
     search = task.search
@@ -160,11 +159,13 @@ def design_standing(
     flat = W.reshape(-1, W.shape[2])
     information = curve.duration / len(grid) * (flat.T @ flat)
     before, after = (_deviations(each) for each in (known, known + information))
+    # Not the stance of the search, which keeps all states that it looked at last.
+    held = replace(task.held, stance=replace(task.held.stance))
     return StandingPlan(
-        stance=task.held.stance,
+        stance=held.stance,
         curve=curve,
         limits=check,
-        held=task.held,
+        held=held,
         base=task.rows.regressor.base,
         values=task.values,
         standard_errors=after,
