@@ -133,6 +133,29 @@ def test_tighter_limits_never_gain(seed: int, share: float, kind: str) -> None:
         assert b.slack < a.slack + 0.1 * a.limit
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
+def test_mirrored_and_slower_motions_have_the_rows_of_their_twins(factor: float) -> None:
+    robot = sdpid.load_robot(TREE)
+    curve = spline(robot.n, 0)
+    twin = Spline(duration=factor * curve.duration, control_points=-curve.control_points)
+    # Bounds are refined to a share of the limit, so that small ones are met closely.
+    sizes = {"velocity": 1e-3, "acceleration": 1e-3, "jerk": 1e-3}
+    limits = sdpid.Limits(lower=-3.0, upper=3.0, override=True, **sizes)
+    one, other = (
+        {
+            (row.kind, row.subject, row.limit): row.worst
+            for row in check_trajectory(robot, each, limits, collision=False).rows
+        }
+        for each in (curve, twin)
+    )
+    for order, kind in enumerate(("position", *sizes)):
+        sign = 1.0 if order else -1.0
+        for name, limit in ((n, x) for k, n, x in one if k == kind):
+            expected = sign * one[kind, name, limit] / factor**order
+            found = other[kind, name, sign * limit]
+            np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.01)
+
+
 def test_a_limit_broken_between_points_of_a_grid_is_found() -> None:
     robot = sdpid.load_robot(TREE)
     # Zero speed at every multiple of 0.05 s, and 2π·10·0.01 = 0.628 rad/s between them.
