@@ -163,6 +163,7 @@ def design_excitation(
     >>> plan.names[:3], plan.standard_errors.shape
     (('zzr1', 'Fs1', 'Fsg1'), (16,))
     """
+    # All arguments: this has to come first.
     given = dict(locals())
     require_search(time_limit, starts=starts)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)

@@ -354,8 +354,8 @@ def _friction_functions(run: Rehearsal) -> tuple[Array, Array, Array]:
     rest = problem.n_theta - len(friction.parameters)
     bending = Bending.of(friction, problem.origin.profiled, run.sizes[rest:])
     top = np.abs(problem.samples.velocity).max()
-    speeds = [speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]]
-    speeds *= bool(friction.parameters)
+    asked = _SPEEDS if friction.parameters else ()
+    speeds = [speed for speed in asked if speed <= top or speed == _SPEEDS[0]]
     v = np.array([(speed, -speed) for speed in speeds]).reshape(-1, 1) * np.ones(problem.robot.n)
     motion = SampledMotion(
         position=v, velocity=v, acceleration=np.zeros_like(v), robot=problem.robot

@@ -128,6 +128,7 @@ def design_standing(
     >>> standing.limits.ok, standing.motion
     (True, WholeBodyMotion(12 joints, 4 feet, 2 s))
     """
+    # All arguments: this has to come first.
     given = dict(locals())
     require_search(time_limit, starts=starts, steps=steps)
     if not isinstance(robot, RobotModel):
