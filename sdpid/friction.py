@@ -4,7 +4,7 @@
 term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or a `FrictionTerm`.
 """
 
-from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
@@ -27,6 +27,7 @@ __all__ = [
     "LoadFriction",
     "Offset",
     "OpenParameter",
+    "PositionFriction",
     "RotorInertia",
     "SigmoidFriction",
     "SquareRootFriction",

@@ -225,6 +225,91 @@ class LoadFriction(PosedTerm):
         return np.asarray(sign)
 
 
+@dataclass(frozen=True)
+class PositionFriction(FrictionTerm):
+    """Coulomb friction that changes with the position, ``f(q)·sign(v)``, in place of `Coulomb`.
+
+    f is a parabola over a range of positions, held beyond its ends. Its three numbers are the
+    values of f at the lower end and at the upper end, Fpa and Fpc, and Fpb between them, through
+    which its two end tangents pass: where none is negative, f is not either, so that friction never
+    drives the joint. They are in N·m, of sliding joints in N.
+
+    Attributes
+    ----------
+    lower, upper : tuple of float
+        Ends of each joint's range, rad (m); those of the positions that were recorded, say.
+    width : float or tuple of float
+        Width (rad/s) of the sign, as for `Coulomb`: one for all joints, or one per joint.
+
+    Raises
+    ------
+    ModelError
+        When a range is empty or not finite, or lengths differ.
+
+    Examples
+    --------
+    >>> low, high = samples.position.min(axis=0), samples.position.max(axis=0)
+    >>> drag = sdpid.friction.PositionFriction(tuple(low.tolist()), tuple(high.tolist()))
+    >>> problem = sdpid.build_problem(robot, samples, friction=("viscous", drag))
+    >>> problem.base.names[-2:]
+    ('Fpb6', 'Fpc6')
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    width: float | tuple[float, ...] = 0.0
+    posed: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("width",))
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, tuple(float(x) for x in getattr(self, name)))
+        ends = (self.lower, self.upper)
+        if len(self.lower) != len(self.upper) or not np.isfinite(ends).all():
+            raise ModelError(
+                f"PositionFriction: the range is from {self.lower!r:.80} to {self.upper!r:.80}; "
+                "give two finite numbers a joint."
+            )
+        for j, (low, high) in enumerate(zip(*ends, strict=True)):
+            if not high > low:
+                raise ModelError(
+                    f"PositionFriction: the range of joint {j + 1} is from {low} to {high}; "
+                    "give a lower and a larger upper end."
+                )
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return the three numbers of every joint, kind by kind."""
+        return tuple(
+            TermParameter(f"Fp{kind}{j + 1}", "N.m", True, j)
+            for kind in "abc"
+            for j in range(len(joint_names))
+        )
+
+    columns = PosedTerm.columns
+
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
+        """Return the shapes times the filtered sign: they vary slowly beside it."""
+        n = len(joint_names)
+        if len(self.lower) != n:
+            raise ModelError(
+                f"PositionFriction: ranges of {len(self.lower)} joints, the robot has {n}; give "
+                "one a joint."
+            )
+        width = self.speed("width", n)
+        sign = motion.filtered(lambda v, _: smooth_sign(v, width, 0.0), ("position", self.width))
+        shapes = self.shapes(motion.position[:, -n:])
+        columns, joints = np.zeros((*sign.shape, 3 * n)), np.arange(n)
+        for k, shape in enumerate(shapes):
+            columns[:, joints, k * n + joints] = shape * sign
+        return columns
+
+    def shapes(self, position: Array) -> Array:
+        """Return what the three numbers are multiplied by at positions (K, n), (3, K, n)."""
+        low, high = np.asarray(self.lower), np.asarray(self.upper)
+        x = np.clip((position - low) / (high - low), 0.0, 1.0)
+        return np.stack([(1.0 - x) ** 2, 2.0 * x * (1.0 - x), x**2])
+
+
 def horizontal_axes(gravity: Array) -> Array:
     """Return two unit vectors (2, 3) across gravity: x and y turned as z is turned to point up.
 

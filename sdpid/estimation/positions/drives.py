@@ -1,0 +1,140 @@
+"""What a fit of positions finds: drives of every joint, one delay, and where each motion starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+
+# Numbers of every joint, in the order of the rows of `Drives.values`, and their units.
+UNITS = {
+    "armature": "kg.m2",
+    "damping": "N.m.s/rad",
+    "friction": "N.m",
+    "slope": "N.m/rad",
+    "curve": "N.m/rad2",
+    "offset": "N.m",
+    "kp": "N.m/rad",
+    "kd": "N.m.s/rad",
+}
+ROW = {name: k for k, name in enumerate(UNITS)}
+
+# Physics forbids that these are negative.
+_NOT_NEGATIVE = ("armature", "damping", "friction", "kp", "kd")
+
+# The longest delay (s) that is looked for: drives answer within a few periods of their loop.
+LONGEST_DELAY = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drives:
+    """Numbers of the drives of n joints.
+
+    Attributes
+    ----------
+    values : ndarray, shape (8, n)
+        One row a kind, as `UNITS` lists them. Dry friction at the position q is
+        ``friction + slope·z + curve·z²`` with ``z = q − middle``, and never below zero.
+    middle : ndarray, shape (n,)
+        Middle of the positions, rad (m).
+    delay : float
+        Time from a command to its effort, s.
+    """
+
+    values: Array
+    middle: Array
+    delay: float
+
+    def __getitem__(self, name: str) -> Array:
+        return np.asarray(self.values[ROW[name]])
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Kinds of numbers, in the order of the rows."""
+        return tuple(UNITS)
+
+    def dry(self, position: Array) -> Array:
+        """Return the level (..., n) of dry friction at positions, N·m (N)."""
+        z = position - self.middle
+        level = self["friction"] + z * (self["slope"] + z * self["curve"])
+        return np.asarray(np.maximum(level, 0.0))
+
+    def with_rows(self, **rows: Array | float) -> Drives:
+        """Return a copy with other values of these kinds."""
+        values = self.values.copy()
+        for name, row in rows.items():
+            values[ROW[name]] = row
+        return replace(self, values=values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unknowns:
+    """Which numbers a fit moves, as one vector.
+
+    The vector has the free drives row by row, the delay, then of every motion its positions and
+    velocities at the start.
+
+    Attributes
+    ----------
+    rows : tuple of str
+        Kinds that are free.
+    delay : bool
+        Whether the delay is.
+    motions, n : int
+        Number of motions and joints.
+    """
+
+    rows: tuple[str, ...]
+    delay: bool
+    motions: int
+    n: int
+
+    @property
+    def count(self) -> int:
+        """Length of the vector."""
+        return len(self.rows) * self.n + self.delay + 2 * self.motions * self.n
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the drives' numbers, the delay's last: those that are reported."""
+        drives = [f"{row}{j + 1}" for row in self.rows for j in range(self.n)]
+        return (*drives, *(["delay"] if self.delay else []))
+
+    def joint(self) -> Array:
+        """Return the joint that each number belongs to, (count,); −1 for the delay."""
+        j = np.arange(self.n)
+        parts = [j] * len(self.rows) + [[-1]] * self.delay + [j] * (2 * self.motions)
+        return np.concatenate([*parts, []]).astype(np.intp)
+
+    def pack(self, drives: Drives, starts: Sequence[Array]) -> Array:
+        """Return the vector of these drives and starts, (2, n) a motion."""
+        rows = [drives[name] for name in self.rows]
+        return np.concatenate([*rows, [drives.delay] * self.delay, *(s.ravel() for s in starts)])
+
+    def unpack(self, x: Array, drives: Drives) -> tuple[Drives, list[Array]]:
+        """Return drives and starts of a vector; what is not free stays as in `drives`."""
+        size = len(self.rows) * self.n
+        rows = dict(zip(self.rows, x[:size].reshape(-1, self.n), strict=True))
+        found = drives.with_rows(**rows)
+        if self.delay:
+            found = replace(found, delay=float(x[size]))
+        starts = x[size + self.delay :].reshape(self.motions, 2, self.n)
+        return found, list(starts)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and largest values that the numbers may have, (count,) each."""
+        low, high = np.full(self.count, -np.inf), np.full(self.count, np.inf)
+        for k, name in enumerate(self.rows):
+            if name in _NOT_NEGATIVE:
+                low[k * self.n : (k + 1) * self.n] = 0.0
+        if self.delay:
+            k = len(self.rows) * self.n
+            low[k], high[k] = 0.0, LONGEST_DELAY
+        return low, high
+
+    def reported(self) -> Mask:
+        """Return which numbers are no starts, (count,)."""
+        return np.arange(self.count) < len(self.names)

@@ -1,0 +1,368 @@
+"""Positions of a robot that a known law drives, and how they change with the drives.
+
+The equations of motion of all steps are one system of equations in the positions, banded because a
+step knows the two before it. Newton's method solves it in a few rounds, from the measured positions
+on, and its last factor gives the derivatives by every parameter: no loop over steps is interpreted
+or compiled. Whether a joint sticks is an active set: the force that would hold it, as its row
+of the equations says, is compared with the level of dry friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgbtrf, dgbtrs
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.estimation.positions.drives import Drives
+from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
+from sdpid.robot.model.dynamics import RobotDynamics
+
+# Newton's rounds end after a move of no position by more (rad or m): the next one would be of its
+# square. Without success they end after so many.
+_SETTLED, _ROUNDS = 1e-6, 40
+
+# The robot's slopes are taken along the measured motion below this frequency, Hz: they change with
+# its position and velocity, not with its noise.
+_SMOOTH_HZ = 20.0
+
+
+class Stiction(NamedTuple):
+    """How dry friction holds a joint: ``force = stiffness·m·(a + rate·v)``, up to its level.
+
+    m is what the joint weighs: the inverse of its diagonal entry of the inverse mass matrix at the
+    reference pose. The acceleration a is that before damping acts within the step, where `early`.
+    """
+
+    stiffness: float
+    rate: float
+    early: bool = False
+
+    @classmethod
+    def mujoco(cls) -> Stiction:
+        """Return MuJoCo's, of its default ``solreffriction`` and ``solimpfriction``."""
+        least, most, time = 0.9, 0.95, 0.02
+        return cls(least / (1.0 - least), 2.0 / (most * time), early=True)
+
+
+class Commands(NamedTuple):
+    """What a drive is told at the log's N time stamps, and what it can give.
+
+    Attributes
+    ----------
+    command : ndarray, shape (N, n)
+        Commanded positions, rad (m).
+    held : bool
+        Whether commands are held until the next, or joined by lines.
+    feedforward : ndarray, shape (N, n)
+        Effort that is added to that of the law, N·m (N).
+    limit : ndarray, shape (n,)
+        Largest effort, N·m (N); infinite without any.
+    """
+
+    command: Array
+    held: bool
+    feedforward: Array
+    limit: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A solved motion of K steps, and what derivatives need of it.
+
+    Attributes
+    ----------
+    position : ndarray, shape (K + 1, n)
+        Positions at the ends of the steps.
+    converged : bool
+        Whether Newton's method came to an end.
+    """
+
+    position: Array
+    converged: bool
+    velocity: Array
+    acceleration: Array
+    error: Array
+    side: Array
+    free: Mask
+    z: Array
+    before: tuple[Array, Array]
+    factors: tuple[Factor, ...]
+
+
+class Rollout:
+    """One stretch of a log, to be followed by a robot with known links.
+
+    Parameters
+    ----------
+    links : RobotDynamics
+        The robot and the inertia of its links; friction terms must be none.
+    time : ndarray, shape (N,)
+        Time stamps, s.
+    measured : ndarray, shape (N, n)
+        Positions.
+    commands : Commands
+        What the drives were told.
+    step : float
+        Length of a step, s: velocities are updated first, then positions by the new velocities.
+    stiction : Stiction
+        How dry friction holds.
+    """
+
+    def __init__(
+        self,
+        links: RobotDynamics,
+        time: Array,
+        measured: Array,
+        commands: Commands,
+        *,
+        step: float,
+        stiction: Stiction,
+    ) -> None:
+        self.links, self.measured, self.step, self.stiction = links, measured, step, stiction
+        self.commands, self._time = commands, time - time[0]
+        self.count = int(np.floor(self._time[-1] / step + 1e-9))
+        self._grid = step * np.arange(self.count + 1)
+        n = measured.shape[1]
+        self._guess = np.stack(
+            [np.interp(self._grid, self._time, measured[:, j]) for j in range(n)], axis=1
+        )
+        smooth = self._smooth()
+        slopes = inverse_dynamics_slopes(links, *smooth)
+        self._slopes = (*slopes, links.mass_matrix(smooth[0]))
+        self._components = _components(self._slopes[2])
+        # The reference pose of an MJCF is that of zero positions.
+        self._resting = links.mass_matrix(np.zeros(n))
+
+    def run(self, drives: Drives, start: Array, guess: Array | None = None) -> Motion:
+        """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
+        h, (by_position, by_velocity, masses) = self.step, self._slopes
+        q = (self._guess if guess is None else guess).copy()
+        command, feedforward = self.told(drives.delay)
+        armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
+        E = np.eye(q.shape[1])
+        weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
+        stiff = self.stiction.stiffness * weight
+        masses = masses + E * armature
+        mobility = np.einsum("kii->ki", np.linalg.inv(masses + h * damping * E))
+        undamped = np.broadcast_to(E, masses.shape)
+        if self.stiction.early:
+            undamped = E + h * np.linalg.inv(masses) * damping
+        size = np.inf
+        for _ in range(_ROUNDS):
+            q[0] = start[0]
+            v = np.diff(q, axis=0, prepend=(start[0] - h * start[1])[None]) / h
+            a = np.diff(v, axis=0) / h
+            here, speed = q[:-1], v[:-1]
+            error = command - here
+            effort = kp * error - kd * speed + feedforward
+            free = np.abs(effort) <= self.commands.limit
+            effort = np.clip(effort, -self.commands.limit, self.commands.limit)
+            rest = self.links.inverse_dynamics(here, speed, a)
+            rest += armature * a + damping * v[1:] + drives["offset"] - effort
+            # The force that would hold a joint, were its row alone: it decides whether it sticks.
+            sticking = stiff * (np.einsum("kij,kj->ki", undamped, a) + self.stiction.rate * speed)
+            needed = (sticking - stiff * mobility * rest) / (1.0 + stiff * mobility)
+            level = drives.dry(here)
+            sticks = np.abs(needed) < level
+            side = np.where(sticks, 0.0, np.sign(needed))
+            held = np.where(sticks, sticking, side * level)
+            z = here - drives.middle
+            hold = sticks * stiff
+            leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
+            by_a = masses + hold[:, :, None] * undamped
+            by_v = by_velocity + _diagonal(hold * self.stiction.rate + free * kd)
+            by_q = by_position + _diagonal(leaning + free * kp)
+            later, before = by_a / h**2 + E * damping / h, by_a / h**2 - by_v / h
+            now = by_q - later - before
+            factors = tuple(Factor.of(x, later, now, before) for x in self._components)
+            move = np.empty_like(rest)
+            for joints, factor in zip(self._components, factors, strict=True):
+                move[:, joints] = factor.solve(-(rest + held)[:, joints])
+            q[1:] += move
+            size = float(np.abs(move).max())
+            if size < _SETTLED or not np.isfinite(size):
+                break
+        return Motion(
+            position=q,
+            converged=size < _SETTLED,
+            velocity=v,
+            acceleration=a,
+            error=error,
+            side=side * (level > 0.0),
+            free=free,
+            z=z,
+            before=(now[0], before[:2]),
+            factors=factors,
+        )
+
+    def positions(self, motion: Motion) -> Array:
+        """Return the motion's positions at the log's time stamps, (N, n)."""
+        return self._at_stamps(motion.position)
+
+    def columns(self, motion: Motion, drives: Drives, rows: Sequence[str], delay: bool) -> Blocks:
+        """Return the derivatives of `positions`, of each tree of joints on its own.
+
+        Parameters
+        ----------
+        motion : Motion
+            That of these drives.
+        drives : Drives
+            Where the derivatives are taken.
+        rows : sequence of str
+            Kinds of numbers, as `Unknowns.rows`.
+        delay : bool
+            Whether the delay is among the unknowns.
+
+        Returns
+        -------
+        list of tuple (joints, ndarray of shape (N, m, k))
+            Of a tree with m joints: by its joints' numbers kind by kind, by the delay, then by
+            their positions and velocities at the start.
+        """
+        v, z, side = motion.velocity, motion.z, motion.side
+        pushes = {
+            "armature": motion.acceleration,
+            "damping": v[1:],
+            "friction": side,
+            "slope": side * z,
+            "curve": side * z * z,
+            "offset": np.ones_like(z),
+            "kp": -motion.error * motion.free,
+            "kd": v[:-1] * motion.free,
+        }
+        lag = self.told(drives.delay, derivative=True)[0] * drives["kp"] * motion.free
+        found = []
+        for joints, factor in zip(self._components, motion.factors, strict=True):
+            m = len(joints)
+            width = (len(rows) + 2) * m + delay
+            push, first = np.zeros((len(z), m, width)), np.zeros((m, width))
+            own = np.arange(m)
+            for k, name in enumerate(rows):
+                push[:, own, k * m + own] = pushes[name][:, joints]
+            k = len(rows) * m
+            if delay:
+                push[:, :, k] = -lag[:, joints]
+                k += 1
+            now, before = (x[..., joints[:, None], joints] for x in motion.before)
+            push[0, :, k : k + m] = now + before[0]
+            push[1, :, k : k + m] = before[1]
+            push[0, :, k + m :] = -self.step * before[0]
+            first[own, k + own] = 1.0
+            moved = np.concatenate([first[None], factor.solve(-push)])
+            found.append((joints, self._at_stamps(moved)))
+        return found
+
+    def after(self, seconds: float) -> int:
+        """Return the first row of the log that is so long after its start."""
+        return int(np.searchsorted(self._time, seconds))
+
+    def start(self) -> Array:
+        """Return a position and a velocity (2, n) to start from, of the first samples."""
+        few = min(len(self._time), 8)
+        slope, value = np.polyfit(self._time[:few], self.measured[:few], 1)
+        return np.stack([value, slope])
+
+    def told(self, delay: float, *, derivative: bool = False) -> tuple[Array, Array]:
+        """Return means of commands and of added efforts over each step; or how the first change."""
+        # Simulators hold what is told at the start of a step: the mean about that instant, since a
+        # fit needs something smooth in the delay.
+        edges = np.asarray(self._grid - delay - 0.5 * self.step)
+        command, added = (
+            _integral(self._time, values, held=self.commands.held)
+            for values in (self.commands.command, self.commands.feedforward)
+        )
+        if derivative:
+            # Over as long as the steps: what is held between commands changes in jumps.
+            h = 0.25 * self.step
+            parts = [np.diff(command(edges + x), axis=0) / self.step for x in (-h, h)]
+            return (parts[0] - parts[1]) / (2.0 * h), np.zeros((0, 0))
+        return np.diff(command(edges), axis=0) / self.step, np.diff(
+            added(edges), axis=0
+        ) / self.step
+
+    def _smooth(self) -> tuple[Array, Array, Array]:
+        """Return smooth positions, velocities and accelerations, (K, n) each."""
+        from scipy.ndimage import gaussian_filter1d
+
+        width = 1.0 / (2.0 * np.pi * _SMOOTH_HZ * self.step)
+        q, v, a = (
+            gaussian_filter1d(self._guess, width, axis=0, order=k, mode="nearest") / self.step**k
+            for k in range(3)
+        )
+        return q[:-1], v[:-1], a[:-1]
+
+    def _at_stamps(self, values: Array) -> Array:
+        """Interpolate values (K + 1, ...) on the grid at the log's time stamps."""
+        place = np.clip(self._time / self.step, 0.0, self.count)
+        row = np.minimum(place.astype(np.intp), self.count - 1)
+        share = (place - row).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(values[row] * (1.0 - share) + values[row + 1] * share)
+
+
+# Derivatives of the positions of each tree of joints.
+Blocks = list[tuple[Indices, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """LU factor of the equations of one tree of m joints, in LAPACK's band storage."""
+
+    lu: Array
+    pivots: Array
+    below: int
+    above: int
+
+    @classmethod
+    def of(cls, joints: Indices, later: Array, now: Array, before: Array) -> Factor:
+        """Factor the blocks (K, n, n) on and below the diagonal: those of steps k, k − 1, k − 2."""
+        m, K = len(joints), len(now)
+        below, above = 3 * m - 1, m - 1
+        band = np.zeros((2 * below + above + 1, K * m))
+        for shift, blocks in enumerate((later, now, before)):
+            for i in range(m):
+                for j in range(m):
+                    row = below + above + i - j + shift * m
+                    band[row, j : (K - shift) * m : m] = blocks[shift:, joints[i], joints[j]]
+        lu, pivots, _ = dgbtrf(band, below, above, overwrite_ab=1)
+        return cls(lu, pivots, below, above)
+
+    def solve(self, values: Array) -> Array:
+        """Solve for right sides (K, m, ...)."""
+        flat = values.reshape(values.shape[0] * values.shape[1], -1)
+        found, _ = dgbtrs(self.lu, self.below, self.above, flat, self.pivots)
+        return np.asarray(found.reshape(values.shape))
+
+
+def _components(masses: Array) -> tuple[Indices, ...]:
+    """Return the joints of each tree on the base: those that share masses (K, n, n)."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(np.abs(masses).max(axis=0) > 0.0, directed=False)
+    return tuple(np.flatnonzero(label == k) for k in range(count))
+
+
+def _diagonal(values: Array) -> Array:
+    """Return diagonal matrices (K, n, n) of rows (K, n)."""
+    return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
+
+
+def _integral(time: Array, values: Array, *, held: bool) -> Callable[[Array], Array]:
+    """Return the integral of a held or piecewise linear signal (N, n) as a function of time."""
+    mean = values[:-1] if held else 0.5 * (values[:-1] + values[1:])
+    total = np.concatenate(
+        [np.zeros((1, values.shape[1])), np.cumsum(mean * np.diff(time)[:, None], 0)]
+    )
+
+    def at(when: Array) -> Array:
+        row = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
+        inside = np.clip(when, time[0], time[-1])
+        x = (inside - time[row])[:, None]
+        rise = 0.0 if held else (values[row + 1] - values[row]) / np.diff(time)[row, None]
+        outside = np.where(when < time[0], values[:1].T, values[-1:].T).T * (when - inside)[:, None]
+        return np.asarray(total[row] + x * (values[row] + 0.5 * x * rise) + outside)
+
+    return at
