@@ -89,7 +89,7 @@ class Motion:
     side: Array
     free: Mask
     z: Array
-    before: tuple[Array, Array]
+    before: tuple[tuple[Array, Array], ...]
     factors: tuple[Factor, ...]
 
 
@@ -131,26 +131,37 @@ class Rollout:
             [np.interp(self._grid, self._time, measured[:, j]) for j in range(n)], axis=1
         )
         smooth = self._smooth()
-        slopes = inverse_dynamics_slopes(links, *smooth)
-        self._slopes = (*slopes, links.mass_matrix(smooth[0]))
-        self._components = _components(self._slopes[2])
+        slopes = (*inverse_dynamics_slopes(links, *smooth), links.mass_matrix(smooth[0]))
+        self._components = _components(slopes[2])
+        # By position and by velocity, and masses: block by block, most of the whole is zero.
+        self._slopes = [
+            tuple(np.array(each[:, joints[:, None], joints]) for each in slopes)
+            for joints in self._components
+        ]
         # The reference pose of an MJCF is that of zero positions.
         self._resting = links.mass_matrix(np.zeros(n))
 
     def run(self, drives: Drives, start: Array, guess: Array | None = None) -> Motion:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
-        h, (by_position, by_velocity, masses) = self.step, self._slopes
+        h, n = self.step, len(drives.middle)
         q = (self._guess if guess is None else guess).copy()
         command, feedforward = self.told(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
-        E = np.eye(q.shape[1])
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
         stiff = self.stiction.stiffness * weight
-        masses = masses + E * armature
-        mobility = np.einsum("kii->ki", np.linalg.inv(masses + h * damping * E))
-        undamped = np.broadcast_to(E, masses.shape)
-        if self.stiction.early:
-            undamped = E + h * np.linalg.inv(masses) * damping
+        mobility = np.empty((self.count, n))
+        blocks = []
+        for joints, (by_position, by_velocity, masses) in zip(
+            self._components, self._slopes, strict=True
+        ):
+            E = np.eye(len(joints))
+            masses = masses + E * armature[joints]
+            inverse = np.linalg.inv(masses + h * damping[joints] * E)
+            mobility[:, joints] = np.einsum("kii->ki", inverse)
+            undamped = np.broadcast_to(E, masses.shape)
+            if self.stiction.early:
+                undamped = E + h * np.linalg.inv(masses) * damping[joints]
+            blocks.append((joints, by_position, by_velocity, masses, undamped, E))
         size = np.inf
         for _ in range(_ROUNDS):
             q[0] = start[0]
@@ -164,24 +175,29 @@ class Rollout:
             rest = self.links.inverse_dynamics(here, speed, a)
             rest += armature * a + damping * v[1:] + drives["offset"] - effort
             # The force that would hold a joint, were its row alone: it decides whether it sticks.
-            sticking = stiff * (np.einsum("kij,kj->ki", undamped, a) + self.stiction.rate * speed)
+            sticking = self.stiction.rate * speed
+            for joints, *_, undamped, _ in blocks:
+                sticking[:, joints] += np.einsum("kij,kj->ki", undamped, a[:, joints])
+            sticking *= stiff
             needed = (sticking - stiff * mobility * rest) / (1.0 + stiff * mobility)
             level = drives.dry(here)
             sticks = np.abs(needed) < level
             side = np.where(sticks, 0.0, np.sign(needed))
-            held = np.where(sticks, sticking, side * level)
+            wrong = -(rest + np.where(sticks, sticking, side * level))
             z = here - drives.middle
             hold = sticks * stiff
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
-            by_a = masses + hold[:, :, None] * undamped
-            by_v = by_velocity + _diagonal(hold * self.stiction.rate + free * kd)
-            by_q = by_position + _diagonal(leaning + free * kp)
-            later, before = by_a / h**2 + E * damping / h, by_a / h**2 - by_v / h
-            now = by_q - later - before
-            factors = tuple(Factor.of(x, later, now, before) for x in self._components)
+            by_speed, by_place = hold * self.stiction.rate + free * kd, leaning + free * kp
+            factors, earlier = [], []
             move = np.empty_like(rest)
-            for joints, factor in zip(self._components, factors, strict=True):
-                move[:, joints] = factor.solve(-(rest + held)[:, joints])
+            for joints, by_position, by_velocity, masses, undamped, E in blocks:
+                by_a = (masses + hold[:, joints, None] * undamped) / h**2
+                by_v = (by_velocity + by_speed[:, joints, None] * E) / h
+                later, before = by_a + E * damping[joints] / h, by_a - by_v
+                now = by_position + by_place[:, joints, None] * E - later - before
+                factors.append(Factor.of(later, now, before))
+                earlier.append((now[0], before[:2]))
+                move[:, joints] = factors[-1].solve(wrong[:, joints])
             q[1:] += move
             size = float(np.abs(move).max())
             if size < _SETTLED or not np.isfinite(size):
@@ -195,8 +211,8 @@ class Rollout:
             side=side * (level > 0.0),
             free=free,
             z=z,
-            before=(now[0], before[:2]),
-            factors=factors,
+            before=tuple(earlier),
+            factors=tuple(factors),
         )
 
     def positions(self, motion: Motion) -> Array:
@@ -236,7 +252,9 @@ class Rollout:
         }
         lag = self.told(drives.delay, derivative=True)[0] * drives["kp"] * motion.free
         found = []
-        for joints, factor in zip(self._components, motion.factors, strict=True):
+        for joints, factor, (now, before) in zip(
+            self._components, motion.factors, motion.before, strict=True
+        ):
             m = len(joints)
             width = (len(rows) + 2) * m + delay
             push, first = np.zeros((len(z), m, width)), np.zeros((m, width))
@@ -247,7 +265,6 @@ class Rollout:
             if delay:
                 push[:, :, k] = -lag[:, joints]
                 k += 1
-            now, before = (x[..., joints[:, None], joints] for x in motion.before)
             push[0, :, k : k + m] = now + before[0]
             push[1, :, k : k + m] = before[1]
             push[0, :, k + m :] = -self.step * before[0]
@@ -317,16 +334,16 @@ class Factor:
     above: int
 
     @classmethod
-    def of(cls, joints: Indices, later: Array, now: Array, before: Array) -> Factor:
-        """Factor the blocks (K, n, n) on and below the diagonal: those of steps k, k − 1, k − 2."""
-        m, K = len(joints), len(now)
+    def of(cls, later: Array, now: Array, before: Array) -> Factor:
+        """Factor the blocks (K, m, m) on and below the diagonal: those of steps k, k − 1, k − 2."""
+        K, m, _ = now.shape
         below, above = 3 * m - 1, m - 1
         band = np.zeros((2 * below + above + 1, K * m))
         for shift, blocks in enumerate((later, now, before)):
             for i in range(m):
                 for j in range(m):
                     row = below + above + i - j + shift * m
-                    band[row, j : (K - shift) * m : m] = blocks[shift:, joints[i], joints[j]]
+                    band[row, j : (K - shift) * m : m] = blocks[shift:, i, j]
         lu, pivots, _ = dgbtrf(band, below, above, overwrite_ab=1)
         return cls(lu, pivots, below, above)
 
@@ -343,11 +360,6 @@ def _components(masses: Array) -> tuple[Indices, ...]:
 
     count, label = connected_components(np.abs(masses).max(axis=0) > 0.0, directed=False)
     return tuple(np.flatnonzero(label == k) for k in range(count))
-
-
-def _diagonal(values: Array) -> Array:
-    """Return diagonal matrices (K, n, n) of rows (K, n)."""
-    return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
 
 
 def _integral(time: Array, values: Array, *, held: bool) -> Callable[[Array], Array]:
