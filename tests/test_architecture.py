@@ -65,6 +65,7 @@ ROOMS = {
         "robust",
         "closed_loop",
         "recursive",
+        "positions",
     ],
     "excitation": [
         "geometry",

@@ -13,7 +13,8 @@ from sdpid.errors import DataError, SolverError
 from sdpid.estimation.positions.choose import CONSTANTS, Followed, choose_forward
 from sdpid.estimation.positions.drives import Drives
 from sdpid.estimation.positions.fit import fit_positions
-from sdpid.estimation.positions.rollout import Commands, Stiction
+from sdpid.estimation.positions.rollout import Stiction
+from sdpid.experiment.simulation.law import Told
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -60,7 +61,8 @@ def drives(**rows):
 
 def followed(time, position, command, **changes):
     """A log of positions under held commands."""
-    told = Commands(command, True, np.zeros_like(command), np.full(N, np.inf))
+    limit = np.full(N, np.inf)
+    told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
     return Followed(
         time=time, position=position, step=H, stiction=Stiction.mujoco(), **{"told": told} | changes
     )
@@ -83,7 +85,13 @@ def simulated(model, told, start, limit=np.inf):
 def test_rollout_is_that_of_mujoco(legs, limit):
     model, links = legs
     time, command = commanded(4.0)
-    told = Commands(command, True, np.zeros_like(command), np.full(N, limit))
+    told = Told(
+        command=command,
+        feedforward=0.0 * command,
+        limit=np.full(N, limit),
+        held=True,
+        note="",
+    )
     rollout = followed(time, command, command, told=told).rollout(links)
     start = np.stack([command[0], np.zeros(N)])
     reference = simulated(model, rollout.told(0.006)[0], start, limit)
@@ -150,7 +158,7 @@ def test_friction_over_position_is_chosen_where_it_is(legs, slope):
     truth = drives(delay=0.004, slope=slope)
     position = rollout.positions(rollout.run(truth, start))
     position += 1e-4 * np.random.default_rng(1).standard_normal(position.shape)
-    choice, fit = choose_forward(followed(time, position, command), links, drives(armature=0.02))
+    choice, fit = choose_forward([followed(time, position, command)], links, drives(armature=0.02))
     assert choice.rows == (CONSTANTS if slope == 0.0 else (*CONSTANTS, "slope"))
     assert choice.open[0] <= 0.004 <= choice.open[1]
     assert abs(choice.delay - 0.004) < 5e-4
@@ -161,6 +169,6 @@ def test_refusals(legs):
     _, links = legs
     time, command = commanded(3.0)
     with pytest.raises(DataError, match=r"has 3 s; .* needs 4\.3 s"):
-        choose_forward(followed(time, command, command), links, drives())
+        choose_forward([followed(time, command, command)], links, drives())
     with pytest.raises(SolverError, match="does not follow its commands"):
         fit_positions([followed(time, command, command).rollout(links)], drives(kp=-2e3), CONSTANTS)

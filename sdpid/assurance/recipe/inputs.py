@@ -64,7 +64,8 @@ def recording_digest(log: Recording) -> str:
     stated["joints"] = plain(log.joint_names)
     stated |= log.settings()
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
-    quantities = CHANNELS[:-1] if log.reference is None else CHANNELS
+    stated_always = CHANNELS[:3]
+    quantities = [x for x in CHANNELS if x in stated_always or getattr(log, x) is not None]
     tables = {name: getattr(log, name) for name in ("time", *quantities)}
     for floating in (log.base, log.contacts):
         tables |= {} if floating is None else floating.columns()

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.interpolate import PchipInterpolator
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.positions.drives import LONGEST_DELAY, Drives
 from sdpid.estimation.positions.fit import PositionFit, conditional, fit_positions
-from sdpid.estimation.positions.rollout import Commands, Rollout, Stiction
+from sdpid.estimation.positions.rollout import Rollout, Stiction
+from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
 
-# Kinds of numbers that are tried, each with what is kept of those before it.
+# Kinds of numbers that are free, and those that are tried beside them, one after the other.
 CONSTANTS = ("armature", "damping", "friction")
-LADDER: tuple[tuple[str, ...], ...] = (
-    CONSTANTS,
-    (*CONSTANTS, "slope"),
-    (*CONSTANTS, "slope", "curve"),
-)
+_RICHER = ("slope", "curve")
 
 # A richer friction must lower the error on the faster part by this share.
 _WORTH = 0.02
@@ -31,6 +29,16 @@ _FORGOTTEN = 0.3
 # The part of a log that is judged, the length (s) that each part needs, and how much the error on
 # it may rise above the least for a delay to stay possible.
 _JUDGED, _LEAST_PART, _OPEN = 0.35, 1.5, 0.05
+
+
+# Delays (s) from which constants are fitted: the best of these starts counts.
+_STARTS = (0.002, 0.008)
+
+# Fits that are compared end where a round promises this relative fall of the cost.
+_ROUGH = 1e-4
+
+# Delays that are judged, and between which their errors are interpolated.
+_TRIED, _FINE = 9, 401
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +55,21 @@ class Choice:
         Delay (s) of the least error there.
     open : tuple of 2 float
         Delays whose error is not much larger.
+    starts : tuple of float
+        Error (rad, rms) of the fit of constants to the slower part, start by start.
+    fitted : float
+        Delay (s) that fits the slower part best.
+    correlation : float
+        Of residuals of the slower part one row apart; near 0 where nothing is missing.
     """
 
     rows: tuple[str, ...]
     errors: dict[tuple[str, ...], float]
     delay: float
     open: tuple[float, float]
+    starts: tuple[float, ...]
+    fitted: float
+    correlation: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +82,7 @@ class Followed:
         Time stamps, s.
     position : ndarray, shape (N, n)
         Measured positions, rad (m).
-    told : Commands
+    told : Told
         Commands, added efforts and limits.
     step : float
         Length of a step of the rollouts, s.
@@ -75,15 +92,14 @@ class Followed:
 
     time: Array
     position: Array
-    told: Commands
+    told: Told
     step: float
     stiction: Stiction
 
     def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> Rollout:
         """Return a rollout over rows of the log."""
-        told = self.told._replace(
-            command=self.told.command[part], feedforward=self.told.feedforward[part]
-        )
+        command, added = self.told.command[part], self.told.feedforward[part]
+        told = replace(self.told, command=command, feedforward=added)
         return Rollout(
             links,
             self.time[part],
@@ -117,56 +133,92 @@ class Followed:
 
 
 def choose_forward(
-    log: Followed, links: RobotDynamics, drives: Drives, *, delay: float | None = None
+    logs: Sequence[Followed],
+    links: RobotDynamics,
+    drives: Drives,
+    *,
+    rows: Sequence[str] = CONSTANTS,
+    delay: float | None = None,
 ) -> tuple[Choice, PositionFit]:
     """Choose kinds of friction and a delay; return them with the fit of the slower part.
 
     Parameters
     ----------
-    log : Followed
-        The log.
+    logs : sequence of Followed
+        The logs.
     links : RobotDynamics
         The robot and the inertia of its links.
     drives : Drives
         Where to begin.
+    rows : sequence of str
+        Kinds of numbers that are free whatever the data say.
     delay : float, optional
         The delay, s; by default it is looked for.
     """
-    slow, fast = log.split()
-    training, judge = [log.rollout(links, part) for part in slow], log.rollout(links, fast)
-    start = drives if delay is None else replace(drives, delay=delay)
+    parts = [each.split() for each in logs]
+    training = [
+        log.rollout(links, x) for log, (slow, _) in zip(logs, parts, strict=True) for x in slow
+    ]
+    judges = [log.rollout(links, fast) for log, (_, fast) in zip(logs, parts, strict=True)]
     errors: dict[tuple[str, ...], float] = {}
-    best: PositionFit | None = None
-    for rows in LADDER:
-        fit = fit_positions(training, start, rows, delay=delay is None)
-        start = fit.drives
-        errors[rows] = judged(judge, fit.drives)
-        if best is None or errors[rows] < (1.0 - _WORTH) * errors[best.unknowns.rows]:
+    begun = _begun(training, drives, tuple(rows), delay)
+    fit = best = min(begun, key=lambda each: each.cost)
+    errors[fit.unknowns.rows] = judged(judges, fit.drives)
+    for k in range(1, len(_RICHER) + 1):
+        kinds = (*rows, *_RICHER[:k])
+        fit = fit_positions(
+            training, fit.drives, kinds, delay=delay is None, starts=fit.starts, fall=_ROUGH
+        )
+        errors[kinds] = judged(judges, fit.drives)
+        if errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]:
             best = fit
-    assert best is not None
+    found = {
+        "rows": best.unknowns.rows,
+        "errors": errors,
+        "starts": tuple(each.rms for each in begun),
+        "fitted": best.drives.delay,
+        "correlation": best.correlation,
+    }
     if delay is not None:
-        choice = Choice(rows=best.unknowns.rows, errors=errors, delay=delay, open=(delay, delay))
-        return choice, best
-    tried = {d: judged(judge, conditional(best, d)) for d in np.linspace(0.0, LONGEST_DELAY, 11)}
-    least = min(tried, key=lambda d: tried[d])
-    possible = [d for d, e in tried.items() if e <= (1.0 + _OPEN) * tried[least]]
-    width = LONGEST_DELAY / 10.0
-    found = minimize_scalar(
-        lambda d: judged(judge, conditional(best, d)),
-        bounds=(max(least - width, 0.0), min(least + width, LONGEST_DELAY)),
-        method="bounded",
-        options={"xatol": 1e-4, "maxiter": 8},
-    )
-    return Choice(
-        rows=best.unknowns.rows,
-        errors=errors,
-        delay=float(found.x) if found.fun < tried[least] else float(least),
-        open=(float(min(possible)), float(max(possible))),
-    ), best
+        return Choice(delay=delay, open=(delay, delay), **found), best
+    grid = np.linspace(0.0, LONGEST_DELAY, _TRIED)
+    squares = np.array([judged(judges, conditional(best, d)) for d in grid]) ** 2
+    if not np.isfinite(squares).any():
+        # Nothing follows at another delay: that of the fit is all there is.
+        at = best.drives.delay
+        return Choice(delay=at, open=(at, at), **found), best
+    # A few delays that no motion follows are as bad as the worst.
+    squares = np.where(np.isfinite(squares), squares, np.nanmax(squares[np.isfinite(squares)]))
+    k = int(np.clip(np.argmin(squares), 1, _TRIED - 2))
+    bend = np.polynomial.Polynomial.fit(grid[k - 1 : k + 2], squares[k - 1 : k + 2], 2).convert()
+    chosen = float(grid[np.argmin(squares)])
+    if bend.coef[-1] > 0.0:
+        chosen = float(np.clip(bend.deriv().roots()[0], grid[k - 1], grid[k + 1]))
+    fine = np.sort([*np.linspace(0.0, LONGEST_DELAY, _FINE), chosen])
+    smooth = PchipInterpolator(grid, squares)(fine)
+    near = (fine >= grid[k - 1]) & (fine <= grid[k + 1])
+    smooth[near] = bend(fine[near])
+    possible = fine[smooth <= (1.0 + _OPEN) ** 2 * smooth.min()]
+    return Choice(delay=chosen, open=(float(possible[0]), float(possible[-1])), **found), best
 
 
-def judged(rollout: Rollout, drives: Drives) -> float:
-    """Return the error (rad, rms) of given drives on a rollout, after its start is forgotten."""
-    motion = rollout.run(drives, rollout.start())
-    missed = (rollout.measured - rollout.positions(motion))[rollout.after(_FORGOTTEN) :]
-    return float(np.sqrt(np.mean(missed**2))) if motion.converged else np.inf
+def _begun(
+    training: Sequence[Rollout], drives: Drives, rows: tuple[str, ...], delay: float | None
+) -> list[PositionFit]:
+    """Return fits of constants from several delays."""
+    delays = _STARTS if delay is None else (delay,)
+    return [
+        fit_positions(training, replace(drives, delay=d), rows, delay=delay is None, fall=_ROUGH)
+        for d in delays
+    ]
+
+
+def judged(rollouts: Sequence[Rollout], drives: Drives) -> float:
+    """Return the error (rad, rms) of given drives on rollouts, after their start is forgotten."""
+    squares, count = 0.0, 0
+    for each in rollouts:
+        motion = each.run(drives, each.start())
+        missed = (each.measured - each.positions(motion))[each.after(_FORGOTTEN) :]
+        squares += float(np.sum(missed**2)) if motion.converged else np.inf
+        count += missed.size
+    return float(np.sqrt(squares / count))

@@ -46,6 +46,8 @@ class PositionFit:
         Minus half of the derivative of the cost.
     covariance : ndarray, shape (k, k)
         Of the unknowns, from blocks of residuals; rows of numbers at a bound are zero.
+    correlation : float
+        Of residuals one row apart: of encoder noise alone it is 0.
     """
 
     drives: Drives
@@ -56,6 +58,7 @@ class PositionFit:
     information: Array
     gradient: Array
     covariance: Array
+    correlation: float
 
 
 def fit_positions(
@@ -65,6 +68,8 @@ def fit_positions(
     *,
     delay: bool = True,
     starts: Sequence[Array] | None = None,
+    held: bool = False,
+    fall: float = _FALL,
 ) -> PositionFit:
     """Fit kinds of numbers, the delay and the starts to the positions of rollouts.
 
@@ -80,6 +85,10 @@ def fit_positions(
         Whether the delay is.
     starts : sequence of ndarray, shape (2, n), optional
         Where the motions begin; by default as the first samples say.
+    held : bool
+        Whether the delay stays where it is, though it counts as unknown.
+    fall : float
+        The relative fall of the cost that a round must promise.
 
     Raises
     ------
@@ -89,6 +98,8 @@ def fit_positions(
     n = len(drives.middle)
     unknowns = Unknowns(rows=tuple(rows), delay=delay, motions=len(rollouts), n=n)
     low, high = unknowns.bounds()
+    if held:
+        low[len(rows) * n] = high[len(rows) * n] = drives.delay
     first = [each.start() for each in rollouts] if starts is None else list(starts)
     x = np.clip(unknowns.pack(drives, first), low, high)
     state = _State.of(rollouts, *unknowns.unpack(x, drives), None)
@@ -103,7 +114,7 @@ def fit_positions(
     for _ in range(_ROUNDS):
         step = _bounded_step(H, g, damping, low - x, high - x)
         expected = float(step @ (2.0 * g - H @ step))
-        if expected < _FALL * state.cost:
+        if expected < fall * state.cost:
             break
         there = np.clip(x + step, low, high)
         trial = _State.of(rollouts, *unknowns.unpack(there, drives), state)
@@ -112,8 +123,8 @@ def fit_positions(
             if damping > _MOST_DAMPING:
                 break
             continue
-        fall = state.cost - trial.cost
-        damping *= 0.1 if fall > 0.5 * expected else 0.5
+        gained = state.cost - trial.cost
+        damping *= 0.1 if gained > 0.5 * expected else 0.5
         x, state = there, trial
         H, g, scores = state.normal(rollouts, unknowns)
     within = (x > low) & (x < high)
@@ -128,6 +139,7 @@ def fit_positions(
         information=H,
         gradient=g,
         covariance=_sandwich(H, scores, within),
+        correlation=_correlation(state.missed),
     )
 
 
@@ -200,6 +212,12 @@ def _block_starts(rollout: Rollout) -> Indices:
     rows = len(rollout.measured)
     count = max(_BLOCKS, int(rollout.count * rollout.step / _LEAST_BLOCK))
     return np.unique(np.linspace(0, rows, min(count, rows), endpoint=False).astype(np.intp))
+
+
+def _correlation(missed: Sequence[Array]) -> float:
+    """Return the correlation of residuals one row apart."""
+    products = sum(float(np.sum(e[1:] * e[:-1])) for e in missed)
+    return products / max(sum(float(np.sum(e**2)) for e in missed), np.finfo(float).tiny)
 
 
 def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -> Array:

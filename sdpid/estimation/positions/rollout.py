@@ -19,6 +19,7 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.estimation.positions.drives import Drives
 from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
+from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Newton's rounds end after a move of no position by more (rad or m): the next one would be of its
@@ -46,27 +47,6 @@ class Stiction(NamedTuple):
         """Return MuJoCo's, of its default ``solreffriction`` and ``solimpfriction``."""
         least, most, time = 0.9, 0.95, 0.02
         return cls(least / (1.0 - least), 2.0 / (most * time), early=True)
-
-
-class Commands(NamedTuple):
-    """What a drive is told at the log's N time stamps, and what it can give.
-
-    Attributes
-    ----------
-    command : ndarray, shape (N, n)
-        Commanded positions, rad (m).
-    held : bool
-        Whether commands are held until the next, or joined by lines.
-    feedforward : ndarray, shape (N, n)
-        Effort that is added to that of the law, N·m (N).
-    limit : ndarray, shape (n,)
-        Largest effort, N·m (N); infinite without any.
-    """
-
-    command: Array
-    held: bool
-    feedforward: Array
-    limit: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +84,7 @@ class Rollout:
         Time stamps, s.
     measured : ndarray, shape (N, n)
         Positions.
-    commands : Commands
+    commands : Told
         What the drives were told.
     step : float
         Length of a step, s: velocities are updated first, then positions by the new velocities.
@@ -117,7 +97,7 @@ class Rollout:
         links: RobotDynamics,
         time: Array,
         measured: Array,
-        commands: Commands,
+        commands: Told,
         *,
         step: float,
         stiction: Stiction,

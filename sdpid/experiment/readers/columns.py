@@ -290,6 +290,11 @@ class Columns:
                 "'position': [2, 3], 'effort': [4, 5]}."
             )
         hint = ""
+        if quantity == "effort":
+            hint = (
+                " Without a torque sensor, commanded positions and the law of the drives serve as "
+                "well (--law pd --kp 20 --kd 1.5, law=): name them with columns={'reference': ...}."
+            )
         currents = [name for name, plain in self._plain.items() if _CURRENT.fullmatch(plain)]
         if quantity == "effort" and currents:
             hint = (

@@ -80,7 +80,8 @@ def convert(
     tables = _picked(tables, first)
     time, of_time = _time(stamps, found, arguments, len(tables["position"]))
     shown = labels if first is None else names
-    tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
+    if "effort" in tables:
+        tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
     tables, mended = mend_missing(
         {"time": time[:, None], **tables},
         {"time": ["time"], **columns},
@@ -94,7 +95,7 @@ def convert(
             tables[name] = transformed(tables[name], partial(motors.to_joints, name))
     if motors is not None:
         tables = _picked(tables, order)
-    if scale is not None:
+    if scale is not None and "effort" in tables:
         if arguments.effort_scale is None:
             scale = _one_each(scale, order)
         if scale.shape != (count := tables["effort"].shape[1],) or not scale.all():

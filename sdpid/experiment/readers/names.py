@@ -95,11 +95,18 @@ QUANTITIES: dict[str, Quantity] = {
         (
             *(f"{name}_{word}" for name in _POSITIONS for word in _COMMANDS),
             *(f"{word}_{name}" for name in _POSITIONS for word in _COMMANDS),
-            *("q_d", "reference"),
+            *("q_d", "reference", "commanded"),
         ),
         _ANGLES,
         endings=_IN_ANGLES,
         bare=("desired", "commanded", "command", "cmd", "target", "setpoint"),
+    ),
+    # Efforts that are added to those of a law; what was measured is called otherwise.
+    "feedforward": _q(
+        "feedforward effort_feedforward tau_feedforward torque_feedforward effort_ff tau_ff "
+        "torque_ff feedforward_effort feedforward_torque",
+        {"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0},
+        **{"nm": "N.m", "mnm": "mN.m"},
     ),
     "joint_names": _q("joint_names names", {}),
     "rate": _q("fs rate_hz rate sample_rate", {}),

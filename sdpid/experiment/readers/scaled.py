@@ -21,8 +21,16 @@ IN_AMPERES = (
 )
 
 
+# What whoever has no efforts can do.
+NO_EFFORT = (
+    "no effort was measured; give the law that turned commanded positions into efforts (--law pd "
+    "--kp 20 --kd 1.5; law=sdpid.controllers.PD(kp=20.0, kd=1.5) of sdpid.identify), or name the "
+    "efforts with --column effort=NAME."
+)
+
+
 def require_torques(log: Recording, name: str | None = None) -> None:
-    """Refuse a recording of currents where torques are needed.
+    """Refuse a recording of currents, or without efforts, where torques are needed.
 
     Parameters
     ----------
@@ -34,8 +42,10 @@ def require_torques(log: Recording, name: str | None = None) -> None:
     Raises
     ------
     DataError
-        Saying how to get gains.
+        Saying how to get gains, or what to do without efforts.
     """
+    if log.effort is None:
+        raise DataError(NO_EFFORT if name is None else f"{name}: {NO_EFFORT}")
     if log.currents:
         raise DataError(IN_AMPERES if name is None else f"{name}: {IN_AMPERES}")
 

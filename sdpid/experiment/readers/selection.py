@@ -93,8 +93,10 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
                 # A log is never refused for a reference that nobody asked for.
                 found.left_out["reference"] = str(cause)
                 log.forget("reference")
-        elif not _add(log, found, quantity, joints) and quantity in ("position", "effort"):
+        elif not _add(log, found, quantity, joints) and quantity == "position":
             raise log.missing(quantity)
+    if not {"effort", "reference"} & found.tables.keys():
+        raise log.missing("effort")
     _align(found, CHANNELS)
     found.names = found.labels.get("position")
     if found.names is None or all(name.isdigit() for name in found.names):
@@ -201,7 +203,7 @@ def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None)
             why = "it lacks values"
         elif labels is not None and set(labels) != set(of_positions or labels):
             why = f"its columns are of joints {', '.join(labels)}"
-        elif "q_d" in first[0] and not _followed(table, position):
+        elif ("q_d" in first[0] or first[0] == "commanded") and not _followed(table, position):
             why = "the positions do not follow it, so that it may be a derivative"
         if why is not None:
             remedy = "name it with columns= (--column) where it is one"

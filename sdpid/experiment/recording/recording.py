@@ -30,7 +30,7 @@ from sdpid.experiment.recording.floating import (
 from sdpid.experiment.recording.stored import ROWS, StoredArray, extremes
 
 # What is measured, or commanded, of each joint.
-CHANNELS = ("position", "effort", "velocity", "reference")
+CHANNELS = ("position", "effort", "velocity", "reference", "feedforward")
 
 # Where the metadata of a recording stand in Parquet files, and their version.
 KEY = b"sdpid"
@@ -72,13 +72,16 @@ class Recording(Sampled):
         Time stamps in s, strictly increasing.
     position : (N, n) array_like
         Joint positions in rad (m for a prismatic joint).
-    effort : (N, n) array_like
+    effort : (N, n) array_like, optional
         Joint efforts in N·m (N). `read_recording` turns currents into torques. With `currents` the
-        motors' currents in A.
+        motors' currents in A. None where none were measured: such a log needs commanded positions
+        and the law that ran (``identify(..., law=...)``).
     velocity : (N, n) array_like, optional
         Measured joint velocities in rad/s (m/s).
     reference : (N, n) array_like, optional
         Commanded joint positions in rad (m): what the controller was to follow.
+    feedforward : (N, n) array_like, optional
+        Commanded efforts in N·m (N), which the drives added to those of their law.
     joint_names : sequence of str, optional
         One name a joint, in the order of the columns.
     period : float, optional
@@ -131,9 +134,10 @@ class Recording(Sampled):
 
     time: Array = samples("time", what="time stamps in s", needed=True)
     position: Array = samples("position", "names", what=EACH_JOINT, needed=True)
-    effort: Array = samples("{self._efforts}", "names", what=EACH_JOINT, needed=True)
+    effort: Array = samples("{self._efforts}", "names", what=EACH_JOINT)
     velocity: Array | None = samples("velocity", "names", what=EACH_JOINT)
     reference: Array | None = samples("reference", "names", what=EACH_JOINT)
+    feedforward: Array | None = samples("feedforward", "names", what=EACH_JOINT)
     joint_names: tuple[str, ...] | None = None
     period: float | None = None
     start: float | None = None
@@ -148,8 +152,12 @@ class Recording(Sampled):
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "effort"):
-            if getattr(self, name) is None:
-                raise DataError(f"{name} is missing; a recording needs time, position and effort.")
+            lacks = getattr(self, name) is None
+            if lacks and (name != "effort" or self.reference is None):
+                raise DataError(
+                    f"{name} is missing; a recording needs time, position and effort, or commanded "
+                    "positions (reference) in place of effort."
+                )
         given = self.joint_names
         # Numbers stand for the names until the number of joints is known.
         object.__setattr__(self, "joint_names", None)
@@ -181,6 +189,8 @@ class Recording(Sampled):
             words.append("efforts in A")
         if self.reference is not None:
             words.append("with reference")
+        if self.effort is None:
+            words.append("no effort")
         if self.base is not None:
             words.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
         if self.contacts is not None:
@@ -189,10 +199,11 @@ class Recording(Sampled):
 
     def _tables(self) -> list[Table]:
         low, high = extremes(self.position)
-        rms = np.sqrt(np.mean(np.square(self.effort), axis=0))
         columns: dict[str, Any] = {"joint": self.names, "least position": low.tolist()}
         columns |= {"greatest position": high.tolist()}
-        columns |= {f"rms effort{', A' * self.currents}": rms.tolist()}
+        if self.effort is not None:
+            rms = np.sqrt(np.mean(np.square(self.effort), axis=0))
+            columns |= {f"rms effort{', A' * self.currents}": rms.tolist()}
         return [Table.of_columns(columns)]
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -26,6 +26,9 @@ _STATES = (
     "reference_acceleration",
     "integral",
 )
+
+# The longest delay (s) that is believed of a drive: no robot is stable with a longer one.
+_LONGEST_DELAY = 0.1
 
 
 def keep_per_joint(
@@ -126,7 +129,10 @@ class JointLaw(Shown, Controller):
 
     @cached_property
     def _settings(self) -> dict[str, Any]:
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        # The second name of the limit says nothing new.
+        return {
+            each.name: getattr(self, each.name) for each in fields(self) if each.name != "limit"
+        }
 
     @cached_property
     def gains(self) -> LoopGains:
@@ -297,21 +303,31 @@ class P(JointLaw):
 class PD(JointLaw):
     """Proportional-derivative control of each joint, ``kp·(q_d − q) + kd·(v_d − v)``.
 
+    As the law of a log whose efforts were not measured (``identify(..., law=...)``) the effort is
+    ``kp·(q_d − q) − kd·v``, at the command of `delay` seconds before; see docs/guides/law.md.
+
     Attributes
     ----------
     kp : ndarray, shape (n,)
-        Effort per position error, N·m/rad (N/m).
+        Effort per position error, N·m/rad (N/m); one number for all joints has the shape (1,) until
+        the robot is known. As the law of a log None where it is to be found.
     kd : ndarray, shape (n,)
         Effort per velocity error, N·m·s/rad (N·s/m).
     feedforward : bool
-        Whether v_d is in the law; without, kd damps the velocity itself.
+        Whether v_d is in the law; without, kd damps the velocity itself. Logs have no v_d.
     effort_limit : ndarray, shape (n,), optional
         Largest efforts, N·m (N).
+    delay : float, optional
+        Time (s) from a command to its effort, in a log that this law moved; None where it is to be
+        found. Simulations in closed loop know no delay.
+    limit : ndarray, shape (n,), optional
+        The same as `effort_limit`.
 
     Raises
     ------
     DataError
-        When a gain is negative, kp is zero, a limit is not positive, or lengths differ.
+        When a gain is negative, kp is zero, a limit is not positive, a delay is negative or longer
+        than 0.1 s, or lengths differ.
 
     Examples
     --------
@@ -323,10 +339,60 @@ class PD(JointLaw):
     array([[1., 1.]])
     """
 
-    kp: Array
-    kd: Array
+    kp: Array | float | None
+    kd: Array | float
     feedforward: bool = True
     effort_limit: Array | None = None
+    delay: float | None = None
+    limit: Array | float | None = None
+
+    def __post_init__(self) -> None:
+        limit = self.effort_limit if self.limit is None else self.limit
+        named = {"kp": self.kp, "kd": self.kd, "effort_limit": limit}
+        given = {name: np.atleast_1d(x) for name, x in named.items() if x is not None}
+        count = max((each.size for each in given.values()), default=1)
+        for name, each in given.items():
+            alike = np.broadcast_to(each, count) if each.size == 1 else each
+            object.__setattr__(self, name, alike)
+        super().__post_init__()
+        object.__setattr__(self, "limit", self.effort_limit)
+        if self.delay is None:
+            return
+        if not 0.0 <= float(self.delay) <= _LONGEST_DELAY:
+            raise DataError(
+                f"PD: delay is {self.delay!r}; give seconds from 0 to {_LONGEST_DELAY:g}, or None "
+                "where it is to be found."
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(np.atleast_1d(self.kd))
+
+    @cached_property
+    def gains(self) -> LoopGains:
+        """Gains of the law; refused where kp is to be found."""
+        if self.kp is None:
+            raise DataError("PD: kp is None, to be found in a log; a simulation needs a number.")
+        return super().gains
+
+    def of_joints(self, n: int) -> PD:
+        """Return the law with one number a joint.
+
+        Raises
+        ------
+        DataError
+            When it has those of another number of joints.
+        """
+        kd = np.asarray(self.kd)
+        if len(kd) not in (1, n):
+            raise DataError(
+                f"law: PD has gains of {len(kd)} joints, the robot has {n}; give one number for "
+                "all, or one a joint."
+            )
+        each = {name: getattr(self, name) for name in ("kp", "kd", "limit")}
+        spread = {k: None if x is None else np.broadcast_to(x, n) for k, x in each.items()}
+        return replace(self, effort_limit=None, **spread)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -189,7 +189,7 @@ def _recorded(
         absent = [name for name in columns if name not in plain]
         if not absent:
             arrays[called] = partial(several, columns)
-        elif quantity in ("position", "effort") or absent != columns:
+        elif quantity == "position" or absent != columns:
             raise DataError(f"lacks the columns {', '.join(absent)}.")
     for name in ("joint_names", "period", "start", "periods"):
         if stated.get(name) is not None:
