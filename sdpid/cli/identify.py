@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 @command(
     {"log LOG ...": "One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."},
     logs.PROBLEM,
+    logs.LAW,
     {
         "--out FOLDER = sdpid-results": "Folder for the results.",
         "--validation LOG ...": "Another recording, which is predicted only. May be repeated.",
@@ -63,6 +64,7 @@ def identify(given: Given) -> None:
         intervals=given.interval_method if given.intervals else False,
         **given.chosen("folds rollout accept"),
         **logs.formulation(given, model),
+        **logs.law(given, model),
     )
     findings = {str(finding) for finding in result.findings}
     notes = [
@@ -80,6 +82,7 @@ def identify(given: Given) -> None:
         out,
         figures=given.figures,
         offsets=given.offsets,
+        tendons=given.tendons,
         report=notes.append,
         command=command_line(given.ctx),
         config=config_text(given.ctx, out),

@@ -78,6 +78,23 @@ ACCEPTANCE = panel(
     },
 )
 
+LAW = panel(
+    "Estimation",
+    {
+        "--law pd|FILE": "The law that turned commanded positions into efforts, of a log without "
+        "measured efforts: pd with --kp and --kd, or a file with both: TOML, or MJCF with its "
+        "actuators.",
+        "--kp X,Y,...": "Gain of the law, N.m/rad: one for all joints, or one a joint. Left out, "
+        "it is found from the described masses.",
+        "--kd X,Y,...": "Gain of the law, N.m.s/rad.",
+        "--delay S": "Time from a command to its effort, s. Default: found.",
+        "--limit X,Y,...": "Largest effort of the drives, N.m.",
+        "--for mujoco|isaac|urdf": "Where the model will be used; default with a law: mujoco.",
+        "--tendons/--no-tendons = off": "Write friction over position into identified.xml, as "
+        "tendons.",
+    },
+)
+
 WITHOUT_EFFORT = panel(
     "Estimation",
     {
@@ -221,6 +238,21 @@ def _conditions(given: Given, robot: RobotModel) -> Iterable[Condition]:
         yield from mirror_pairs(robot)
     if given.mirror_friction is not None:
         yield from equal_friction(robot, within=given.mirror_friction)
+
+
+def law(given: Given, robot: RobotModel) -> dict[str, Any]:
+    """Return the arguments of `identify` about the law that ran."""
+    own = ("kp", "kd", "delay", "limit", "for_", "tendons")
+    if given.law is None:
+        for name in own:
+            if getattr(given, name) not in (None, False):
+                raise DataError(f"--{name.rstrip('_')}: is of a law; give --law pd as well.")
+        return {}
+    from sdpid.experiment.simulation.law import law_of
+
+    numbers = {name: getattr(given, name) for name in own[:4]}
+    found = {k: v for k, v in numbers.items() if v is not None}
+    return {"law": law_of(given.law, robot, found), "target": given.for_}
 
 
 def robot_and_logs(given: Given, logs: Iterable[Path]) -> tuple[RobotModel, list[Recording]]:

@@ -27,6 +27,7 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import landings_used, with_motion_bias
+from sdpid.estimation.positions.law_fit import Target, first_law, fit_law
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -34,14 +35,24 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.inspect import kinds_accepted
 from sdpid.experiment.inspection.kinds import Finding, found
-from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf
+from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf, read_logs
 from sdpid.experiment.readers.mapping import as_gains
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.simulation.controllers import PD
+from sdpid.experiment.simulation.law import with_efforts_of_law
 from sdpid.output.report.kinds import listed
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import Formulation, cross_validate
 from sdpid.workflow.result import Identification
+
+# What simulators know of drives: the terms of a convex fit to the efforts of a law.
+MADE_OF_LAW = ("coulomb", "viscous", "rotor_inertia")
+
+# A delay (s) at which the convex fit takes the law's commands before theirs is known: torques
+# hardly tell one.
+USUAL_DELAY = 0.004
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
@@ -97,6 +108,8 @@ def identify(
     intervals: bool | Method = True,
     folds: int | None = None,
     rollout: bool = False,
+    law: PD | None = None,
+    target: Target | None = None,
 ) -> Identification:
     """Identify the dynamics of a robot from one recording or several.
 
@@ -160,6 +173,13 @@ def identify(
     rollout : bool, optional
         Simulate the first validation recording in open loop too, all joints free and one at a time
         (see `rollout`), which takes some seconds.
+    law : sdpid.controllers.PD, optional
+        The law that turned commanded positions into efforts, of a log in which no effort was
+        measured: its delay is found where it is None, its kp too (see docs/guides/law.md). Links
+        come from the convex fit, drives from positions of rollouts (`Identification.drives`).
+    target : {"mujoco", "isaac", "urdf"}, optional
+        Where the model will be used: the drives are reduced at the end to what that can hold. By
+        default ``"mujoco"`` with a law.
 
     Returns
     -------
@@ -191,14 +211,29 @@ def identify(
             "rollout: simulates a recording that was not fitted, and there is none; give another "
             "recording as validation, or call sdpid.rollout."
         )
+    if law is not None and (friction is not None or folds is not None or rollout):
+        raise DataError(
+            "law: friction, folds and rollout have no place beside it; friction is what simulators "
+            "hold, and rollouts are what is fitted."
+        )
+    if target is not None and law is None:
+        raise DataError(
+            "target: fits the drives to where they will be used, under a known law; give "
+            "law=sdpid.controllers.PD(...)."
+        )
     formulation = Formulation(
-        friction=friction,
+        friction=friction if law is None else MADE_OF_LAW,
         weighting=weighting,
         consistency=consistency,
         constraints=constraints,
         prior=prior,
-        effects=effects,
+        effects=effects if law is None else "none",
     )
+    if law is not None:
+        options = {"processing": processing, "accept": kinds_accepted(accept)}
+        return _under_law(
+            robot, log, validation, law, target or "mujoco", formulation, intervals, options
+        )
     kinds, known = kinds_accepted(accept), as_gains(gains)
     how = {"without_effort": without_effort, "accept": kinds, "gains": known}
     prepared = formulation.prepare(robot, log, processing=processing, **how)
@@ -240,6 +275,53 @@ def identify(
         moved = rollouts(result.estimate, fresh.logs[0], processing=prepared.processing)
         result = replace(result, rollouts=moved)
     return result
+
+
+def _under_law(
+    robot: RobotModel | str | os.PathLike[str],
+    log: Logs,
+    validation: Logs | None,
+    law: PD,
+    target: Target,
+    formulation: Formulation,
+    intervals: bool | Method,
+    options: dict[str, Any],
+) -> Identification:
+    """Return the convex fit to the law's efforts, and the drives that positions show."""
+    model, logs = read_logs(robot, log)
+    if not isinstance(law, PD):
+        raise DataError(f"law: is {law!r:.80}; give sdpid.controllers.PD(kp=..., kd=...).")
+    if model.free_flyer:
+        raise DataError(
+            f"law: the base of '{model.name}' floats in this log; rollouts need a base that is "
+            "held: hang the robot up, and leave the base's columns out."
+        )
+    law = law.of_joints(model.n)
+    matched = [match_joints(model, each) for each in logs]
+    fresh = []
+    if validation is not None:
+        fresh = [
+            match_joints(model, each) for each in read_logs(model, validation, "validation")[1]
+        ]
+    first, notes = first_law(matched, law, model)
+    delay = USUAL_DELAY if law.delay is None else law.delay
+    made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
+    prepared = formulation.prepare(model, made, **options)
+    others = prepared.others(seen, accept=options["accept"]) if seen else None
+    result = _solved(
+        formulation.problem(prepared), replace(prepared, logs=tuple(logs)), others, intervals
+    )
+    with progress(1, "fitting the drives to positions"):
+        drives = fit_law(
+            result.estimate, matched, law, target=target, start=first, validation=fresh
+        )
+    return replace(
+        result,
+        drives=drives,
+        notes=(*notes, *drives.notes, *result.notes),
+        recipe=None,
+        recipe_note="the rows cannot be made again from the log: their efforts are a law's",
+    )
 
 
 def _without(prepared: Prepared, spoils: Finding) -> Prepared:

@@ -22,6 +22,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.estimation.closed_loop.bias import BiasTest
 from sdpid.estimation.effects.kinds import Tried
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.subject import Judged
@@ -87,6 +88,7 @@ def save(
     *,
     figures: bool = False,
     offsets: bool = False,
+    tendons: bool = False,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
@@ -108,6 +110,8 @@ def save(
         Write training.png and validation.png too (extra ``plot``).
     offsets : bool, optional
         Write offsets into identified.xml, as actuators with a constant force.
+    tendons : bool, optional
+        Write friction over position into identified.xml, as tendons with dry friction.
     report : callable, optional
         Called with a sentence for all that the files leave out of the estimate (see
         `ExportReport`), and for every file that is not written.
@@ -144,8 +148,11 @@ def save(
             path = stage / "parameters.json"
             write_parameters(estimate, path, intervals=ends, certificate=certificate)
             certificate.to_json(stage / "certificate.json")
-            exports.extend(_robots(result, stage, note, offsets))
-            _friction(result, stage, note)
+            used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
+            exports.extend(_robots(result, used, stage, note, offsets, tendons))
+            _friction(
+                result, estimate if result.drives is None else result.drives.estimate(), stage, note
+            )
             if figures:
                 _figures(result, stage)
             _report(result, stage, note, command, exports)
@@ -172,10 +179,15 @@ def save(
 
 
 def _robots(
-    result: Judged, folder: Path, note: Callable[[str], None], offsets: bool
+    result: Judged,
+    estimate: Estimate,
+    folder: Path,
+    note: Callable[[str], None],
+    offsets: bool,
+    tendons: bool,
 ) -> list[ExportReport]:
     """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
-    problem, estimate = result.problem, result.estimate
+    problem = result.problem
     if problem.consistency == "none":
         note("no identified.urdf, no identified.xml: without consistency links need be no bodies")
         return []
@@ -184,7 +196,8 @@ def _robots(
         exports.append(write_urdf(estimate, target=folder / "identified.urdf"))
     mjcf, missing = folder / "identified.xml", None
     try:
-        exports.append(write_mjcf(estimate, target=mjcf, offsets=offsets))
+        how = {"offsets": offsets, "tendons": tendons, "steep": result.drives is None}
+        exports.append(write_mjcf(estimate, target=mjcf, **how))
     except MissingExtraError:
         missing = f"mujoco is not installed ({installation('sim')})"
     except Exception as reason:
@@ -202,12 +215,14 @@ def _robots(
     return exports
 
 
-def _friction(result: Judged, folder: Path, note: Callable[[str], None]) -> None:
+def _friction(
+    result: Judged, estimate: Estimate, folder: Path, note: Callable[[str], None]
+) -> None:
     """Write friction as code, which has room for every term of ours."""
     left_out: dict[str, None] = {}
-    for name in FRICTION_FILES if result.problem.friction.terms else ():
+    for name in FRICTION_FILES if estimate.problem.friction.terms else ():
         try:
-            said = write_friction(result.estimate, folder / name, certificate=result.certificate)
+            said = write_friction(estimate, folder / name, certificate=result.certificate)
         except ExportError as reason:
             # A full disk, that is; else it is a term that no file can hold.
             if isinstance(reason.__cause__, OSError):
@@ -315,6 +330,9 @@ class Identification(Judged, Shown):
         How the rows are made of the recordings, for who checks the result from the log.
     recipe_note : str or None
         Why there is no recipe.
+    drives : LawFit or None
+        Drives fitted to positions under a known law, where that was given: the best of several
+        starts, while `estimate` is the convex fit that the certificate is of.
 
     Examples
     --------
@@ -378,8 +396,11 @@ class Identification(Judged, Shown):
         return headline(self)
 
     def model(self) -> RobotDynamics:
-        """Return the identified robot, to compute with; see `Estimate.model`."""
-        return self.estimate.model()
+        """Return the identified robot, to compute with; see `Estimate.model`.
+
+        Under a law that has the drives that were fitted to positions.
+        """
+        return (self.estimate if self.drives is None else self.drives.estimate()).model()
 
     def friction_curve(
         self, joint: str | int, velocity: ArrayLike | None = None, *, level: float = 0.95
@@ -426,7 +447,11 @@ class Identification(Judged, Shown):
         estimate = self.estimate
         weak = self.problem.excitation.weak()
         notes = self.notes if self.intervals_note is None else (*self.notes, self.intervals_note)
+        of_law = {}
+        if self.drives is not None:
+            of_law = {"delay_s": self.drives.delay, "law": self.drives.to_dict()}
         content = {
+            **of_law,
             "problem": describe(self.problem),
             "processing": self.problem.samples.notes,
             "notes": notes,

@@ -182,7 +182,7 @@ def choose_forward(
     if delay is not None:
         return Choice(delay=delay, open=(delay, delay), **found), best
     grid = np.linspace(0.0, LONGEST_DELAY, _TRIED)
-    squares = np.array([judged(judges, conditional(best, d)) for d in grid]) ** 2
+    squares = np.array([judged(judges, conditional(best, d)[0]) for d in grid]) ** 2
     if not np.isfinite(squares).any():
         # Nothing follows at another delay: that of the fit is all there is.
         at = best.drives.delay

@@ -143,15 +143,19 @@ def fit_positions(
     )
 
 
-def conditional(fit: PositionFit, delay: float) -> Drives:
-    """Return the best drives for another delay, by the quadratic model of a fit."""
+def conditional(fit: PositionFit, delay: float) -> tuple[Drives, float]:
+    """Return the best drives for another delay and their error, by a fit's quadratic model."""
     unknowns, names = fit.unknowns, fit.unknowns.names
     x = unknowns.pack(fit.drives, fit.starts)
     low, high = unknowns.bounds()
     k = names.index("delay")
     low[k] = high[k] = delay
     step = _bounded_step(fit.information, fit.gradient, 0.0, low - x, high - x)
-    return unknowns.unpack(np.clip(x + step, low, high), fit.drives)[0]
+    found = np.clip(x + step, low, high)
+    step = found - x
+    cost = fit.cost - float(step @ (2.0 * fit.gradient - fit.information @ step))
+    error = fit.rms * float(np.sqrt(max(cost, 0.0) / fit.cost))
+    return unknowns.unpack(found, fit.drives)[0], error
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid._common.files import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD
+from sdpid.robot.model.model import RobotModel
 
 # Commands are steps that are held where this share of the rows in motion repeat the one before.
 _HELD = 0.3
@@ -63,7 +69,7 @@ class Told:
         if len(at):
             inside = moves[at[0] : at[-1] + 1]
             held = 1.0 - float(inside.mean()) > _HELD
-            every = (log.time[1:][at[-1]] - log.time[1:][at[0]]) / max(len(at) - 1, 1)
+            every = float(np.median(np.diff(np.array(log.time)[1:][at]))) if len(at) > 1 else 0.0
             note = (
                 f"commands are taken as steps that are held, one in {1e3 * every:.3g} ms"
                 if held
@@ -114,3 +120,70 @@ def with_efforts_of_law(log: Recording, law: PD, delay: float) -> Recording:
     gains = law.gains
     effort = gains.proportional * (command - position) - gains.derivative * velocity + added
     return replace(log, effort=np.clip(effort, -told.limit, told.limit), currents=False, gains=None)
+
+
+def law_of(kind: str, robot: RobotModel, given: Mapping[str, Any]) -> PD:
+    """Return the law of options, of a TOML file or of the actuators of an MJCF.
+
+    Parameters
+    ----------
+    kind : str
+        ``pd``, or a file: TOML with kp, kd, delay and limit, each a number, a list or a table by
+        joint, or an MJCF.
+    robot : RobotModel
+        Whose joints there are.
+    given : mapping
+        Options, which win.
+
+    Raises
+    ------
+    DataError
+        When the file says no law, or kd is missing.
+    """
+    stated: dict[str, Any] = {}
+    if kind != "pd":
+        path = Path(kind)
+        if not path.is_file():
+            raise DataError(f"law: {kind!r} is no file, and no law but pd is known.")
+        stated = _of_actuators(path) if path.suffix.lower() == ".xml" else load_toml(path)
+    if unknown := stated.keys() - {"kp", "kd", "delay", "limit"}:
+        raise DataError(f"{kind}: {min(unknown)} is unknown; there are kp, kd, delay and limit.")
+    found = {name: _by_joint(kind, name, x, robot) for name, x in stated.items()} | dict(given)
+    if "kd" not in found:
+        raise DataError("law: kd is missing; give --kd, in N.m.s/rad (0 where there is none).")
+    return PD(**{"kp": None, **found})
+
+
+def _by_joint(file: str, name: str, stated: Any, robot: RobotModel) -> Any:
+    """Return a number or a list, in the order of the joints where it is a table by joint."""
+    if not isinstance(stated, Mapping):
+        return stated
+    joints = robot.joint_names
+    if {*stated} != {*joints}:
+        off = sorted({*stated} ^ {*joints})
+        raise DataError(
+            f"{file}: {name} has not the joints of '{robot.name}' ({', '.join(off[:4])}); give "
+            "each joint one number."
+        )
+    return [stated[joint] for joint in joints]
+
+
+def _of_actuators(path: Path) -> dict[str, Any]:
+    """Return what position servos of an MJCF are: gains and limits by joint."""
+    mujoco = require("mujoco", extra="sim")
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as cause:
+        raise DataError(f"{path}: {cause}") from None
+    found: dict[str, dict[str, float]] = {"kp": {}, "kd": {}, "limit": {}}
+    for k in range(model.nu):
+        gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
+        if gain[0] <= 0.0 or bias[1] != -gain[0]:
+            raise DataError(f"{path}: actuator {k + 1} is no position servo; give --law pd.")
+        joint, gear = model.joint(model.actuator_trnid[k, 0]).name, model.actuator_gear[k, 0]
+        found["kp"][joint], found["kd"][joint] = gear**2 * gain[0], -(gear**2) * bias[2]
+        if model.actuator_forcelimited[k]:
+            found["limit"][joint] = gear * model.actuator_forcerange[k, 1]
+    if not found["kp"]:
+        raise DataError(f"{path}: has no actuators; give --law pd --kp ... --kd ...")
+    return {name: values for name, values in found.items() if values}

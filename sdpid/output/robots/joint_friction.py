@@ -24,9 +24,10 @@ from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import SMOOTH
+from sdpid.output.robots.position_tendons import BentFriction, bent_friction
 from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.posed import Tilt
+from sdpid.robot.friction.posed import PositionFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -103,6 +104,8 @@ class JointAttributes:
         Drives of two joints.
     offsets : dict
         Constant efforts by joint name.
+    bent : dict
+        Friction over position by joint name, as tendons.
     """
 
     values: dict[str, dict[str, float]]
@@ -111,6 +114,11 @@ class JointAttributes:
     fitted: bool = False
     tendons: tuple[MjcfTendon, ...] = ()
     offsets: Mapping[str, float] = field(default_factory=dict)
+    bent: Mapping[str, BentFriction] = field(default_factory=dict)
+
+    def mean_of_bent(self, joint_names: Sequence[str]) -> Array:
+        """Return the mean dry friction (n,) of tendons over each joint's range."""
+        return np.array([self.bent[x].mean if x in self.bent else 0.0 for x in joint_names])
 
 
 def joint_attributes(
@@ -121,6 +129,7 @@ def joint_attributes(
     *,
     tendons: bool = False,
     offsets: bool = False,
+    bent: bool = False,
 ) -> JointAttributes:
     """Return identified friction as attributes of joints.
 
@@ -143,13 +152,15 @@ def joint_attributes(
     tendons, offsets : bool, optional
         Whether the drive of two joints has a place as a tendon, a constant effort one as an
         actuator.
+    bent : bool, optional
+        Whether friction over position has a place as tendons.
 
     Raises
     ------
     ExportError
         When an identified number that is to be written is negative.
     """
-    places = Places(problem, theta, attributes, tendons=tendons, offsets=offsets)
+    places = Places(problem, theta, attributes, tendons=tendons, offsets=offsets, bent=bent)
     values = places.at_nominal_speeds()
     notes: tuple[str, ...] = ()
     left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.lost]
@@ -165,6 +176,19 @@ def joint_attributes(
                 values[kind][j] = value
         left_out = list(map(rows.left_out, places.lost, rows.lost))
         notes = (rows.note(values),) if places.kinds else ()
+    bends = {
+        joint: each
+        for part in places.bent
+        for joint, each in zip(places.joints, bent_friction(part.term, part.values), strict=True)
+    }
+    for j, joint in enumerate(places.joints if bends else ()):
+        values.setdefault(Coulomb, np.zeros(len(places.joints)))[j] += bends[joint].own
+    if bends:
+        worst = max(bends, key=lambda joint: bends[joint].error)
+        notes += (
+            f"friction over position is {sum(len(x.tendons) for x in bends.values())} tendons, "
+            f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
+        )
     return JointAttributes(
         {
             joint: {attributes[kind]: float(numbers[j]) for kind, numbers in values.items()}
@@ -180,6 +204,7 @@ def joint_attributes(
             for part in places.offsets
             for joint, value in zip(places.joints, part.values, strict=True)
         },
+        bent=bends,
     )
 
 
@@ -210,6 +235,8 @@ class Places:
         Whether the joints have all of that.
     offsets : list of Part
         Constant efforts that are written.
+    bent : list of Part
+        Friction over position that becomes tendons.
     kinds : list
         The terms whose attributes are written.
     robot : RobotModel
@@ -223,8 +250,8 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    tendons, offsets : bool, optional
-        Whether drives of two joints and constant efforts have a place.
+    tendons, offsets, bent : bool, optional
+        Whether drives of two joints, constant efforts and friction over position have a place.
     """
 
     def __init__(
@@ -235,19 +262,22 @@ class Places:
         *,
         tendons: bool = False,
         offsets: bool = False,
+        bent: bool = False,
     ) -> None:
         model = RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
         # Every file has room for the direction of gravity.
         self.robot = problem.robot.with_gravity(model.tilted_gravity)
         self.joints = problem.friction.joint_names
         self.exact: dict[Kind, Array] = {}
-        self._held, self.curves, self.lost, self.coupled, self.offsets = (
-            list[Part]() for _ in range(5)
+        self._held, self.curves, self.lost, self.coupled, self.offsets, self.bent = (
+            list[Part]() for _ in range(6)
         )
         for term, own in problem.friction.placed:
             names = tuple(p.name for p in problem.friction.parameters[own])
             part = Part(term, names, theta[10 * problem.robot.n_links :][own])
-            if term.curve or (isinstance(term, Coulomb) and not _sharp(term)):
+            if isinstance(term, PositionFriction):
+                (self.bent if bent else self.curves).append(part)
+            elif term.curve or (isinstance(term, Coulomb) and not _sharp(term)):
                 self.curves.append(part)
             elif isinstance(term, JointwiseTerm) and type(term) in attributes:
                 self._held.append(part)
@@ -303,6 +333,9 @@ class Places:
             v = np.tile(speeds[:, None], (1, len(self.joints)))
             effort = np.zeros_like(v)
             for part in self.curves:
+                if isinstance(part.term, PositionFriction):
+                    effort += np.sign(v) * part.values.reshape(3, -1).mean(axis=0)
+                    continue
                 effort += part.term.columns(v, np.zeros_like(v), self.joints) @ part.values
             columns = np.column_stack([np.sign(speeds), speeds])
             fits = np.array([nnls(columns, each)[0] for each in effort.T])

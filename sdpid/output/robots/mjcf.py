@@ -18,6 +18,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, file_errors
 from sdpid.output.robots.joint_friction import Kind, added, joint_attributes
 from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
+from sdpid.output.robots.position_tendons import BentFriction, tendon_elements
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
     RobotText,
@@ -50,6 +51,8 @@ def write_mjcf(
     target: str | os.PathLike[str],
     source: str | os.PathLike[str] | None = None,
     offsets: bool = False,
+    tendons: bool = False,
+    steep: bool = True,
 ) -> ExportReport:
     """Write an MJCF with identified inertias, armature, damping and friction (extra ``sim``).
 
@@ -70,6 +73,11 @@ def write_mjcf(
     ----------
     estimate : Estimate
         Parameters to write; it must have `theta`.
+    tendons : bool, optional
+        Write friction over position (`PositionFriction`) as tendons with dry friction, into a new
+        MJCF; else dry friction is constant.
+    steep : bool, optional
+        Whether dry friction is made steep, or is MuJoCo's by default, as fits of positions have it.
     target : str or path
         File to write, whole or not at all; it may be the source. Meshes that the source names
         relative to itself are not copied.
@@ -112,21 +120,26 @@ def write_mjcf(
     text, notes = open_source(robot, source, what)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     text.write_bodies(bodies, "pseudo_inertia")
-    friction = joint_attributes(problem, theta, PLACES, what, tendons=text.ours, offsets=offsets)
+    friction = joint_attributes(
+        problem, theta, PLACES, what, tendons=text.ours, offsets=offsets, bent=tendons and text.ours
+    )
     notes = friction.notes + notes
     if any(lost.term == Offset.__name__ for lost in friction.left_out):
         notes += ("offsets have a place where they are asked for: offsets=True, or --offsets",)
     if not np.array_equal(robot.gravity, problem.robot.gravity):
         notes += (f"gravity is {text.write_gravity()} m/s²: its base stands tilted, as found",)
-    text.write_joints(friction.values)
+    text.write_joints(friction.values, STEEP if steep else {})
     text.write_tendons(friction.tendons, problem.friction.joint_names)
+    text.write_bent(friction.bent)
     text.write_offsets(friction.offsets)
     written = text.read_back(bodies)
+    dry, damping, armature = written.attributes()
     errors = partial(
         file_errors,
         estimate,
         robot=robot,
-        attributes=written.attributes(),
+        # Of friction over position its mean: a description has no more.
+        attributes=(dry + friction.mean_of_bent(robot.joint_names), damping, armature),
         couplings=written.couplings(),
         offsets=np.array([*friction.offsets.values()]) if friction.offsets else None,
     )
@@ -274,10 +287,13 @@ class Mjcf(RobotText):
         own.attrib.update(inertial_values(inertial))
         self.changed.append(self.name(body))
 
-    def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
-        """Write the joints' numbers; those of joints that mimic another count at that one.
+    def write_joints(
+        self, values: Mapping[str, Mapping[str, float]], dry: Mapping[str, str]
+    ) -> None:
+        """Write the joints' numbers, and how dry friction acts.
 
-        Where there is no armature, the links hold that of the rotors.
+        Those of joints that mimic another count at that one. Where there is no armature, the links
+        hold that of the rotors.
         """
         attributes = {attribute for each in values.values() for attribute in each}
         model = self.robot.pin_model
@@ -292,9 +308,9 @@ class Mjcf(RobotText):
                 new["armature"] = 0.0
                 self.cleared.append(name)
             if new:
-                steep = STEEP if new.get("frictionloss") else {}
                 text = {key: numbers(value) for key, value in new.items()}
-                self._joint(name, carrier).attrib.update(text | steep)
+                how = dry if new.get("frictionloss") else {}
+                self._joint(name, carrier).attrib.update({**text, **how})
                 self.joints_changed.append(name)
 
     def _joint(self, name: str, body: int) -> Any:
@@ -317,6 +333,16 @@ class Mjcf(RobotText):
             elements.append(etree.Element("fixed", attributes))
             for joint, factor in zip(each.joints, each.factors, strict=True):
                 etree.SubElement(elements[-1], "joint", joint=joint, coef=numbers(factor))
+        self._append("tendon", elements)
+
+    def write_bent(self, bent: Mapping[str, BentFriction]) -> None:
+        """Write friction over position."""
+        elements, model = [], self.robot.pin_model
+        for name, each in bent.items():
+            i = model.getJointId(name)
+            child = self.elements[self.carriers[i - 1]]
+            parent = child.getparent()
+            elements += tendon_elements(self.robot, i, each, child, parent)
         self._append("tendon", elements)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:

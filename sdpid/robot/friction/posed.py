@@ -7,7 +7,7 @@ The columns take the links from given bodies, so that the effort is linear in th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -302,6 +302,19 @@ class PositionFriction(FrictionTerm):
         for k, shape in enumerate(shapes):
             columns[:, joints, k * n + joints] = shape * sign
         return columns
+
+    def control_values(self, level: Callable[[Array], Array]) -> Array:
+        """Return the three numbers (3, n) of a parabola, none negative.
+
+        Parameters
+        ----------
+        level : callable
+            Returns the parabola's values (K, n) at positions (K, n).
+        """
+        low, high = np.asarray(self.lower), np.asarray(self.upper)
+        ends = level(np.stack([low, 0.5 * (low + high), high]))
+        middle = 2.0 * ends[1] - 0.5 * (ends[0] + ends[2])
+        return np.asarray(np.maximum([ends[0], middle, ends[2]], 0.0))
 
     def shapes(self, position: Array) -> Array:
         """Return what the three numbers are multiplied by at positions (K, n), (3, K, n)."""
