@@ -19,6 +19,12 @@ _ROUNDS, _FALL = 40, 1e-5
 # Damping of the first round, relative to a diagonal of ones; beyond the last no step helps.
 _DAMPING, _MOST_DAMPING = 1e-3, 1e4
 
+# Numbers whose unit moves all positions together by less (rad², m²) are not seen, and stay.
+_UNSEEN = 1e-8
+
+# Added to the unit diagonal of the normal equations: numbers that the log does not show stay.
+_RIDGE = 1e-9
+
 # Blocks of rows whose scores count as independent: at least this many, and none shorter (s) than
 # residuals of controlled joints stay alike.
 _BLOCKS, _LEAST_BLOCK = 10, 0.3
@@ -226,8 +232,9 @@ def _correlation(missed: Sequence[Array]) -> float:
 
 def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -> Array:
     """Minimize the damped quadratic model within bounds."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    L = np.linalg.cholesky(H * scale * scale[:, None] + damping * np.eye(len(g)))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), _UNSEEN))
+    ridge = max(damping, _RIDGE)
+    L = np.linalg.cholesky(H * scale * scale[:, None] + ridge * np.eye(len(g)))
     wanted = np.linalg.solve(L, g * scale)
     # Solvers want room between the bounds.
     limits = (low / scale - 1e-12, high / scale + 1e-12)
@@ -237,7 +244,7 @@ def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -
 def _sandwich(H: Array, scores: Array, within: Mask) -> Array:
     """Return the covariance of the unknowns from the scores of blocks; zero where not within."""
     found, at = np.zeros_like(H), np.ix_(within, within)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[within], 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[within], _UNSEEN))
     inverse = (
         np.linalg.pinv(H[at] * scale * scale[:, None], hermitian=True) * scale * scale[:, None]
     )

@@ -173,8 +173,11 @@ class LawFit(Shown):
     @property
     def trade_in_words(self) -> str:
         """How armature and damping change with the delay, and what does not."""
-        slopes = [np.polyfit(self.along["delay"], self.along[x], 1)[0] for x in CONSTANTS[:2]]
-        armature, damping = (1e-3 * float(np.median(x)) for x in slopes)
+        delays, (low, high) = self.along["delay"], self.delay_interval
+        width = delays[1] - delays[0]
+        near = (delays >= low - width) & (delays <= high + width)
+        slopes = [np.polyfit(delays[near], self.along[x][near], 1)[0] for x in CONSTANTS[:2]]
+        armature, damping = (1e-3 * float(np.mean(x)) for x in slopes)
         ratios = [parts / max(own, 1e-12) for _, own, parts in self.sharp().values()]
         return (
             f"with each ms armature changes by {armature:+.2g} kg.m2 and damping by {damping:+.2g} "
@@ -450,7 +453,7 @@ def _with_open_delay(
     others = np.diag(fit.covariance) > 0.0
     H = fit.information
     moves = np.zeros(len(H))
-    moves[others] = -np.linalg.solve(H[np.ix_(others, others)], H[others, k])
+    moves[others] = -np.linalg.pinv(H[np.ix_(others, others)], hermitian=True) @ H[others, k]
     moves[k] = 1.0
     return covariance + spread**2 * np.outer(moves[:size], moves[:size]), ends
 

@@ -28,6 +28,9 @@ _ANGLES, _POSITIONS = 72, 41
 # less than this share of the longest lever there would be far too stiff.
 _LEAST_LEVER = 0.3
 
+# Rounds of nonnegative least squares: columns are much alike.
+_MOST_ROUNDS = 10_000
+
 # Tendons are left out as long as friction stays within this share of its largest level.
 _LITTLE = 0.02
 
@@ -86,7 +89,7 @@ def _few(columns: Array, level: Array) -> tuple[Array, float]:
 
     def fitted(used: list[int]) -> tuple[Array, float]:
         values = np.zeros(columns.shape[1])
-        values[used] = nnls(columns[:, used], level)[0]
+        values[used] = nnls(columns[:, used], level, maxiter=_MOST_ROUNDS)[0]
         return values, float(np.abs(columns @ values - level).max())
 
     values, error = fitted(list(range(columns.shape[1])))
