@@ -303,13 +303,17 @@ def _under_law(
         fresh = [
             match_joints(model, each) for each in read_logs(model, validation, "validation")[1]
         ]
-    first, notes = first_law(matched, law, model)
     delay = USUAL_DELAY if law.delay is None else law.delay
+    first, notes = first_law(matched, law, model, delay)
     made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
     prepared = formulation.prepare(model, made, **options)
     others = prepared.others(seen, accept=options["accept"]) if seen else None
     result = _solved(
-        formulation.problem(prepared), replace(prepared, logs=tuple(logs)), others, intervals
+        formulation.problem(prepared),
+        replace(prepared, logs=tuple(logs)),
+        others,
+        intervals,
+        measured=False,
     )
     with progress(1, "fitting the drives to positions"):
         drives = fit_law(
@@ -335,9 +339,17 @@ def _without(prepared: Prepared, spoils: Finding) -> Prepared:
 
 
 def _solved(
-    problem: Problem, prepared: Prepared, fresh: Prepared | None, intervals: bool | Method
+    problem: Problem,
+    prepared: Prepared,
+    fresh: Prepared | None,
+    intervals: bool | Method,
+    *,
+    measured: bool = True,
 ) -> Identification:
-    """Return the estimate with its proof, errors, intervals and tests."""
+    """Return the estimate with its proof, errors, intervals and tests.
+
+    Of efforts that a law made nothing is held out, and no bias is tested.
+    """
     findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]
@@ -358,12 +370,12 @@ def _solved(
         advance(1)
         confidence, intervals_note = _intervals(estimate, intervals)
         advance(1)
-        bias, bias_note = _bias(estimate, prepared)
+        bias, bias_note = _bias(estimate, prepared) if measured else (None, None)
         advance(1)
     samples = None if fresh is None else fresh.samples
     with progress(1, "holding out blocks"):
         predicted = None if samples is None else validate(estimate, samples)
-        held_out = hold_out(estimate, wls, samples, predicted)
+        held_out = hold_out(estimate, wls, samples, predicted) if measured else None
     recipe, no_recipe = recipe_or_reason(problem, prepared)
     logs = () if fresh is None else fresh.logs
     return Identification(

@@ -17,9 +17,11 @@ from sdpid.estimation.positions.drives import LONGEST_DELAY, ROW, UNITS, Drives
 from sdpid.estimation.positions.fit import PositionFit, conditional, fit_positions
 from sdpid.estimation.positions.rollout import Stiction
 from sdpid.estimation.problem import build_problem
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD
-from sdpid.experiment.simulation.law import Told
+from sdpid.experiment.simulation.law import Told, with_efforts_of_law
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PositionFriction
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -34,6 +36,9 @@ _NORMAL = 1.959964
 
 # Residuals one row apart that correlate by less are those of encoders: the model is complete.
 _WHITE = 0.3
+
+# A delay is told where its interval is no longer than this, s.
+_SHARP = 2e-3
 
 # Delays over which numbers are shown.
 _SHOWN = 11
@@ -79,6 +84,8 @@ class LawFit(Shown):
         Whether residuals are those of encoders, so that nothing is missing in the model.
     rms, rms_reduced : float
         Errors of position (rad) on the fitted logs with rich and with reduced drives.
+    rms_joints : ndarray, shape (n,)
+        Errors of every joint with rich drives, rad (m).
     speed : ndarray, shape (n,)
         Usual speed of every joint, rad/s (m/s), at which damping and dry friction are summed.
     along : dict
@@ -89,7 +96,9 @@ class LawFit(Shown):
     validated : float or None
         Error of position (rad) on other logs, with rich drives; None without any.
     notes : tuple of str
-        Choices and warnings in words.
+        Choices in words.
+    warnings : tuple of str
+        What of the law the data contradict.
     """
 
     law: PD
@@ -105,10 +114,12 @@ class LawFit(Shown):
     complete: bool
     rms: float
     rms_reduced: float
+    rms_joints: Array
     speed: Array
     along: dict[str, Array]
     convex: Estimate
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     validated: float | None = None
 
     @property
@@ -156,6 +167,45 @@ class LawFit(Shown):
             parts = float(np.sqrt(self.covariance[alone, alone])) * self.speed[j]
             found[joint] = (own, float(np.sqrt(row @ self.covariance @ row)), parts)
         return found
+
+    def sharp_table(self) -> Table:
+        """Return `sharp` as a table, a row a joint."""
+        rows = [(joint, *values) for joint, values in self.sharp().items()]
+        names = ("joint", "value [N.m]", "deviation [N.m]", "deviation of damping alone [N.m]")
+        return Table(names, tuple(rows))
+
+    @property
+    def summary(self) -> str:
+        """The errors of positions in a sentence."""
+        told = [f"constants {1e3 * self.rms_reduced:.3g}"]
+        if "slope" in self.kinds:
+            told.append(f"friction over position {1e3 * self.rms:.3g}")
+        judged = 1e3 * self.choice.errors[self.kinds]
+        told.append(f"the fastest third, fitted without it, {judged:.3g}")
+        if self.validated is not None:
+            told.append(f"other logs {1e3 * self.validated:.3g}")
+        return f"{' | '.join(told)} mrad rms of rollouts"
+
+    @property
+    def worst(self) -> str:
+        """The joint whose positions err most, in words."""
+        j = int(np.argmax(self.rms_joints))
+        share = float(self.rms_joints[j] ** 2 / max(np.sum(self.rms_joints**2), 1e-300))
+        error = f"{1e3 * self.rms_joints[j]:.3g} mrad rms"
+        return f"{self.joint_names[j]}, {error}: {100 * share:.0f} % of all squared errors"
+
+    @property
+    def step(self) -> str:
+        """What to do next, in words."""
+        low, high = self.delay_interval
+        if self.delay_found and high - low > _SHARP:
+            return (
+                "record motion with fast changes of speed (chirps, steps), which tell the delay "
+                "from armature and damping; until then randomize over all numbers together"
+            )
+        if not self.complete:
+            return "record another motion and give it with --validation"
+        return "none: use identified.xml with this delay"
 
     @property
     def delay_in_words(self) -> str:
@@ -293,6 +343,7 @@ class LawFit(Shown):
                     for joint, (value, own, parts) in self.sharp().items()
                 },
                 "rms": self.rms,
+                "rms_joints": dict(zip(self.joint_names, self.rms_joints, strict=True)),
                 "rms_validation": self.validated,
                 "rms_reduced": self.rms_reduced,
                 "judged": {"+".join(k): x for k, x in self.choice.errors.items()},
@@ -301,6 +352,7 @@ class LawFit(Shown):
                 "along": self.along,
                 "given_up": self.given_up,
                 "notes": self.notes,
+                "warnings": self.warnings,
             }
         )
 
@@ -378,12 +430,17 @@ def fit_law(
         for r, s in zip(rollouts, fit.starts, strict=True)
     ]
     rms_reduced = float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
+    own = np.concatenate(
+        [
+            each.measured - each.positions(each.run(fit.drives, start))
+            for each, start in zip(rollouts, fit.starts, strict=True)
+        ]
+    )
     speed = np.sqrt(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
     notes = [*dict.fromkeys(each.told.note for each in followed)]
-    if fixed is not None:
-        notes += _named_delay(rollouts, fit)
+    warnings = () if fixed is None else tuple(_named_delay(rollouts, fit))
     fresh = [each.rollout(links) for each in others]
     tried = len(choice.starts)
     notes.append(
@@ -404,23 +461,57 @@ def fit_law(
         complete=complete,
         rms=fit.rms,
         rms_reduced=rms_reduced,
+        rms_joints=np.sqrt(np.mean(own**2, axis=0)),
         speed=speed,
         along=_along(fit, fixed, where),
         convex=estimate,
         notes=tuple(notes),
+        warnings=warnings,
         validated=judged(fresh, fit.drives) if fresh else None,
     )
 
 
-def first_law(logs: Sequence[Recording], law: PD, robot: RobotModel) -> tuple[PD, tuple[str, ...]]:
+def first_law(
+    logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float
+) -> tuple[PD, tuple[str, ...]]:
     """Return a law with numbers to begin with, and a warning where kp is to be found.
 
-    The scale of all efforts is that of the description's masses: the gains for which its gravity
-    and inertia need, in the mean, the efforts that the law gives.
+    The described links need efforts, which are kp times the error of position less kd times the
+    velocity, friction and the rotors' inertia: nonnegative least squares, joint by joint.
+
+    Raises
+    ------
+    DataError
+        When kp is to be found and the description has no masses.
     """
+    from scipy.optimize import nnls
+
     if law.kp is not None:
         return law, ()
-    raise DataError("law: kp is None")
+    if not np.any(robot.prior[:, 0] > 0.0):
+        raise DataError(
+            f"law: kp is to be found, and nothing but masses tells its scale; '{robot.name}' has "
+            "none described. Give kp, or a description with masses."
+        )
+    unit = replace(law, kp=np.ones(law.n), kd=np.zeros(law.n), limit=None, effort_limit=None)
+    samples = Samples.join([process(with_efforts_of_law(log, unit, delay)) for log in logs])
+    q, v, a = samples.position, samples.velocity, samples.acceleration
+    needed = robot.inverse_dynamics(robot.prior, q, v, a) + np.asarray(law.kd) * v
+    found = []
+    for j in range(law.n):
+        used = samples.used[:, j]
+        columns = np.stack([samples.effort[:, j], -np.sign(v[:, j]), -v[:, j], -a[:, j]], axis=1)
+        found.append(float(nnls(columns[used], needed[used, j])[0][0]))
+    if not min(found) > 0.0:
+        j = int(np.argmin(found))
+        raise DataError(
+            f"law: kp of {robot.joint_names[j]} cannot be found: the described links do not push "
+            "against its error of position; give kp."
+        )
+    return replace(law, kp=np.array(found), effort_limit=None), (
+        "kp is found, and with it every effort, friction and inertia, only as well as the "
+        "description's masses are: they alone fix the scale. Give kp where it is known",
+    )
 
 
 def _begin(estimate: Estimate, law: PD, middle: Array) -> Drives:

@@ -66,6 +66,11 @@ class Headline:
         What the certificate proves.
     log : tuple of str
         What was changed about the recordings, and what is wrong with them.
+    delay : str or None
+        Under a known law the delay from command to effort, and what stays open; errors are then of
+        positions.
+    given_up : str or None
+        What the target cannot hold, and what that costs.
     """
 
     error: str
@@ -80,12 +85,16 @@ class Headline:
     warnings: tuple[str, ...] = ()
     proven: str = ""
     log: tuple[str, ...] = ()
+    delay: str | None = None
+    given_up: str | None = None
 
     @property
     def lines(self) -> tuple[str, ...]:
         """The lines as they are printed; one with nothing to say is absent."""
         rows = {
-            "missed effort": (self.baseline or self.error,),
+            "missed effort" if self.delay is None else "positions": (self.baseline or self.error,),
+            "delay": (self.delay,),
+            "given up": (self.given_up,),
             "tried": (self.tried,),
             "found": (self.found,),
             "worst joint": (self.worst,),
@@ -107,6 +116,20 @@ class Headline:
 def headline(result: Judged) -> Headline:
     """Return the verdict on an identification in short."""
     of = result._subject
+    if (drives := result.drives) is not None:
+        return Headline(
+            error=drives.summary,
+            worst=drives.worst,
+            step=drives.step,
+            baseline=None,
+            title=f"{of.robot.name}: {of.robot.n} joints, drives fitted to positions under a law",
+            warnings=tuple(each.warning for each in findings(result) if each.warning),
+            proven=f"of the links, by the law's efforts: {_proven(of)}; drives are the best of "
+            f"{len(drives.choice.starts)} starts",
+            log=tuple(_log(result)),
+            delay=drives.delay_in_words,
+            given_up=drives.given_up,
+        )
     # By its level, then by R².
     ranks = {each: (LEVELS.index(each.level), of.fit.moving.r2[each.joint]) for each in of.grades}
     worst = min(ranks, key=lambda each: ranks[each], default=None)

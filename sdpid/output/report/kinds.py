@@ -65,6 +65,7 @@ KINDS: dict[Level, dict[str, str]] = {
         "limit_alone": "Nothing but a numerical limit holds {names}: the data do not determine "
         "these parameters. Use a prior, or a richer motion.",
         "unproven": "It is not proven to be the best fit: {why}",
+        "law_contradicted": "The law does not suit the log: {words}.",
     },
     "caution": {
         "effort_unshown": "Not shown on other motion: {names:all}. In brackets: share of the "
@@ -118,6 +119,8 @@ KINDS: dict[Level, dict[str, str]] = {
         "price": "{why}: the relative residual in motion on the fitted rows is {own:%}, without "
         "them {free:%}. {end} Active constraints: {names} (cost_of_constraints tells what each "
         "costs).",
+        "positions": "Positions of rollouts under the law: {error}. Delay: {delay}. Given up for "
+        "{target}: {lost}. Drives are the best of several starts, not proven.",
         "heavy": "Masses are as large as is allowed: {names}. The data hardly tell them from "
         "those of their neighbors; lower --mass-max to what the link can weigh, or use a prior.",
         "unlike": "The recordings tell links apart that are believed to be mirror images, by more "
@@ -162,6 +165,7 @@ WARNINGS = {
     "bias": "trust the standard errors: {words}",
     "limit_contradicts": "keep the numerical limit of {names}: it contradicts the data",
     "limit_alone": "read {names}: nothing but a numerical limit holds them",
+    "law_contradicted": "trust the drives: {words}",
     "unproven": "call it the best fit: that is not proven",
 }
 

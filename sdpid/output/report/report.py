@@ -16,6 +16,7 @@ import numpy as np
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.estimation.positions.law_fit import LawFit
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
@@ -25,6 +26,9 @@ from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.scene import identified_scene
 from sdpid.plots.lines import TimeLine
+
+# Of lines of joints, one after the other.
+_COLORS = ("blue", "red", "green", "orange", "purple", "gray")
 
 
 def write_report(
@@ -116,7 +120,25 @@ def report_html(
         **joints.values(of, charts, line),
         **parameters.values(of, intervals, charts),
         **recording.values(of),
+        drives=None if result.drives is None else _drives(result.drives, charts),
     )
+
+
+def _drives(drives: LawFit, charts: Charts) -> dict[str, Any]:
+    """Return drives that were fitted to positions, and charts of them over the delay."""
+    joints, along = drives.joint_names, drives.along
+    numbers = []
+    if drives.delay_found:
+        open_ = 1e3 * np.array([drives.delay_interval])
+        columns = [{"error": 1e3 * along["error"]}]
+        columns += [dict(zip(joints, along[x].T, strict=True)) for x in ("armature", "damping")]
+        numbers = [charts.add(x=1e3 * along["delay"], shaded=open_, **each) for each in columns]
+    return {
+        "of": drives,
+        "charts": numbers,
+        "lines": [(joint, _COLORS[k % len(_COLORS)]) for k, joint in enumerate(joints)],
+        "sharp": drives.sharp_table(),
+    }
 
 
 def _beside(of: VerdictSubject) -> Iterator[dict[str, Any]]:

@@ -458,10 +458,25 @@ CHECKS: tuple[Callable[[VerdictSubject], Iterator[VerdictFinding]], ...] = (
 )
 
 
+def positions(of: VerdictSubject) -> Iterator[VerdictFinding]:
+    """Say how well positions under a known law are predicted, and what stays open."""
+    drives = of.result.drives
+    if drives is not None:
+        words = {"error": drives.summary, "delay": drives.delay_in_words, "lost": drives.given_up}
+        yield found("positions", target=drives.target, **words)
+        for each in drives.warnings:
+            yield found("law_contradicted", words=each)
+
+
+# Under a law efforts are not measured: what is said of their errors says nothing.
+_UNDER_LAW = (recordings, positions, beliefs)
+
+
 @kept
 def findings(result: Judged) -> tuple[VerdictFinding, ...]:
     """Return the findings of the verdict, each with its level; computed once a result."""
-    return tuple(each for check in CHECKS for each in check(result._subject))
+    checks = CHECKS if result.drives is None else _UNDER_LAW
+    return tuple(each for check in checks for each in check(result._subject))
 
 
 def verdict(result: Judged) -> tuple[str, ...]:
