@@ -203,7 +203,7 @@ class _State:
             begins = np.arange(count) >= size
             own = ~begins
             own[size + 2 * n * k : size + 2 * n * (k + 1)] = True
-            starts = _block_starts(each)
+            starts = block_starts(each)
             score = np.zeros((len(starts), count))
             blocks = each.columns(motion, self.drives, unknowns.rows, unknowns.delay)
             for joints, J in blocks:
@@ -217,7 +217,7 @@ class _State:
         return H, g, np.concatenate(scores)
 
 
-def _block_starts(rollout: Rollout) -> Indices:
+def block_starts(rollout: Rollout) -> Indices:
     """Return the first rows of blocks that count as independent."""
     rows = len(rollout.measured)
     count = max(_BLOCKS, int(rollout.count * rollout.step / _LEAST_BLOCK))

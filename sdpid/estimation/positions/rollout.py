@@ -199,7 +199,19 @@ class Rollout:
         """Return the motion's positions at the log's time stamps, (N, n)."""
         return self._at_stamps(motion.position)
 
-    def columns(self, motion: Motion, drives: Drives, rows: Sequence[str], delay: bool) -> Blocks:
+    def with_links(self, links: RobotDynamics) -> Rollout:
+        """Return the same stretch for other links."""
+        how = {"step": self.step, "stiction": self.stiction}
+        return Rollout(links, self._time, self.measured, self.commands, **how)
+
+    def columns(
+        self,
+        motion: Motion,
+        drives: Drives,
+        rows: Sequence[str],
+        delay: bool,
+        regressor: Array | None = None,
+    ) -> Blocks:
         """Return the derivatives of `positions`, of each tree of joints on its own.
 
         Parameters
@@ -212,12 +224,14 @@ class Rollout:
             Kinds of numbers, as `Unknowns.rows`.
         delay : bool
             Whether the delay is among the unknowns.
+        regressor : ndarray, shape (K, n, 10·n), optional
+            Of the links along the motion, where their parameters are among the unknowns.
 
         Returns
         -------
         list of tuple (joints, ndarray of shape (N, m, k))
             Of a tree with m joints: by its joints' numbers kind by kind, by the delay, then by
-            their positions and velocities at the start.
+            their positions and velocities at the start, then by ten parameters of each link.
         """
         v, z, side = motion.velocity, motion.z, motion.side
         pushes = {
@@ -249,6 +263,10 @@ class Rollout:
             push[1, :, k : k + m] = before[1]
             push[0, :, k + m :] = -self.step * before[0]
             first[own, k + own] = 1.0
+            if regressor is not None:
+                places = (10 * joints[:, None] + np.arange(10)).ravel()
+                push = np.concatenate([push, regressor[:, joints[:, None], places]], axis=2)
+                first = np.concatenate([first, np.zeros((m, 10 * m))], axis=1)
             moved = np.concatenate([first[None], factor.solve(-push)])
             found.append((joints, self._at_stamps(moved)))
         return found
