@@ -18,7 +18,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of numbers that are free, and those that are tried beside them, one after the other.
 CONSTANTS = ("armature", "damping", "friction")
-_RICHER = ("slope", "curve")
+RICHER = ("slope", "curve")
 
 # A richer friction must lower the error on the faster part by this share.
 _WORTH = 0.02
@@ -35,7 +35,7 @@ _JUDGED, _LEAST_PART, _OPEN = 0.35, 1.5, 0.05
 _STARTS = (0.002, 0.008)
 
 # Fits that are compared end where a round promises this relative fall of the cost.
-_ROUGH = 1e-4
+ROUGH = 1e-4
 
 # Delays that are judged, and between which their errors are interpolated.
 _TRIED, _FINE = 9, 401
@@ -164,10 +164,10 @@ def choose_forward(
     begun = _begun(training, drives, tuple(rows), delay)
     fit = best = min(begun, key=lambda each: each.cost)
     errors[fit.unknowns.rows] = judged(judges, fit.drives)
-    for k in range(1, len(_RICHER) + 1):
-        kinds = (*rows, *_RICHER[:k])
+    for k in range(1, len(RICHER) + 1):
+        kinds = (*rows, *RICHER[:k])
         fit = fit_positions(
-            training, fit.drives, kinds, delay=delay is None, starts=fit.starts, fall=_ROUGH
+            training, fit.drives, kinds, delay=delay is None, starts=fit.starts, fall=ROUGH
         )
         errors[kinds] = judged(judges, fit.drives)
         if errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]:
@@ -208,7 +208,7 @@ def _begun(
     """Return fits of constants from several delays."""
     delays = _STARTS if delay is None else (delay,)
     return [
-        fit_positions(training, replace(drives, delay=d), rows, delay=delay is None, fall=_ROUGH)
+        fit_positions(training, replace(drives, delay=d), rows, delay=delay is None, fall=ROUGH)
         for d in delays
     ]
 

@@ -14,7 +14,7 @@ from sdpid.estimation.positions.drives import Drives, Unknowns
 from sdpid.estimation.positions.rollout import Motion, Rollout
 
 # Rounds of Gauss-Newton, and the relative fall of the cost that a round must promise.
-_ROUNDS, _FALL = 40, 1e-5
+_ROUNDS, FALL = 40, 1e-5
 
 # Damping of the first round, relative to a diagonal of ones; beyond the last no step helps.
 _DAMPING, _MOST_DAMPING = 1e-3, 1e4
@@ -75,7 +75,7 @@ def fit_positions(
     delay: bool = True,
     starts: Sequence[Array] | None = None,
     held: bool = False,
-    fall: float = _FALL,
+    fall: float = FALL,
 ) -> PositionFit:
     """Fit kinds of numbers, the delay and the starts to the positions of rollouts.
 

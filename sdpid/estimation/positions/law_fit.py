@@ -12,19 +12,26 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.positions.choose import CONSTANTS, Choice, Followed, choose_forward, judged
+from sdpid.estimation.positions.choose import (
+    CONSTANTS,
+    RICHER,
+    ROUGH,
+    Choice,
+    Followed,
+    choose_forward,
+    judged,
+)
 from sdpid.estimation.positions.drives import LONGEST_DELAY, ROW, UNITS, Drives
-from sdpid.estimation.positions.fit import PositionFit, conditional, fit_positions
-from sdpid.estimation.positions.rollout import Stiction
+from sdpid.estimation.positions.fit import FALL, PositionFit, conditional, fit_positions
+from sdpid.estimation.positions.links import SYMBOLS, JointNormal, links_of, with_links
+from sdpid.estimation.positions.rollout import Rollout, Stiction
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD
 from sdpid.experiment.simulation.law import Told, with_efforts_of_law
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PositionFriction
-from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
 # Where a model is used: what its friction may be, and its integrator's step, s.
@@ -39,6 +46,12 @@ _WHITE = 0.3
 
 # A delay is told where its interval is no longer than this, s.
 _SHARP = 2e-3
+
+# Where the search for a delay begins, s.
+_FIRST = 0.004
+
+# Steps for the links after the choice, where nothing is missing in the model.
+_POLISHED = 2
 
 # Delays over which numbers are shown.
 _SHOWN = 11
@@ -55,8 +68,9 @@ _NONE = 1e-9
 class LawFit(Shown):
     """Drives of a robot, fitted to positions of rollouts under a known law.
 
-    The links are those of the convex fit, whose optimum is proven. The numbers here are the best of
-    several starts of a Gauss-Newton search: no proof, but what rollouts and intervals show.
+    The convex fit to the law's efforts gives links and a start, and its optimum is proven. From it
+    on these numbers and the links, which stay consistent, are the best of several starts of a
+    Gauss-Newton search: no proof, but what rollouts and intervals show.
 
     Attributes
     ----------
@@ -92,7 +106,7 @@ class LawFit(Shown):
         Over ``delay`` (D,): ``error`` (D,) on the part that was judged, ``armature`` and
         ``damping`` (D, n) of the fits at that delay.
     convex : Estimate
-        The convex fit, whose links these are.
+        The links, as positions show them, with all constraints and the prior.
     validated : float or None
         Error of position (rad) on other logs, with rich drives; None without any.
     notes : tuple of str
@@ -228,7 +242,9 @@ class LawFit(Shown):
         near = (delays >= low - width) & (delays <= high + width)
         slopes = [np.polyfit(delays[near], self.along[x][near], 1)[0] for x in CONSTANTS[:2]]
         armature, damping = (1e-3 * float(np.mean(x)) for x in slopes)
-        ratios = [parts / max(own, 1e-12) for _, own, parts in self.sharp().values()]
+        # A number at its bound has no deviation.
+        told = [x for x in self.sharp().values() if x[1] > 0.0 and x[2] > 0.0]
+        ratios = [parts / own for _, own, parts in told] or [1.0]
         return (
             f"with each ms armature changes by {armature:+.2g} kg.m2 and damping by {damping:+.2g} "
             "N.m.s/rad; friction + (damping + kp*delay)*v is known "
@@ -281,7 +297,7 @@ class LawFit(Shown):
             theta,
             method="positions",
             status="given",
-            message="links of the convex fit, drives fitted to positions under the law",
+            message="fitted to positions under the law",
         )
 
     @property
@@ -393,9 +409,7 @@ def fit_law(
     if target not in get_args(Target):
         raise DataError(f"target: is {target!r}; use one of {', '.join(get_args(Target))}.")
     assert estimate.theta is not None
-    robot = estimate.problem.robot
-    terms = FrictionModel.from_terms((), robot.joint_names)
-    links = RobotDynamics(robot=robot, terms=terms, theta=estimate.theta[: 10 * robot.n_links])
+    robot, problem = estimate.problem.robot, estimate.problem
     followed, others = (
         [
             Followed(
@@ -411,42 +425,42 @@ def fit_law(
     )
     where = np.concatenate([each.position for each in followed])
     drives = _begin(estimate, start or law, 0.5 * (where.min(axis=0) + where.max(axis=0)))
-    fixed = law.delay
-    kinds = CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
-    choice, slow = choose_forward(followed, links, drives, rows=kinds, delay=fixed)
+    fixed, kinds = law.delay, CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
+    drives = replace(drives, delay=_FIRST if fixed is None else fixed)
+    # With the richest friction, so that links need not make up for what it lacks.
+    rollouts = [each.rollout(links_of(problem, estimate.theta)) for each in followed]
+    rich = (*kinds, *RICHER)
+    fit = fit_positions(rollouts, drives, rich, delay=fixed is None, fall=ROUGH)
+    estimate, rollouts, drives = _with_links(estimate, rollouts, fit)
+    links = links_of(problem, estimate.some_theta)
+    begin = drives.with_rows(slope=0.0, curve=0.0)
+    choice, slow = choose_forward(followed, links, begin, rows=kinds, delay=fixed)
     complete = choice.correlation < _WHITE
-    start = slow.drives
-    if fixed is None and not complete:
-        start = conditional(slow, choice.delay)[0]
-    rollouts = [each.rollout(links) for each in followed]
     held = fixed is None and not complete
-    fit = fit_positions(rollouts, start, choice.rows, delay=fixed is None, held=held)
-    covariance, interval = _with_open_delay(fit, choice, held)
+    found = conditional(slow, choice.delay)[0] if held else slow.drives
+    how = {"delay": fixed is None, "held": held}
+    fit = fit_positions(rollouts, found, choice.rows, **how, fall=ROUGH if held else FALL)
+    for _ in range(_POLISHED if complete else 0):
+        estimate, rollouts, found = _with_links(estimate, rollouts, fit)
+        fit = fit_positions(rollouts, found, choice.rows, **how, starts=fit.starts)
+    normal = JointNormal.of(problem, rollouts, fit)
+    covariance, interval = _spread(normal, estimate, fit, choice, held)
     reduced = fit.drives.with_rows(
         friction=fit.drives.dry(where).mean(axis=0), slope=0.0, curve=0.0
     )
-    missed = [
-        r.measured - r.positions(r.run(reduced, s))
-        for r, s in zip(rollouts, fit.starts, strict=True)
-    ]
-    rms_reduced = float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
-    own = np.concatenate(
-        [
-            each.measured - each.positions(each.run(fit.drives, start))
-            for each, start in zip(rollouts, fit.starts, strict=True)
-        ]
+    own, missed = (
+        np.concatenate(
+            [
+                each.measured - each.positions(each.run(numbers, start))
+                for each, start in zip(rollouts, fit.starts, strict=True)
+            ]
+        )
+        for numbers in (fit.drives, reduced)
     )
     speed = np.sqrt(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
-    notes = [*dict.fromkeys(each.told.note for each in followed)]
-    warnings = () if fixed is None else tuple(_named_delay(rollouts, fit))
-    fresh = [each.rollout(links) for each in others]
-    tried = len(choice.starts)
-    notes.append(
-        f"drives are the best of {tried} start{'s' * (tried > 1)} of a local search: links are "
-        "proven, drives are not"
-    )
+    fresh = [each.rollout(links_of(problem, estimate.some_theta)) for each in others]
     return LawFit(
         law=replace(law, delay=fit.drives.delay, effort_limit=None, kp=fit.drives["kp"]),
         target=target,
@@ -460,15 +474,26 @@ def fit_law(
         covariance=covariance,
         complete=complete,
         rms=fit.rms,
-        rms_reduced=rms_reduced,
+        rms_reduced=float(np.sqrt(np.mean(missed**2))),
         rms_joints=np.sqrt(np.mean(own**2, axis=0)),
         speed=speed,
         along=_along(fit, fixed, where),
         convex=estimate,
-        notes=tuple(notes),
-        warnings=warnings,
+        notes=(
+            *dict.fromkeys(each.told.note for each in followed),
+            f"drives are the best of {len(choice.starts)} starts of a local search",
+        ),
+        warnings=() if fixed is None else tuple(_named_delay(rollouts, fit)),
         validated=judged(fresh, fit.drives) if fresh else None,
     )
+
+
+def _with_links(
+    estimate: Estimate, rollouts: list[Rollout], fit: PositionFit
+) -> tuple[Estimate, list[Rollout], Drives]:
+    """Return what a convex step for the links finds, or all as it is."""
+    found = with_links(estimate.problem, estimate.some_theta, rollouts, fit)
+    return (estimate, rollouts, fit.drives) if found is None else found
 
 
 def first_law(
@@ -524,15 +549,25 @@ def _begin(estimate: Estimate, law: PD, middle: Array) -> Drives:
     return Drives(values=values, middle=middle, delay=0.0).with_rows(**gains)
 
 
-def _with_open_delay(
-    fit: PositionFit, choice: Choice, held: bool
+def _spread(
+    normal: JointNormal, estimate: Estimate, fit: PositionFit, choice: Choice, held: bool
 ) -> tuple[Array, tuple[float, float]]:
     """Return the covariance of the reported numbers and the delay's interval.
 
-    Where the model is not complete, the delay's errors are what stays open, and move all others.
+    Errors of links count, as data and prior leave them. Where the model is not complete, the
+    delay's errors are what stays open, and move all others.
     """
-    size, delay = len(fit.unknowns.names), fit.drives.delay
-    covariance = fit.covariance[:size, :size].copy()
+    problem, drives = normal.problem, fit.drives
+    p, links = problem.n_theta, 10 * problem.robot.n_links
+    closed, places = np.zeros(p, dtype=bool), {}
+    for k, parameter in enumerate(problem.friction.parameters):
+        kind = SYMBOLS[parameter.name.rstrip("0123456789")]
+        places[f"{kind}{parameter.joint + 1}"] = links + k
+        closed[links + k] = drives[kind][parameter.joint] <= 0.0
+    whole, moves = normal.covariance(estimate, closed, held)
+    places |= {name: p + k for k, name in enumerate(normal.names)}
+    at = [places[name] for name in fit.unknowns.names]
+    covariance, delay = whole[np.ix_(at, at)], drives.delay
     if not fit.unknowns.delay:
         return covariance, (delay, delay)
     if not held:
@@ -540,13 +575,7 @@ def _with_open_delay(
         return covariance, (max(delay - half, 0.0), min(delay + half, LONGEST_DELAY))
     ends = min(choice.open[0], choice.fitted), max(choice.open[1], choice.fitted)
     spread = max(ends[1] - delay, delay - ends[0]) / _NORMAL
-    k = size - 1
-    others = np.diag(fit.covariance) > 0.0
-    H = fit.information
-    moves = np.zeros(len(H))
-    moves[others] = -np.linalg.pinv(H[np.ix_(others, others)], hermitian=True) @ H[others, k]
-    moves[k] = 1.0
-    return covariance + spread**2 * np.outer(moves[:size], moves[:size]), ends
+    return covariance + spread**2 * np.outer(moves[at], moves[at]), ends
 
 
 def _along(fit: PositionFit, fixed: float | None, where: Array) -> dict[str, Array]:

@@ -22,9 +22,9 @@ from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
 
-# Newton's rounds end after a move of no position by more (rad or m): the next one would be of its
-# square. Without success they end after so many.
-_SETTLED, _ROUNDS = 1e-6, 40
+# Newton's rounds end after a move of no position by more (rad or m): the next one is a hundredth of
+# it and less. Without success they end after so many.
+_SETTLED, _ROUNDS = 1e-5, 40
 
 # The robot's slopes are taken along the measured motion below this frequency, Hz: they change with
 # its position and velocity, not with its noise.
