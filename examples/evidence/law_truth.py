@@ -1,4 +1,4 @@
-"""Drives from positions under a known law, on simulated robots: do intervals hold the truth?
+"""Drives from positions under a known law, on simulated robots whose truth is known.
 
 An arm of four joints, a leg of three and a quadruped that hangs (the Go2 of the public records).
 Their links differ from the description by some percent. Delay, friction, encoder and rate vary.
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from study import Row, Study
 
 import sdpid
@@ -35,7 +36,7 @@ LINKS = {
         ("0 0 .25", "0 1 0", "0 0 .06", 0.5, "1e-3 1e-3 4e-4"),
     ],
 }
-GAINS = {"leg": (20.0, 1.5), "arm": (60.0, 3.0), "quadruped": (20.0, 1.5)}
+GAINS = {"leg": (20.0, 1.5), "arm": (400.0, 20.0), "quadruped": (20.0, 1.5)}
 KINDS = ("armature", "damping", "friction")
 STEP = 0.002
 COLUMNS = (
@@ -79,7 +80,7 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     links = RobotDynamics(robot=robot, terms=terms, theta=bodies.ravel())
     kp, kd = GAINS[name]
     drives = Drives(values=np.zeros((8, n)), middle=middle, delay=1e-3 * delay).with_rows(
-        armature=rng.uniform(0.008, 0.03, n),
+        armature=rng.uniform(0.008, 0.03, n) * (6.0 if name == "arm" else 1.0),
         damping=rng.uniform(0.1, 0.5, n),
         friction=rng.uniform(0.2, 0.6, n),
         slope=rng.uniform(-0.6, 0.6, n) if bent else 0.0,
@@ -90,7 +91,7 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
     start = np.stack([command[0], np.zeros(n)])
     how = {"step": STEP, "stiction": Stiction.mujoco()}
-    rollout = Rollout(links, time, command, told, **how)
+    rollout = Rollout(links, time, gaussian_filter1d(command, 0.02 * rate, axis=0), told, **how)
     # Links move along the commands at first, then along the motion itself.
     for _ in range(2):
         position = rollout.positions(rollout.run(drives, start))

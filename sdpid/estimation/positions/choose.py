@@ -37,6 +37,9 @@ _STARTS = (0.002, 0.008)
 # Fits that are compared end where a round promises this relative fall of the cost.
 ROUGH = 1e-4
 
+# The least square between delays that were tried, as a share of the least that was found there.
+_DEEPEST = 0.25
+
 # Delays that are judged, and between which their errors are interpolated.
 _TRIED, _FINE = 9, 401
 
@@ -197,7 +200,8 @@ def choose_forward(
     fine = np.sort([*np.linspace(0.0, LONGEST_DELAY, _FINE), chosen])
     smooth = PchipInterpolator(grid, squares)(fine)
     near = (fine >= grid[k - 1]) & (fine <= grid[k + 1])
-    smooth[near] = bend(fine[near])
+    # A parabola through three points of a steep valley may fall below any error.
+    smooth[near] = np.maximum(bend(fine[near]), _DEEPEST * squares.min())
     possible = fine[smooth <= (1.0 + _OPEN) ** 2 * smooth.min()]
     return Choice(delay=chosen, open=(float(possible[0]), float(possible[-1])), **found), best
 

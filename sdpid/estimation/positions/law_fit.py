@@ -50,6 +50,9 @@ _SHARP = 2e-3
 # Where the search for a delay begins, s.
 _FIRST = 0.004
 
+# Steps for the links before the choice: as long as one lowers the error by this share, or so many.
+_FELL, _MOST_STEPS = 0.2, 4
+
 # Steps for the links after the choice, where nothing is missing in the model.
 _POLISHED = 2
 
@@ -431,9 +434,16 @@ def fit_law(
     rollouts = [each.rollout(links_of(problem, estimate.theta)) for each in followed]
     rich = (*kinds, *RICHER)
     fit = fit_positions(rollouts, drives, rich, delay=fixed is None, fall=ROUGH)
-    estimate, rollouts, drives = _with_links(estimate, rollouts, fit)
+    for _ in range(_MOST_STEPS):
+        before = fit.rms
+        estimate, rollouts, drives = _with_links(estimate, rollouts, fit)
+        fit = fit_positions(
+            rollouts, drives, rich, delay=fixed is None, starts=fit.starts, fall=ROUGH
+        )
+        if fit.rms > (1.0 - _FELL) * before:
+            break
     links = links_of(problem, estimate.some_theta)
-    begin = drives.with_rows(slope=0.0, curve=0.0)
+    begin = fit.drives.with_rows(slope=0.0, curve=0.0)
     choice, slow = choose_forward(followed, links, begin, rows=kinds, delay=fixed)
     complete = choice.correlation < _WHITE
     held = fixed is None and not complete
